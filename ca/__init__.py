@@ -1,1 +1,1 @@
-"""Who a node is: keys, identities, enrollment, revocation, the authority and its store."""
+"""Identities of nodes: keys, certificates, enrollment, revocation, the authority and its store."""

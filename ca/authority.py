@@ -1,9 +1,9 @@
-"""The authority: makes a trust domain's root, and certificates for the nodes in it.
+"""The authority: creates a trust domain's root, and issues certificates to its nodes.
 
 It issues exactly what a request shows (name and key) and nothing the approver did not see; a
-wildcard tail only on the approver's own word. Clock and dice come from outside: `now`, and serials
-of 128 random bits. What is issued, to whom and whether it may be, is the store's and the operator's
-business.
+wildcard tail only if the approver asks for it. Time and randomness are arguments: `now`, and
+serials of 128 random bits. Whether an identity may be issued is decided by the store and the
+operator.
 """
 
 from datetime import UTC, datetime
@@ -34,15 +34,15 @@ _SERIAL_LIMIT: Final = 1 << 128
 
 
 class Authority:
-    """A trust domain's root or intermediate in action: the signer of its key, and certificates.
+    """A trust domain's root or intermediate, with the signer of its key.
 
-    `anchor` is what nodes trust, `chain` what follows each leaf (nothing, or the intermediate).
+    `anchor` is the root that nodes trust, `chain` follows each leaf (empty, or the intermediate).
     """
 
     def __init__(
         self, signer: Signer, certificate: bytes, intermediate: bytes | None = None
     ) -> None:
-        """Join the key with the root's certificate (DER), or with an intermediate's under it.
+        """Combine the key with the root's certificate (DER), or with an intermediate's below it.
 
         Raises:
             CertificateRefused: not an authority's certificate.
@@ -62,7 +62,7 @@ class Authority:
         self.signer = signer
 
     def _load_intermediate(self, der: bytes) -> None:
-        # Its time is judged at each use, by `_period`.
+        # Its validity is checked at each use, by `_period`.
         found = self.anchor.read_intermediate(der)
         self.issuer, self.chain, self.may_enroll = found, (der,), found.may_enroll
 
@@ -80,21 +80,21 @@ class Authority:
         lifetime: int = LIFETIME,
         wildcard: bool = False,
     ) -> bytes:
-        """Return the certificate (DER) for what `csr` asks for, valid for `lifetime` seconds.
+        """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds.
 
-        It begins an hour early and ends with the authority's own certificate at the latest.
-        `serial` is 128 random bits. With `wildcard` the identity also stands for the names of
+        It is backdated by an hour and ends with the authority's own certificate at the latest.
+        `serial` is 128 random bits. With `wildcard` the identity also covers the names of
         anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
 
         Raises:
-            RequestRefused: the request is not in order.
+            RequestRefused: the request is invalid.
             NameRefused: this name cannot have a wildcard tail.
-            IssueRefused: serial or lifetime out of range, or the authority's own time is over.
+            IssueRefused: serial or lifetime out of range, or the authority itself is not valid now.
         """
         if not self.may_enroll:
             raise IssueRefused(
                 "this intermediate may renew identities, not enroll nodes",
-                "enroll at the root, or have the root make an intermediate that may",
+                "enroll at the root, or make an intermediate that may enroll",
             )
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
         return self._issue(
@@ -102,10 +102,10 @@ class Authority:
         )
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
-        """Return the successor (DER) of an identity, never living longer than that one did.
+        """Return the successor (DER) of an identity, with at most the same lifetime.
 
         Raises:
-            IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
+            IssueRefused: as `issue`, but an intermediate needs no permission to enroll.
         """
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
@@ -119,21 +119,21 @@ class Authority:
         serial: int,
         lifetime: int = LIFETIME,
     ) -> bytes:
-        """Return a successor (DER) of `identity` for `key`; whether it may be, the caller knows.
+        """Return a successor (DER) of `identity` for `key`; the caller has authorized it.
 
         Raises:
-            IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
+            IssueRefused: as `issue`, but an intermediate needs no permission to enroll.
         """
         return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        """Return the certificate (DER) of an intermediate, whose powers are said here.
+        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy.
 
         Raises:
-            RequestRefused: the request is not in order.
-            IssueRefused: this is no root, or of a form without intermediates, or as `issue`.
+            RequestRefused: the request is invalid.
+            IssueRefused: this is not a root, or its form has no intermediates, or as `issue`.
         """
         key = check_intermediate_request(csr, self.anchor.domain)
         if not self.is_root or self.anchor.path_length == 0:
@@ -184,14 +184,14 @@ class Authority:
         if not 0 < lifetime <= MAX_LIFETIME:
             raise IssueRefused(
                 f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed",
-                "certificates are renewed, not made to last: the default is 30 days",
+                "certificates are renewed instead: the default is 30 days",
             )
         first = max(self.issuer.not_before, self.anchor.not_before)
         last = min(self.issuer.not_after, self.anchor.not_after)
         if not first <= now <= last:
             raise IssueRefused(
                 "the authority's own certificate is not valid now",
-                "check this computer's clock; an expired authority must be made anew",
+                "check this computer's clock; an expired authority must be replaced by a new one",
             )
         return max(now - BACKDATE, first), min(now + lifetime, last)
 
@@ -213,7 +213,7 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
 def _authority(
     key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int, domain: str, *, below: int
 ) -> x509.CertificateBuilder:
-    """What a root and an intermediate have in common."""
+    """The common part of a root and an intermediate."""
     return (
         _builder(key, serial, start, end)
         .subject_name(_subject_name(key))
@@ -225,7 +225,7 @@ def _authority(
 
 
 def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
-    """The name differs for every key, so that a stranger's certificate shows itself as such."""
+    """A name that differs for every key, so that a foreign issuer is recognized by its name."""
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
 
 
@@ -234,7 +234,7 @@ def _short(key: ec.EllipticCurvePublicKey) -> str:
 
 
 def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
-    """RFC 7093 allows any short digest of the key; ours is the name the key has elsewhere."""
+    """RFC 7093 allows any short digest of the key; ours is the start of its thumbprint."""
     return thumbprint(key)[:20]
 
 

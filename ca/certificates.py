@@ -1,9 +1,9 @@
-"""Certificates: from bytes a stranger sent to the identity of a peer, or a refusal.
+"""Certificates: from untrusted bytes to the verified identity of a peer, or a refusal.
 
-The form is the X.509-SVID of SPIFFE with every freedom removed: P-256 and SHA-256 only, exactly one
-URI name, no authority, one key usage, issued by the one trust anchor or by one intermediate of it.
-A chain is a sequence of one or two in this order: nothing is searched, because path building is
-where verifiers break. The signature is checked before anything inside is believed; size before
+The form is the X.509-SVID of SPIFFE without its options: P-256 and SHA-256 only, exactly one
+URI name, not a CA, one key usage, issued by the trust anchor or by one intermediate of it.
+A chain is one or two certificates in this order: there is no path building, where verifiers
+have most of their bugs. The signature is checked before any content is trusted; size before
 parsing.
 """
 
@@ -40,12 +40,12 @@ _MAX_PEM: Final = 16 * 1024
 
 @dataclass(frozen=True)
 class Identity:
-    """Who a verified certificate says its holder is. Times are inclusive, in seconds.
+    """The identity in a verified certificate. Times are inclusive, in seconds.
 
     `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received, `issuers`
-    are the thumbprints of the intermediates it hangs on: when one is revoked, so is this identity.
-    `not_after` is the end of the whole chain below the anchor.
-    Grants and rules are for `name`; with `wildcard` it also stands for anonymous nodes (`covers`).
+    are the thumbprints of the intermediates in the chain: when one is revoked, so is this identity.
+    `not_after` is the earliest one of the chain below the anchor.
+    Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
     """
 
     domain: str
@@ -60,18 +60,18 @@ class Identity:
     issuers: tuple[bytes, ...] = ()
 
     def covers(self, name: str) -> bool:
-        """Whether the holder may go by `name`: the certified one, or one with a certified tail."""
+        """Whether the holder may use `name`: the certified one, or one with a certified tail."""
         return covers(self.name, name, wildcard=self.wildcard)
 
     @property
     def keys(self) -> tuple[bytes, ...]:
-        """Every key whose revocation ends this identity: its own first."""
+        """Every key whose revocation revokes this identity: its own first."""
         return (self.thumbprint, *self.issuers)
 
 
 @dataclass(frozen=True)
 class TrustAnchor:
-    """The one authority a node trusts. Build it with `load`; its key is parsed only once."""
+    """The root certificate a node trusts. Create it with `load`; its key is parsed only once."""
 
     domain: str
     public_key: ec.EllipticCurvePublicKey
@@ -84,7 +84,7 @@ class TrustAnchor:
 
     @classmethod
     def load(cls, der: bytes) -> Self:
-        """Return the anchor in `der`, a self-signed root certificate. Its time is not judged here.
+        """Return the anchor in `der`, a self-signed root certificate. Its validity is not checked.
 
         Raises:
             CertificateRefused: not an authority's certificate of rossec's form.
@@ -106,9 +106,9 @@ class TrustAnchor:
         """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER.
 
         Raises:
-            ForeignCertificate: signed by somebody else.
-            CertificateExpired, CertificateNotYetValid: one of them or the authority's, at `now`.
-            CertificateRefused: anything else that is wrong; the message says what.
+            ForeignCertificate: signed by another authority.
+            CertificateExpired, CertificateNotYetValid: one of them, or the authority's.
+            CertificateRefused: any other defect; the message says which.
         """
         match chain:
             case [leaf]:
@@ -129,7 +129,7 @@ class TrustAnchor:
         return replace(identity, issuers=(issuer.thumbprint,), not_after=end)
 
     def read_intermediate(self, der: bytes) -> Intermediate:
-        """Return the intermediate in `der`. Its time is not judged here.
+        """Return the intermediate in `der`. Its validity is not checked here.
 
         Raises:
             CertificateRefused: as `verify`, or this authority may have none.
@@ -161,7 +161,7 @@ class TrustAnchor:
         )
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
-        """What a leaf says; its signature is verified each time, before it is believed."""
+        """The identity in a leaf; its signature is verified each time, also of a cached one."""
         known = _cache.get((issuer.certificate, der))
         if known is not None and known.signed.verifies(issuer.public_key):
             return known.identity
@@ -177,15 +177,15 @@ class TrustAnchor:
 
 
 class _CachedLeaf(NamedTuple):
-    """The parts of a leaf's DER."""
+    """The parsed parts of a leaf."""
 
     signed: svid.CertificateSignature
     identity: Identity
 
 
-# By the DER of the issuer and of the leaf. Peers come back for every topic, and taking their
-# certificates apart is a pure function of the bytes, so its result is kept of those that verified.
-# What is never kept is a verdict: the signature is verified and the times are compared each time.
+# By the DER of the issuer and of the leaf. Peers connect again for every topic, and parsing a
+# certificate is a pure function of its bytes, so the result is cached once it has verified.
+# The decision is never cached: signature and validity times are checked each time.
 _cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
 _CACHE_SIZE: Final = 256
 
@@ -207,7 +207,7 @@ def _name(expected: str, uri: str, *, wildcard: bool) -> str:
         if wildcard:
             check_wildcard(name)
     except NameRefused as error:
-        raise CertificateRefused(f"the certificate's name is none: {error}") from error
+        raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
     if domain != expected:
         raise CertificateRefused(
             f"the certificate is for trust domain {domain!r}, not {expected!r}"
@@ -219,7 +219,7 @@ def to_pem(*certificates: bytes) -> bytes:
     """Return DER certificates as one PEM bundle.
 
     Raises:
-        CertificateRefused: one of them is no certificate.
+        CertificateRefused: one of them is not a certificate.
     """
     return b"".join(svid.parse(der).public_bytes(Encoding.PEM) for der in certificates)
 
@@ -228,7 +228,7 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
     """Return the DER certificates of a PEM bundle, in its order; at least one.
 
     Raises:
-        CertificateRefused: too large, or no PEM certificates.
+        CertificateRefused: too large, or not PEM certificates.
     """
     if len(data) > _MAX_PEM:
         raise CertificateRefused(

@@ -1,9 +1,9 @@
-"""COSE_Sign1 (RFC 9052) in one closed form, shared by every signed statement of rossec.
+"""COSE_Sign1 (RFC 9052) in one fixed form, shared by every signed statement of rossec.
 
 A statement type is a `Profile`: its protected header is one constant, compared byte for byte, so
 algorithm, type and version cannot be negotiated, confused or extended, and `crit` needs no
-interpretation. The unprotected header is empty: it is outside the signature. Nothing here
-decides *whom* to trust; the caller brings the key.
+interpretation. The unprotected header is empty: it is not signed. Trust is not decided here: the
+caller supplies the key.
 """
 
 from dataclasses import dataclass
@@ -26,15 +26,15 @@ _COORDINATE: Final = 32
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
 _BYTES: Final = 0x40  # major type 2
 _SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
-_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; every shorter string has one
+_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
 
 
 @dataclass(frozen=True)
 class Profile:
     """One kind of signed statement, named by its media type (for example a grant).
 
-    `typ` sits in the signed header and is marked critical: a statement of one kind can never be
-    taken for another, nor accepted by a generic verifier that does not know it.
+    `typ` is in the signed header and marked critical: a statement of one kind can never be taken
+    for another, nor accepted by a generic verifier that does not know it.
     """
 
     typ: str
@@ -46,7 +46,7 @@ class Profile:
 
     @cached_property
     def _frame(self) -> bytes:
-        """What every statement of this kind begins with, up to its payload."""
+        """The prefix of every statement of this kind, up to its payload."""
         return _SIGN1_TAG + b"\x84" + encode(self.protected) + b"\xa0"
 
     @cached_property
@@ -86,11 +86,11 @@ class Profile:
         return decode(self.peek_body(data, limit=limit), limit=limit)
 
     def peek_body(self, data: bytes, *, limit: int = MAX_SIZE) -> bytes:
-        """The payload as `open_body` returns it, *without* verifying."""
+        """Return the payload as `open_body` does, *without* verifying."""
         return self._split(data, limit)[0]
 
     def _split(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
-        """Payload and signature. There is one allowed form: compare with it instead of decoding."""
+        """Return payload and signature: compare with the only allowed form instead of decoding."""
         if len(data) > limit:
             raise EncodingError(f"{len(data)} bytes of CBOR where at most {limit} are allowed")
         start, end = len(self._frame), len(data) - len(_SIGNATURE_HEAD) - 2 * _COORDINATE
@@ -105,7 +105,7 @@ class Profile:
         return self._split_by_decoding(data, limit)
 
     def _split_by_decoding(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
-        """As `_split`, for what is not in the allowed form: to say why."""
+        """As `_split`, for any other form: decode it to report the error."""
         if data[:1] != _SIGN1_TAG:
             raise SignatureError("not a COSE_Sign1 statement")
         match decode(data[1:], limit=limit):

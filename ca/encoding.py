@@ -1,9 +1,9 @@
 """Strict deterministic CBOR (RFC 8949): one value, one encoding, nothing else accepted.
 
-`cbor2` decodes; the strictness is here. A value is accepted only if encoding it again gives the
-very bytes that came in, which refuses in one comparison long integers, long floats, unsorted
-maps and trailing bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take
-their shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would
+`cbor2` decodes; the strict checks are here. A value is accepted only if encoding it again gives
+the same bytes, which refuses in one comparison long integers, long floats, unsorted maps and
+trailing bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
+shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would
 compile an attacker's regular expression).
 """
 
@@ -20,14 +20,14 @@ Value: TypeAlias = "int | float | str | bytes | bool | list[Value] | dict[int | 
 
 MAX_SIZE: Final = 16 * 1024
 MAX_DEPTH: Final = 16
-_INT_LIMIT: Final = 1 << 64  # beyond it cbor2 writes a bignum, which is a tag
-_PLAIN: Final = frozenset({str, bytes, bool, type(None)})  # nothing about them to check
+_INT_LIMIT: Final = 1 << 64  # from here on cbor2 writes a bignum, which is a tag
+_PLAIN: Final = frozenset({str, bytes, bool, type(None)})  # these need no check
 # Tuples, made once: `isinstance` with a union costs three times as much.
 _CONTAINERS: Final = (list, dict)
 _KEYS: Final = (int, str)
 _LEAVES: Final = (str, bytes, float, type(None))
 
-# By the bytes an integer needs: additional information, and the bytes it gets.
+# By the bytes an integer needs: additional information, and the bytes it is encoded in.
 _HEADS: Final = ((24, 1), (24, 1), (25, 2), *2 * ((26, 4),), *4 * ((27, 8),))
 
 # The tags cbor2 6 decodes by itself; every other one reaches `tag_hook`.
@@ -48,7 +48,7 @@ def encode(value: Value) -> bytes:
 
 
 def decode(data: bytes, *, limit: int = MAX_SIZE) -> Value:
-    """Decode exactly one value that fills `data`; `limit` is checked before anything is parsed.
+    """Decode exactly one value that fills `data`; `limit` is checked before parsing.
 
     Raises:
         EncodingError: too long, malformed, not deterministic, or outside the subset.
@@ -60,10 +60,10 @@ def decode(data: bytes, *, limit: int = MAX_SIZE) -> Value:
 
 
 def parse(data: bytes) -> Value:
-    """Decode one value *without* asking for its deterministic form.
+    """Decode one value *without* checking that its form is deterministic.
 
-    Only for readers that write the value again themselves and compare it with all of `data`; tags,
-    duplicate keys and indefinite lengths are refused here too, and `data` must be small already.
+    Only for callers that encode the value again and compare it with all of `data`; tags, duplicate
+    keys and indefinite lengths are refused here too, and the caller has limited the size of `data`.
 
     Raises:
         EncodingError: malformed.
@@ -126,9 +126,9 @@ _REFUSED_TAGS: Final = dict.fromkeys(_BUILT_IN_TAGS, _refuse_tag)
 
 
 def _check(value: Any, depth: int) -> None:
-    """Raise unless `value` lies in the subset: `encode` and `decode` share this one gate.
+    """Raise unless `value` is in the subset: `encode` and `decode` share this check.
 
-    Exact classes are asked for first: nearly every value has one, and asking is cheap.
+    Exact classes are checked first: nearly every value has one, and the check is cheap.
     """
     if not isinstance(value, _CONTAINERS):
         _check_leaf(value)

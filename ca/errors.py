@@ -1,8 +1,7 @@
-"""Every way an identity, a key or a signed statement can be refused.
+"""The errors of `ca`: why an identity, a key or a signed statement is refused.
 
-One line says what happened, `hint` says what to do about it. The leaves say whose fault it
-is: the file's owner, the peer, or the operator. `HintedError` is the common shape of the three
-error roots (`CAError`, `GrantError`, `RossecError`); a command line needs to catch only that.
+The message says what happened, `hint` what to do about it. `HintedError` is the common base of the
+three error roots (`CAError`, `GrantError`, `RossecError`); a command line catches only that.
 """
 
 
@@ -36,11 +35,11 @@ class NameRefused(CAError):
 
 
 class KeyRefused(CAError):
-    """A key, or the file it lives in, that may not be used."""
+    """A key, or a key file, that may not be used."""
 
 
 class PathRefused(CAError):
-    """A file or directory that somebody else owns or can write, where what it says is believed."""
+    """A file or directory that another user owns or can write, where it must be trusted."""
 
 
 class PassphraseRefused(KeyRefused):
@@ -52,7 +51,7 @@ class RequestRefused(CAError):
 
 
 class IssueRefused(CAError):
-    """The authority may not issue this: its own time, the serial or the lifetime forbids it."""
+    """The authority may not issue this: its own validity, the serial or the lifetime forbids it."""
 
 
 class CertificateRefused(CAError):
@@ -60,23 +59,23 @@ class CertificateRefused(CAError):
 
 
 class CertificateExpired(CertificateRefused):
-    """A certificate, or the authority's, whose time is over."""
+    """A certificate, or the authority's, that has expired."""
 
 
 class CertificateNotYetValid(CertificateRefused):
-    """A certificate, or the authority's, whose time has not come."""
+    """A certificate, or the authority's, that is not valid yet."""
 
 
 class ForeignCertificate(CertificateRefused):
-    """A certificate not signed by the authority this node trusts: a stranger's."""
+    """A certificate that was not signed by the authority this node trusts."""
 
 
 class RevocationRefused(CAError):
-    """A revocation list or timestamp that is malformed or does not belong to what is held."""
+    """A revocation list or timestamp that is malformed, or not for the current list."""
 
 
 class ClocksDisagree(RevocationRefused):
-    """A timestamp for the list held, and of another time."""
+    """A timestamp for the current list that is too old, or in the future."""
 
 
 class RollbackRefused(RevocationRefused):
@@ -88,7 +87,7 @@ class Revoked(CAError):
 
 
 class RevocationsStale(CAError):
-    """Nobody entitled has confirmed lately that the revocation list held is the newest."""
+    """The master has not confirmed recently that the current revocation list is the newest."""
 
 
 class CodeRefused(CAError):
@@ -96,43 +95,43 @@ class CodeRefused(CAError):
 
 
 class CodeExpired(CodeRefused):
-    """An enrollment code whose time is over."""
+    """An enrollment code that has expired."""
 
 
 class EnrollmentRefused(CAError):
-    """An enrollment that may not go on."""
+    """An enrollment that cannot continue."""
 
 
 class EnrollmentMessageRefused(EnrollmentRefused):
-    """A message that is malformed, or that nobody waits for now."""
+    """A message that is malformed, or unexpected in this state."""
 
 
 class RequestSwapped(EnrollmentRefused):
-    """The request that came over the network is not the one the code was made for."""
+    """The received request is not the one the code was made for."""
 
 
 class OfferRefused(EnrollmentRefused):
-    """An offer that is not for this node, or made by somebody who has not seen its code."""
+    """An offer that is not for this node, or whose sender has not read its code."""
 
 
 class ConflictingOffer(EnrollmentRefused):
-    """A second, different offer that is valid too: somebody else has the code."""
+    """A second, different, valid offer: another party has the code."""
 
 
 class EnrollmentLocked(EnrollmentRefused):
-    """Too many offers by somebody who has not seen the code."""
+    """Too many offers whose sender has not read the code."""
 
 
 class EnrollmentExpired(EnrollmentRefused):
-    """Nobody finished the enrollment in time."""
+    """The enrollment was not finished in time."""
 
 
 class EnrollmentOver(EnrollmentRefused):
-    """The enrollment has ended already, or the other side ended it."""
+    """The enrollment has already ended, or the other side ended it."""
 
 
 class AcknowledgementRefused(EnrollmentRefused):
-    """The node's answer is not signed by its key, or not about this offer."""
+    """The node's answer is not signed by its key, or not for this offer."""
 
 
 class DigitsRefused(EnrollmentRefused):
@@ -148,31 +147,31 @@ class RecordUnusable(StoreError):
 
 
 class NameCovered(StoreError):
-    """A name that a living identity of another key stands for, or that would stand for its name."""
+    """A name covered by a valid identity with another key, or that would cover its name."""
 
 
 class KeyChanged(StoreError):
-    """A name that is alive with one key asks for a certificate with another."""
+    """A name that has a valid identity with one key requests a certificate for another key."""
 
 
 class ProofRefused(CAError):
-    """A Merkle proof that does not show what it should."""
+    """A Merkle proof that does not verify."""
 
 
 class LogDamaged(StoreError):
-    """The authority's log is not what was written, or not what was signed."""
+    """The authority's log differs from what was written or signed."""
 
 
 class RequestClosed(StoreError):
-    """A request that was denied, answered or forgotten cannot be used for this."""
+    """A request that was denied, answered or deleted cannot be used for this."""
 
 
 class NameContested(StoreError):
-    """Two keys ask for one name, and nobody has said which of them is right."""
+    """Two keys request one name, and neither request has been denied."""
 
 
 class RenewalRefused(CAError):
-    """A renewal that the identity it renews does not prove, or that is not due."""
+    """A renewal that is not signed by the identity it renews, or is not due."""
 
 
 class TokenRefused(KeyRefused):
@@ -180,4 +179,4 @@ class TokenRefused(KeyRefused):
 
 
 class BackupRefused(CAError):
-    """A file that is no backup of an authority, or one that must not be restored here."""
+    """A file that is not a backup of an authority, or must not be restored here."""

@@ -1,11 +1,11 @@
-"""Intermediates: a host that signs nodes for a season, under a root that stays offline.
+"""Intermediates: authorities that sign nodes for some months, under a root that stays offline.
 
 An intermediate is an authority of path length 0 for the same trust domain, signed by the root. Its
-domain is its own SPIFFE ID, and every verifier here demands the same of its leaves. X.509's name
-constraints say that too for URIs, but `cryptography`'s verifier refuses chains that have them.
-What its host may do is said when it is made, as a certificate policy, and binds the host's own
-tools (`ca.authority`): to renew identities that exist, or also to enroll new ones. It cannot bind a
-thief: who has an intermediate's key signs any name, until the root revokes it.
+SPIFFE ID is the domain, and every verifier here requires the same domain of its leaves. X.509 name
+constraints could say that for URIs, but `cryptography`'s verifier refuses chains that have them.
+A certificate policy, set at issuance, tells what its host may do: renew existing identities, or
+also enroll new ones. The host's own tools (`ca.authority`) enforce it. It does not bind an
+attacker: the holder of an intermediate's key can sign any name until the root revokes it.
 """
 
 from dataclasses import dataclass
@@ -46,10 +46,10 @@ class Intermediate:
 
 
 def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) -> Intermediate:
-    """Read an intermediate whose signature was verified; its time is not judged here.
+    """Read an intermediate whose signature was verified; its validity is not checked here.
 
     Raises:
-        CertificateRefused: an authority of another form or another trust domain.
+        CertificateRefused: another form, or another trust domain.
     """
     extensions = svid.extensions(certificate)
     svid.check_intermediate(extensions)
@@ -66,7 +66,7 @@ def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) ->
 
 
 def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
-    """What an intermediate may do, as its certificate says it."""
+    """The certificate policy that says what an intermediate may do."""
     power = MAY_ENROLL if may_enroll else MAY_RENEW
     return x509.CertificatePolicies([x509.PolicyInformation(power, None)])
 
@@ -74,16 +74,16 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
 def _power(policies: frozenset[x509.ObjectIdentifier]) -> bool:
     if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
         raise CertificateRefused(
-            "the intermediate does not say whether it may renew or enroll", "make it anew"
+            "the intermediate has no policy to renew or enroll", "make a new one"
         )
     return MAY_ENROLL in policies
 
 
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:
-    """Return a CSR (DER) that asks for an intermediate of `domain` with the signer's key.
+    """Return a CSR (DER) for an intermediate of `domain` with the signer's key.
 
     Raises:
-        NameRefused: `domain` is not one.
+        NameRefused: `domain` is not a trust domain.
     """
     uri = x509.UniformResourceIdentifier(f"{SCHEME}{check_domain(domain)}")
     builder = x509.CertificateSigningRequestBuilder(x509.Name([])).add_extension(
@@ -93,10 +93,10 @@ def build_intermediate_request(signer: Signer, domain: str) -> bytes:
 
 
 def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
-    """Return the proven key of a request for an intermediate of `domain`.
+    """Return the key of a request for an intermediate of `domain`; possession is proven.
 
     Raises:
-        RequestRefused: malformed, unproven, or asking for anything else.
+        RequestRefused: malformed, without proof of possession, or for anything else.
     """
     if len(csr) > MAX_REQUEST:
         raise RequestRefused(
@@ -110,5 +110,5 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
     if asked != (f"{SCHEME}{domain}", False):
-        raise RequestRefused(f"this is no request for an intermediate of {domain!r}", _HINT)
+        raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
     return key

@@ -1,12 +1,12 @@
-"""Names: who a node is called, and the one place that knows the syntax.
+"""Names: the syntax of node names, trust domains and SPIFFE IDs.
 
-A node name is an absolute ROS name (`/robot1/camera`). Its place of validity is the trust domain
-(`home`). Both together form the SPIFFE ID `spiffe://home/robot1/camera`, the only name a
-certificate carries. Both syntaxes are closed sets of ASCII, so there is exactly one spelling:
-nothing is escaped, folded or normalised here, and two names are equal if their bytes are.
+A node name is an absolute ROS name (`/robot1/camera`). It is unique in its trust domain (`home`).
+Together they form the SPIFFE ID `spiffe://home/robot1/camera`, the only name in a certificate.
+Both syntaxes are subsets of ASCII, so there is exactly one spelling: nothing is escaped, folded
+or normalised, and two names are equal if their bytes are.
 
-An identity with a wildcard tail stands for its name, and for that name with `_` and more behind it:
-`/rviz` also for `/rviz_1234_1700000000000`, as ROS calls anonymous nodes.
+An identity with a wildcard tail covers its name, and that name followed by `_` and more:
+`/rviz` also covers `/rviz_1234_1700000000000`, the form of the names of anonymous nodes in ROS.
 """
 
 import re
@@ -15,7 +15,7 @@ from typing import Final
 from ca.errors import NameRefused
 
 MAX_NAME: Final = 255
-# Nodes trust whoever is certified under these; nobody shares them.
+# Nodes trust the holders of these names; no wildcard covers them.
 RESERVED: Final = frozenset({"/master", "/ca"})
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
 _TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
@@ -62,9 +62,9 @@ def check_domain(text: str) -> str:
 
 
 def covers(name: str, asked: str, *, wildcard: bool) -> bool:
-    """Whether an identity for `name`, with a wildcard tail or not, may go by the name `asked`.
+    """Whether an identity for `name`, with or without a wildcard tail, may use the name `asked`.
 
-    A tail is `_` and at least one character more of the same segment: `/rviz` covers `/rviz_1_2`,
+    A tail is `_` and at least one more character of the same segment: `/rviz` covers `/rviz_1_2`,
     never `/rviz_`, `/rvizx`, `/rviz_a/b` or `/robot1/rviz_1`.
     """
     if asked == name:
@@ -78,11 +78,11 @@ def check_wildcard(name: str) -> str:
     """Return `name` if an identity for it may have a wildcard tail.
 
     Raises:
-        NameRefused: it is the master's or the authority's own.
+        NameRefused: it is the name of the master or of the authority.
     """
     if name in RESERVED:
         raise NameRefused(
-            f"{name} is one node, it cannot have a wildcard tail",
+            f"{name} is a single node and cannot have a wildcard tail",
             "anonymous nodes need a name of their own",
         )
     return name
@@ -92,7 +92,7 @@ def spiffe_id(domain: str, name: str) -> str:
     """Return `spiffe://<domain><name>`.
 
     Raises:
-        NameRefused: `domain` or `name` is not one.
+        NameRefused: `domain` or `name` is invalid.
     """
     return f"{_SCHEME}{check_domain(domain)}{check_name(name)}"
 

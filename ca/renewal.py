@@ -1,13 +1,13 @@
-"""Renewal: an identity that is still good asks for its successor, without a person.
+"""Renewal: a valid identity requests its successor, without operator action.
 
 The request is a CSR for the same name, inside a statement signed by the *old* key: the CSR proves
-the new key, the statement the right to the name. Its kind is in the signed header, so nothing else
-the key ever signs is a renewal. The key may stay the same (grants are for a key, and it keeps them)
-or be new. The signer's rules are here as well: the old identity valid and not revoked, the same
-name, at least half of its life spent, and never a longer life than it had.
+possession of the new key, the statement the right to the name. Its type is in the signed header, so
+nothing else the key signs is a renewal. The key may stay the same (and keeps its grants) or be new.
+The authority's rules are here as well: the old identity is valid and not revoked, the name is the
+same, at least half of the lifetime is over, and the new lifetime is not longer than the old one.
 
-A node writes its new key to the disk *before* it asks, and repeats the same bytes until it has the
-answer: the authority answers one request once, always with the same certificate.
+A node writes its new key to the disk *before* it sends the request, and repeats the same bytes
+until it has the answer: the authority answers one request always with the same certificate.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,15 +26,15 @@ PROFILE: Final = Profile("rossec-renewal+cwt")
 MAX_CHAIN: Final = 2
 MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
 MAX_AGE: Final = 300  # seconds: two clocks and a slow network
-# Certificates begin so long before they are signed: robots without a battery-backed clock start a
-# little in the past.
+# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
+# behind after a start.
 BACKDATE: Final = 3600
 _IAT, _CSR, _CHAIN = 6, -70021, -70022
 
 
 @dataclass(frozen=True)
 class Renewal:
-    """A checked renewal: who it is now, and what it asks for."""
+    """A verified renewal: the current identity, and the request."""
 
     identity: Identity
     request: IdentityRequest
@@ -42,35 +42,35 @@ class Renewal:
 
     @property
     def max_lifetime(self) -> int:
-        """The longest life (seconds) the successor may have: that of the identity it succeeds."""
+        """The lifetime (seconds) of the identity, which the successor's may not exceed."""
         return self.identity.not_after - signed_at(
             self.identity.not_before, self.identity.not_after
         )
 
 
 def signed_at(not_before: int, not_after: int) -> int:
-    """When an identity's life began: the backdated hour is no part of it.
+    """When an identity was signed: the backdated hour is not part of its lifetime.
 
-    If it were, each successor would live an hour longer, and a short one be due at once.
+    Otherwise each successor would live an hour longer, and a short one would be due at once.
     """
     began = not_before + BACKDATE
     return began if began < not_after else not_before
 
 
 def renew_at(not_before: int, not_after: int) -> int:
-    """When to ask: two thirds of an identity's life are over."""
+    """When to renew: after two thirds of an identity's lifetime."""
     began = signed_at(not_before, not_after)
     return began + (not_after - began) * 2 // 3
 
 
 def retry_delay(not_before: int, not_after: int, longest: int) -> int:
-    """Seconds to wait after a refusal, at most `longest`: a short life leaves time for a few."""
+    """Seconds to wait after a refusal, at most `longest`; a twentieth of a short lifetime."""
     life = not_after - signed_at(not_before, not_after)
     return max(1, min(longest, life // 20))
 
 
 def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
-    """Ask, with the old key, that `csr` succeeds the identity of `chain` (DER, leaf first)."""
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first)."""
     certificates: list[Value] = [*chain]
     return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
 
@@ -78,15 +78,15 @@ def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> b
 def open_renewal(
     data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]
 ) -> Renewal:
-    """Return the renewal `data` asks for, if it is in order.
+    """Return the renewal in `data`, if it is valid.
 
-    `check(entry, now)` raises when a key's thumbprint is revoked, or nobody can tell
+    `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
     (`Revocations.check`).
 
     Raises:
         RenewalRefused: malformed, not signed by the identity, too old, for another name, or early.
-        CertificateRefused: the old identity is not valid: expired, or a stranger's.
-        RequestRefused: the CSR is not in order.
+        CertificateRefused: the old identity is invalid: expired, or of another authority.
+        RequestRefused: the CSR is invalid.
         Revoked, RevocationsStale: what `check` raises.
     """
     _, _, chain = _read(_peek(data))
@@ -99,7 +99,7 @@ def open_renewal(
     request = check_request(csr, anchor.domain, wildcard=identity.wildcard)
     if request.name != identity.name:
         raise RenewalRefused(
-            f"{identity.name} asks for the identity of {request.name}",
+            f"{identity.name} requests the identity of {request.name}",
             "a node renews its own name; for another one it must be enrolled",
         )
     _check_due(identity, now)
@@ -112,7 +112,7 @@ def _check_due(identity: Identity, now: int) -> None:
     if now < half:
         raise RenewalRefused(
             f"the identity of {identity.name} is not due for renewal for {half - now} s",
-            "renewals begin at half its life; sooner, an operator can: rossec ca renew NAME",
+            "possible after half its lifetime; before that, an operator can: rossec ca renew NAME",
         )
 
 
@@ -120,7 +120,7 @@ def _peek(data: bytes) -> Value:
     try:
         return PROFILE.peek(data, limit=MAX_RENEWAL)
     except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(f"this is no renewal: {error}") from error
+        raise RenewalRefused(f"this is not a renewal: {error}") from error
 
 
 def _open(data: bytes, identity: Identity) -> Value:
@@ -142,5 +142,5 @@ def _read(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
         case _:
             raise RenewalRefused("the renewal has missing or unknown fields")
     if len(chain) != len(items):
-        raise RenewalRefused("the renewal's chain is not of certificates")
+        raise RenewalRefused("the renewal's chain is not a list of certificates")
     return issued, csr, chain

@@ -1,9 +1,9 @@
-"""Certificate requests: one name for one key, the key proven, and nothing else asked for.
+"""Certificate requests: one name for one key, with proof of possession, and nothing else.
 
 A request is a PKCS#10 CSR (so every CA tool can read it) in the one form `build_request` writes:
-empty subject, one extension, in it one URI. What the approver is shown is therefore all there is;
-anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped. One thing
-more may be asked for, a wildcard tail; it is refused as well unless the approver said so before.
+empty subject, one extension with one URI. The approver therefore sees everything it contains;
+anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped. The only
+option is a wildcard tail; it is refused as well unless the approver allowed it.
 """
 
 import hashlib
@@ -30,9 +30,9 @@ _HINT: Final = "make the request on the node with `rossec node request`"
 
 @dataclass(frozen=True)
 class IdentityRequest:
-    """A checked request.
+    """A verified request.
 
-    `digest` is the SHA-256 of the DER bytes, as in the enrollment code. `wildcard`: it asks for a
+    `digest` is the SHA-256 of the DER bytes, as in the enrollment code. `wildcard`: it requests a
     wildcard tail.
     """
 
@@ -45,7 +45,7 @@ class IdentityRequest:
 
 
 def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = False) -> bytes:
-    """Return a CSR (DER) that asks for `name` in `domain` for the signer's key.
+    """Return a CSR (DER) for `name` in `domain` with the signer's key.
 
     Raises:
         NameRefused: `domain` or `name` is not one, or this name cannot have a wildcard tail.
@@ -63,13 +63,13 @@ def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = Fa
 
 
 def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> IdentityRequest:
-    """Return what the CSR asks for, if it is one name in `domain` for one proven P-256 key.
+    """Return the request in the CSR, if it is for one name in `domain` and a proven P-256 key.
 
     Args:
-        wildcard: the approver means to give a wildcard tail, so asking for one is allowed.
+        wildcard: the approver allows a wildcard tail.
 
     Raises:
-        RequestRefused: malformed, unproven, or asking for anything else; the message says which.
+        RequestRefused: malformed, without proof of possession, or for anything else.
     """
     if len(csr) > MAX_REQUEST:
         raise RequestRefused(
@@ -87,13 +87,13 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
     if asks and not wildcard:
         raise RequestRefused(
             f"the request asks for all names that begin with {name}_",
-            "only for anonymous nodes: if that is meant, sign it with --anonymous",
+            "only for anonymous nodes: if intended, sign it with --anonymous",
         )
     return IdentityRequest(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest(), asks)
 
 
 def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
-    """The P-256 key of a request that proves to have it.
+    """The P-256 key of a request that proves possession of it.
 
     Raises:
         RequestRefused: another kind of key or signature, or no proof.
@@ -112,7 +112,7 @@ def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
 
 
 def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
-    """What a request may contain besides its key: one URI, and whether it asks for a wildcard.
+    """The URI that a request asks for, and whether it asks for a wildcard.
 
     Raises:
         RequestRefused: it contains anything else.
@@ -152,7 +152,7 @@ def _check_name(uri: str, domain: str) -> str:
     try:
         asked_domain, name = parse_spiffe_id(uri)
     except NameRefused as error:
-        raise RequestRefused(f"the request asks for a name that is none: {error}", _HINT) from error
+        raise RequestRefused(f"the request asks for an invalid name: {error}", _HINT) from error
     if asked_domain != domain:
         raise RequestRefused(
             f"the request is for trust domain {asked_domain!r}, this authority is {domain!r}",

@@ -215,10 +215,10 @@ def _restriction(value: Value) -> Restriction:
     rules = filter_rules(filters)
     if rules:
         # The operators use numpy, which a process without filters need not load.
-        from grants.filters.operators import treatment  # noqa: PLC0415 - loaded for grants with filters only
+        from grants.filters.operators import treatment_for  # noqa: PLC0415 - loaded for grants with filters only
 
         for rule in rules:
-            treatment(rule)
+            treatment_for(rule)
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
     if claims.get(_ON_STALE, _KEEP) != _KEEP:
         raise GrantMalformed("on_stale of a grant is not keep")

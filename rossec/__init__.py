@@ -1,7 +1,7 @@
 """The running system: secure channel, ROS wire, master, node, command line.
 
 `ca` and `grants` are generic names, and ROS machines set PYTHONPATH, which comes before
-site-packages: a stranger's `ca` would be our trust root. So the siblings must lie beside this
+site-packages: a foreign `ca` would be our trust root. So the siblings must lie beside this
 package, and that is checked before either is imported (docs/decisions/0002).
 
 `rossec.secure()` secures a rospy program, `rossec.ask()` requests a right for it; until one of them

@@ -1,16 +1,15 @@
-"""What time it is, for all that begins and ends: never earlier than the time that has passed.
+"""The time of this process: the host's clock, but never set back.
 
-Grants, certificates, timestamps and deadlines are judged by the host's clock, and that can be set
-back (by its operator, by NTP, by whoever speaks for NTP): what should have ended would go on. So
-the clock of this process is the host's, or the latest it ever showed and the seconds counted since,
-whichever is later. The seconds come from CLOCK_BOOTTIME, which nobody sets and which goes on while
-the machine is suspended. They count `DRIFT` slower, since counters and clocks are never quite alike
-(adjtimex(2) corrects 500 ppm at most): a small step back is made good by itself.
+Grants, certificates, timestamps and deadlines are checked against the host's clock, and that can be
+set back (by its operator, by NTP, by an attacker of NTP): what has expired would be valid again. So
+the time is that of the host's clock, or the latest it ever showed plus the seconds counted since,
+whichever is later. The seconds come from CLOCK_BOOTTIME, which cannot be set and which runs while
+the machine is suspended. They count `DRIFT` slower, since counters and clocks differ (adjtimex(2)
+corrects 500 ppm at most): a small step back is caught up.
 
-A clock that went back by more than `SKEW` is a *setback*: it is counted, and whoever relies on news
-relies on them no longer until they are confirmed (`rossec.participant.revocation_watch`). If the
-clock was wrong before, and not now, then another clock says so: `heard` takes the host's word
-again.
+A clock that went back by more than `SKEW` is a *setback*: it is counted, and revocation data is not
+relied on until it is confirmed (`rossec.participant.revocation_watch`). If the clock was wrong
+before and is right now, a trusted clock shows it: `correct` then follows the host's clock again.
 """
 
 import time as _time
@@ -26,14 +25,14 @@ Seconds = Callable[[], float]
 
 
 def counter() -> Seconds:
-    """Counts seconds since some moment, those included in which the machine was suspended."""
+    """A counter of seconds, including those in which the machine was suspended."""
     if hasattr(_time, "CLOCK_BOOTTIME"):
         return partial(_time.clock_gettime, _time.CLOCK_BOOTTIME)
     return _time.monotonic
 
 
 class Clock:
-    """A host's clock; threads may share it, for all it knows is replaced in one step.
+    """A host's clock; threads may share it, as its state is replaced in one step.
 
     Args:
         host: seconds since the epoch, as the host has them.
@@ -60,10 +59,10 @@ class Clock:
             self.setbacks += 1
         return counted
 
-    def heard(self, moment: int) -> bool:
-        """Another clock, that is believed, shows `moment` just now; whether that corrects this one.
+    def correct(self, moment: int) -> bool:
+        """Compare with `moment`, the time of a trusted clock; whether this one is corrected.
 
-        It does where the host's clock agrees with the other, and was set back.
+        It is where the host's clock agrees with the other, and was set back.
         """
         host, elapsed = self._host(), self._elapsed()
         corrects = abs(host - moment) <= SKEW and host < self.time()
@@ -85,19 +84,19 @@ def now() -> int:
     return int(HOST.time())
 
 
-def heard(moment: int) -> bool:
+def correct(moment: int) -> bool:
     """As of `Clock`."""
-    return HOST.heard(moment)
+    return HOST.correct(moment)
 
 
 class Setbacks:
-    """Tells one part of a process of setbacks, each once."""
+    """Reports setbacks to one part of a process, each once."""
 
     def __init__(self) -> None:
         self._seen = HOST.setbacks
 
     def any_new(self) -> bool:
-        """Whether there was one since the last question."""
-        HOST.time()  # which notices
+        """Whether there was one since the last call."""
+        HOST.time()  # detects them
         seen, self._seen = self._seen, HOST.setbacks
         return self._seen != seen

@@ -1,4 +1,4 @@
-"""ROSSEC_HOME, the directory of everything rossec keeps, as the environment names it."""
+"""ROSSEC_HOME, the directory of all files of rossec, from the environment."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ def rossec_home(environ: Mapping[str, str]) -> Path:
     """ROSSEC_HOME, by default `~/.local/share/rossec`.
 
     Raises:
-        ConfigurationError: set to something that is no absolute path, or nobody knows a home.
+        ConfigurationError: not an absolute path, or the home directory is unknown.
     """
     value = environ.get("ROSSEC_HOME", "~/.local/share/rossec")
     try:
@@ -26,11 +26,11 @@ def rossec_home(environ: Mapping[str, str]) -> Path:
 
 
 def own_home(environ: Mapping[str, str]) -> Path:
-    """`rossec_home`, if nobody else can write there; it need not exist yet.
+    """`rossec_home`, if only its owner can write there; it need not exist yet.
 
     Raises:
         ConfigurationError: as for `rossec_home`.
-        PathRefused: it belongs to somebody else, or others can write in it.
+        PathRefused: it belongs to another user, or others can write in it.
     """
     path = rossec_home(environ)
     ownership.check_directory(path)

@@ -1,14 +1,14 @@
-"""Every way the running system can refuse.
+"""The errors of the running system.
 
-The leaves say whose fault it is: the peer's protocol, the peer's identity, the operator's
-configuration, or the network.
+The leaves name the cause: the peer's protocol, the peer's identity, the operator's configuration,
+or the network.
 """
 
 from ca.errors import HintedError
 
 
 class RossecError(HintedError):
-    """Root of everything `rossec` refuses."""
+    """Root of the errors of `rossec`."""
 
 
 class MessageError(RossecError):
@@ -16,11 +16,11 @@ class MessageError(RossecError):
 
 
 class ConfigurationError(RossecError):
-    """Something the operator has to set right: a name, a file, an environment variable."""
+    """A mistake the operator has to correct: a name, a file, an environment variable."""
 
 
 class NotWritten(RossecError):
-    """A file the disk does not take; what was there before is unchanged."""
+    """A file that could not be written; the old content is unchanged."""
 
 
 class ConnectionHeaderRefused(RossecError):
@@ -32,7 +32,7 @@ class CallerMismatch(ConnectionHeaderRefused):
 
 
 class HangUp(RossecError):
-    """There is no answer to give: close the connection without one, as a dead peer would."""
+    """Close the connection without an answer."""
 
 
 class CallRefused(RossecError):
@@ -56,11 +56,11 @@ class ParameterUnset(RossecError):
 
 
 class NodeShutdown(RossecError):
-    """The node is closed, or the master told it to shut down."""
+    """The node is closed, or the master shut it down."""
 
 
 class NotDelivered(RossecError):
-    """Done here, but the master could not be told."""
+    """Done here, but not delivered to the master."""
 
 
 class WireError(RossecError):
@@ -95,7 +95,7 @@ class AnswerMalformed(WireError):
 
 
 class AnswerRefused(RossecError):
-    """The other side understood the call and said no."""
+    """The other side understood the call and refused it."""
 
     def __init__(self, message: str, hint: str = "", *, code: int = -1) -> None:
         super().__init__(message, hint)
@@ -103,11 +103,11 @@ class AnswerRefused(RossecError):
 
 
 class QueryRefused(RossecError):
-    """A query of the revocation list that is none, or cannot be answered."""
+    """A query of the revocation list that is invalid, or cannot be answered."""
 
 
 class PeerUserRefused(RossecError):
-    """A program of another user of this host, or of nobody who can be named."""
+    """A program of another user of this host, or of an unknown user."""
 
 
 class ChannelError(RossecError):
@@ -123,7 +123,7 @@ class PeerUnreachable(ChannelError):
 
 
 class HandshakeFailed(ChannelError):
-    """The peer's handshake is malformed, or its proof does not hold."""
+    """The peer's handshake is malformed, or its authentication failed."""
 
 
 class HandshakeTimeout(HandshakeFailed):
@@ -139,11 +139,11 @@ class PeerRefused(ChannelError):
 
 
 class PeerCredentialUnknown(HandshakeFailed):
-    """The peer named its certificate by a hash this node does not know; it is told so."""
+    """The peer named its certificate by an unknown hash; it is answered with error 3."""
 
 
 class OwnCredentialUnknown(PeerRefused):
-    """The peer does not know the certificate this node named: begin again, by value."""
+    """The peer does not know the hash of this node's certificate: retry, by value."""
 
 
 class PlainPeer(ChannelError):
@@ -167,7 +167,7 @@ class LimitExceeded(ChannelError):
 
 
 class IdentityExpired(LimitExceeded):
-    """The peer's certificate ran out while the connection was open."""
+    """The peer's certificate expired while the connection was open."""
 
 
 class SendQueueFull(LimitExceeded):
@@ -175,8 +175,8 @@ class SendQueueFull(LimitExceeded):
 
 
 class AnnouncementRefused(RossecError):
-    """A datagram that is no present announcement of this trust domain's master."""
+    """A datagram that is not a valid announcement of this trust domain's master."""
 
 
 class MasterNotFound(RossecError):
-    """No master of this trust domain announces itself where this host can hear it."""
+    """No announcement of a master of this trust domain was received."""

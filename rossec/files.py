@@ -1,7 +1,7 @@
 """Files that must never be half written, overwritten by accident, or readable by others.
 
-A disk that is full, failing or read-only is said as `NotWritten`: what happened, and that what was
-there is unchanged. Whoever runs into it must not think that something is damaged.
+A disk that is full, failing or read-only raises `NotWritten`: the reason, and that the old content
+is unchanged, since nothing is damaged.
 """
 
 import errno
@@ -23,10 +23,10 @@ _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLO
 
 
 def make_private_directory(path: Path) -> None:
-    """Create `path` and what is missing above it, for the owner alone; an existing one is kept.
+    """Create `path` and missing parents, for the owner alone; an existing one is kept.
 
     Raises:
-        PathRefused: somebody else can write there.
+        PathRefused: others can write there.
     """
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
@@ -39,9 +39,9 @@ def create(path: Path, data: bytes, mode: int = 0o600) -> None:
 
     Raises:
         ConfigurationError: the file exists already.
-        NotWritten: the disk does not take it; nothing is left behind.
+        NotWritten: the disk refused it; nothing is left behind.
     """
-    with _told(path):
+    with _disk_errors(path):
         _create(path, data, mode)
 
 
@@ -49,15 +49,15 @@ def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
     """Write or replace a file in one step: a reader or a crash sees the old or the new content.
 
     Raises:
-        ConfigurationError: what is there is a link, a device or the like: not ours to take away.
-        NotWritten: the disk does not take it; the old content is there.
+        ConfigurationError: the path is a link, a device or the like, which is not replaced.
+        NotWritten: the disk refused it; the old content is unchanged.
     """
     if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
         raise ConfigurationError(
             f"{path} is not a plain file and is not replaced", "name a new file, or a plain one"
         )
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    with _told(path):
+    with _disk_errors(path):
         _create(temporary, data, mode)
         try:
             temporary.replace(path)
@@ -86,8 +86,8 @@ def _create(path: Path, data: bytes, mode: int) -> None:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """What the disk refuses, in words. A peer may read the first line: no path in it."""
+def _disk_errors(path: Path) -> Iterator[None]:
+    """Raise `NotWritten` for disk errors. A peer may read its first line: no path in it."""
     try:
         yield
     except OSError as error:
@@ -99,11 +99,11 @@ def _told(path: Path) -> Iterator[None]:
         ) from error
 
 
-def settle(temporary: Path, path: Path) -> None:
-    """Give a finished directory its name, durable on return: it is there whole or not at all.
+def commit_directory(temporary: Path, path: Path) -> None:
+    """Rename a finished directory to `path`, durable on return: all of it or nothing.
 
     Raises:
-        ConfigurationError: there is something at `path`; it is not touched.
+        ConfigurationError: `path` exists; it is not changed.
     """
     _sync_directory(temporary)
     try:
@@ -117,8 +117,8 @@ def settle(temporary: Path, path: Path) -> None:
     _sync_directory(path.parent)
 
 
-def hold(path: Path, busy: ConfigurationError) -> int:
-    """Make `path` this process's alone until the descriptor returned is closed, or it dies.
+def lock_file(path: Path, busy: ConfigurationError) -> int:
+    """Lock `path` for this process until the descriptor returned is closed, or it exits.
 
     Raises:
         ConfigurationError: `busy`, when another process holds it.
@@ -134,8 +134,8 @@ def hold(path: Path, busy: ConfigurationError) -> int:
 
 
 @contextmanager
-def alone(directory: Path) -> Iterator[None]:
-    """Nobody else who asks for this is at work in `directory` meanwhile: to look, then to write."""
+def locked_directory(directory: Path) -> Iterator[None]:
+    """Lock `directory` against other callers of this: for reading, then writing."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -165,11 +165,11 @@ def _bounded(file: BinaryIO, path: Path, limit: int) -> bytes:
 
 
 def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool = False) -> bytes:
-    """As `read`, of a file that is believed: nobody else may have written it.
+    """As `read`, of a file that is trusted: only its owner may have written it.
 
     Args:
         path, limit, missing: as for `read`.
-        link: it may be a symbolic link, as the operator's own files are; its target is judged.
+        link: it may be a symbolic link, as the operator's own files are; its target is checked.
 
     Raises:
         ConfigurationError: as for `read`.
@@ -184,10 +184,10 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
 
 
 def append_own(path: Path) -> int:
-    """Open a log to append to, made for its owner alone; returns its descriptor.
+    """Open a log to append to, created for its owner alone; returns its descriptor.
 
     Raises:
-        PathRefused: it is no plain file, or somebody else's: whoever made it could read it.
+        PathRefused: not a plain file, or of another owner, who could read it.
         OSError: it cannot be opened.
     """
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -201,23 +201,23 @@ def append_own(path: Path) -> int:
 
 
 def open_text(path: Path, missing: ConfigurationError) -> TextIO:
-    """Open a text of any length, whose damaged characters are replaced; a device has no end.
+    """Open a text file of any length; invalid characters are replaced.
 
     Raises:
-        ConfigurationError: `missing` when there is no file, another when it is no regular one.
+        ConfigurationError: `missing` when there is no file, another when it is not a regular one.
     """
-    try:  # without O_NONBLOCK a FIFO holds the caller until somebody writes
+    try:  # without O_NONBLOCK a FIFO blocks the caller until it is written to
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
         raise missing from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise ConfigurationError(f"{path} is no regular file", "copy what is in it to one")
+        raise ConfigurationError(f"{path} is not a regular file", "copy its content to one")
     return os.fdopen(descriptor, encoding="utf-8", errors="replace")
 
 
 def lines(file: TextIO, longest: int) -> Iterator[str]:
-    """The lines of an open file; one of more than `longest` characters comes in pieces of that."""
+    """The lines of an open file; one of more than `longest` characters is split."""
     return iter(partial(file.readline, longest), "")
 
 

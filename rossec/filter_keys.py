@@ -1,4 +1,4 @@
-"""The keys of a node's pseudonyms, one file each: random, made when first used, never replaced."""
+"""The keys of a node's pseudonyms, one file each: random, created on first use, never replaced."""
 
 import secrets
 from pathlib import Path
@@ -10,15 +10,15 @@ from rossec.errors import ConfigurationError
 
 
 def filter_key(directory: Path, name: str) -> bytes:
-    """The key `name`, 32 random bytes; made when it is first asked for.
+    """The key `name`, 32 random bytes; created on first use.
 
     Raises:
-        FilterRefused: not the name of a key.
+        FilterRefused: not a key name.
         ConfigurationError: the file does not hold a key.
     """
     path = directory / f"{check_key_name(name)}.key"
     files.make_private_directory(directory)
-    with files.alone(directory):
+    with files.locked_directory(directory):
         if not path.exists():
             files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
     missing = ConfigurationError(f"there is no filter key {name} any more", f"it was {path}")

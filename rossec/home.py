@@ -1,7 +1,7 @@
-"""The directory of a node below ROSSEC_HOME: which file is what.
+"""The directory of a node below ROSSEC_HOME, and its files.
 
-A shell. Keys are written by `ca.keys.key_files`, everything else by `rossec.files`; what is read is
-checked by the module that knows the format. Errors say which command comes next.
+A shell. Keys are written by `ca.keys.key_files`, everything else by `rossec.files`; content is
+verified by the module of its format. The hints of errors name the next command.
 """
 
 import re
@@ -35,7 +35,7 @@ _NUMBERS: Final = re.compile(r"(?<=[^_])(?:_[0-9]+)+$")  # as ROS makes names an
 
 
 class NodeHome:
-    """The directory of one node: its key, its identity, whom it trusts, what it may do."""
+    """The directory of one node: its key, its identity, its trust anchor, its grants."""
 
     def __init__(self, path: Path, name: str) -> None:
         self.path = path
@@ -51,7 +51,7 @@ class NodeHome:
         """The directory of the identity that covers `name`.
 
         Its own if there is one; else that of the longest name with a wildcard tail that covers it;
-        else its own, which does not exist, for errors that say what to do.
+        else its own, which does not exist, for the hints of errors.
         """
         own = cls.of(home, name)
         if own.path.exists():
@@ -79,7 +79,7 @@ class NodeHome:
         """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too.
 
         Raises:
-            NameRefused: not a trust domain, or a name that is one node.
+            NameRefused: not a trust domain, or a name that cannot have a tail.
             KeyRefused: the node has a key already.
         """
         files.make_private_directory(self.path)
@@ -92,18 +92,18 @@ class NodeHome:
     def screen_request(self, domain: str, *, wildcard: bool = False) -> bytes:
         """A new request (DER) with this node's key, made if there is none; it is not written.
 
-        One request gets one answer, so every code on a screen has its own. The request on disk, and
-        a label that was printed of it, stay as they are.
+        A request is answered once, so every code on a screen has its own. The request on disk and a
+        label printed from it, do not change.
         """
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)
         return build_request(self.signer(), domain, self.name, wildcard=wildcard)
 
     def label_request(self, domain: str, *, wildcard: bool = False) -> bytes:
-        """The request (DER) on disk, made if there is none: what a printed label vouches for.
+        """The request (DER) on disk, made if there is none: the one a printed label is for.
 
         Raises:
-            RequestRefused: it is for another domain, or not in order.
+            RequestRefused: it is for another domain, or invalid.
             ConfigurationError: it is for another key than the one here.
         """
         if not (self.path / "node.key").exists():
@@ -126,7 +126,7 @@ class NodeHome:
         return self._read("node.csr", f"rossec node request {self.name}")
 
     def install(self, bundle: bytes, now: int) -> Identity:
-        """Take over a signed identity and trust its authority.
+        """Store a signed identity and trust its authority.
 
         Raises:
             CertificateRefused: not a valid identity.
@@ -152,7 +152,7 @@ class NodeHome:
         """This node's own identity, verified.
 
         Raises:
-            CertificateRefused: it is expired, or not in order.
+            CertificateRefused: it is expired, or invalid.
             ConfigurationError: another node's, or another key's: files were copied or renamed.
         """
         anchor, own = self.anchor(), self.credentials()
@@ -165,7 +165,7 @@ class NodeHome:
         if identity.thumbprint != key_files.thumbprint(own.signer.public_key):
             raise ConfigurationError(
                 f"the key and the certificate in {self.path} do not belong together",
-                "bring back the key; without it move the directory away and enroll the node anew",
+                "restore the key; without it move the directory away and enroll the node anew",
             )
         return identity
 
@@ -177,7 +177,7 @@ class NodeHome:
         return svid.is_wildcard(chain[0])
 
     def credentials(self) -> Credentials:
-        """This node's key and certificate, with the intermediate's if it hangs on one."""
+        """This node's key and certificate, with the intermediate's if there is one."""
         chain, _ = _split(self._read("node.pem", self._enroll))
         return Credentials(self.signer(), chain, shared=svid.is_wildcard(chain[0]))
 
@@ -186,7 +186,7 @@ class NodeHome:
         return [self.read_grant(path) for path in self.grant_files()]
 
     def grant_files(self) -> list[Path]:
-        """Where they are; what is in the files need not be grants."""
+        """Their paths; the files need not hold grants."""
         return sorted((self.path / "grants").glob("*.grant"))
 
     def read_grant(self, path: Path) -> bytes:
@@ -194,12 +194,12 @@ class NodeHome:
 
         Raises:
             ConfigurationError: it is gone, or too large.
-            PathRefused: it is no file, or somebody else could have written it.
+            PathRefused: not a file, or others could have written it.
         """
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
     def add_grant(self, grant_id: bytes, data: bytes) -> None:
-        """Keep one more grant; adding it twice changes nothing."""
+        """Store a grant; adding it twice changes nothing."""
         files.make_private_directory(self.path / "grants")
         files.replace(self.path / "grants" / f"{grant_id.hex()}.grant", data)
 
@@ -208,17 +208,17 @@ class NodeHome:
         return self._read_if_present("revocations.cose", _SIZE_LIMIT)
 
     def save_revocations(self, data: bytes) -> None:
-        """Keep a revocation list; durable on return.
+        """Store a revocation list; durable on return.
 
-        Processes of one identity share this directory: a slower one puts no older list back.
+        Processes of one identity share this directory: an older list never replaces a newer one.
         """
-        with files.alone(self.path):
+        with files.locked_directory(self.path):
             held = self.load_revocations()
             if held is None or self._number(held) <= self._number(data):
                 files.replace(self.path / "revocations.cose", data)
 
     def _number(self, data: bytes) -> tuple[int, int]:
-        """Of a list or tree of this node's authority; the lowest of what is none."""
+        """The number of a list or tree of this node's authority; the lowest if it is invalid."""
         try:
             return open_statement(data, self.anchor().public_key).number
         except HintedError:
@@ -229,15 +229,15 @@ class NodeHome:
         return self._read_if_present("revocations.entries", MAX_TREE_ENTRIES_SIZE)
 
     def save_entries(self, data: bytes) -> None:
-        """Keep the entries of a revocation tree; durable on return."""
+        """Store the entries of a revocation tree; durable on return."""
         files.replace(self.path / "revocations.entries", data)
 
     def load_delegation(self) -> bytes | None:
-        """The authority's leave to renew grants, in the master's home, if there is one."""
+        """The authority's delegation to renew grants, in the master's home, if there is one."""
         return self._read_if_present("delegation.cose", _SIZE_LIMIT)
 
     def save_delegation(self, data: bytes) -> None:
-        """Keep a delegation; durable on return."""
+        """Store a delegation; durable on return."""
         files.replace(self.path / "delegation.cose", data)
 
     def filter_key(self, name: str) -> bytes:
@@ -288,7 +288,7 @@ def _shortened(name: str) -> Iterator[str]:
 
 
 def _split(bundle: bytes) -> tuple[tuple[bytes, ...], bytes]:
-    """The chain a node shows, and the root, which it does not."""
+    """The chain that a node sends, and the root, which it does not send."""
     match from_pem(bundle):
         case (leaf, root):
             return (leaf,), root

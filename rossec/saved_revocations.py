@@ -1,4 +1,4 @@
-"""What a node knew to be revoked when it stopped: an older list will not be believed afterwards."""
+"""The revocation list a node had when it stopped: an older one is refused afterwards."""
 
 from ca.certificates import TrustAnchor
 from ca.revocation.state import Revocations
@@ -6,7 +6,7 @@ from rossec.home import NodeHome
 
 
 def saved_revocations(home: NodeHome, anchor: TrustAnchor, now: int) -> Revocations:
-    """The newest list that the node in `home` has seen, confirmed by nobody yet.
+    """The newest list that the node in `home` has seen, not yet confirmed.
 
     Raises:
         RevocationRefused: the list is not the authority's.

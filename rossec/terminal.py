@@ -1,4 +1,4 @@
-"""The one voice of the command line: lower case, no full stop, an error and then its hint.
+"""The output of the command line: lower case, no full stop, an error and then its hint.
 
 Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
 3 done here but not delivered (the master or the node was out of reach), 130 interrupted.
@@ -19,7 +19,7 @@ INTERRUPTED = 130
 def say(text: str) -> None:
     """One line of result."""
     sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()  # a pipe must see each line when it is said
+    sys.stdout.flush()  # a pipe must get each line at once
 
 
 def say_json(value: Any) -> None:
@@ -28,7 +28,7 @@ def say_json(value: Any) -> None:
 
 
 def note(text: str) -> None:
-    """Something the reader should know that is no result."""
+    """A message on stderr that is not a result."""
     sys.stderr.write(f"rossec: {text}\n")
 
 
@@ -40,8 +40,8 @@ def fail(message: str, hint: str = "") -> None:
 
 
 def printable(text: str) -> str:
-    """`text` with control and direction characters escaped: names of strangers reach terminals.
+    """`text` with control and direction characters escaped: names of peers reach terminals.
 
-    Tabs and newlines are kept out as well: one error is one line.
+    Tabs and newlines are escaped as well: one error is one line.
     """
     return text_on_one_line(text, len(text))

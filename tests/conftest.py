@@ -24,9 +24,9 @@ _ROS = all(
 
 
 @pytest.fixture(autouse=True)
-def _nothing_was_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a process says once a minute, each test may hear."""
-    monkeypatch.setattr(withheld_log, "_QUIET", LogRateLimit())
+def _empty_rate_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines that a process logs once a minute are logged in every test."""
+    monkeypatch.setattr(withheld_log, "_RATE_LIMIT", LogRateLimit())
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

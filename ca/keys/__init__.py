@@ -1,1 +1,1 @@
-"""Private and public keys, and what signs with them: files, PKCS#11 tokens, COSE and X.509."""
+"""Private and public keys, and signers: key files, PKCS#11 tokens, X.509."""

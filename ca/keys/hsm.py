@@ -1,8 +1,8 @@
-"""A P-256 key in a PKCS#11 token: a `Signer` that never has the key, only the right to use it.
+"""A P-256 key in a PKCS#11 token: a `Signer` that uses the key without reading it.
 
-A shell, and the only module that knows python-pkcs11 (the extra `hsm`). A key is named by a URI of
-RFC 7512, `pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as a URI ends
-in files and logs. Keys made here are born in the token and marked never to leave it.
+This module does I/O, and is the only one that uses python-pkcs11 (the extra `hsm`). A key is named
+by a URI of RFC 7512, `pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as
+URIs are written to files and logs. Keys created here are generated in the token, not extractable.
 """
 
 import hashlib
@@ -20,12 +20,12 @@ SCHEME: Final = "pkcs11:"
 DEFAULT_MODULE: Final = "/usr/lib/softhsm/libsofthsm2.so"
 _INSTALL_HINT: Final = "install it: pip install 'rossec[hsm]'"
 _OCTET_STRING: Final = b"\x04\x41"  # CKA_EC_POINT is the point inside an OCTET STRING
-_LIST_HINT: Final = "see what is there with: pkcs11-tool --list-token-slots --list-objects"
+_LIST_HINT: Final = "list tokens and keys with: pkcs11-tool --list-token-slots --list-objects"
 
 
 @dataclass(frozen=True)
 class KeyUri:
-    """Where a key is: the token's label, the object's, and the module that speaks to the token."""
+    """Where a key is: the label of the token, that of the object, and the PKCS#11 module."""
 
     token: str
     object: str
@@ -36,7 +36,7 @@ class KeyUri:
         """Read a URI.
 
         Raises:
-            TokenRefused: not of this form, or with a PIN in it.
+            TokenRefused: not of this form, or it contains a PIN.
         """
         path, _, query = text.removeprefix(SCHEME).partition("?")
         path_fields, query_fields = _fields(path, ";"), _fields(query, "&")
@@ -61,7 +61,7 @@ class KeyUri:
 
 
 class TokenSigner:
-    """A `Signer` over a key in a token; the session stays open with it."""
+    """A `Signer` for a key in a token, with an open session."""
 
     def __init__(self, session: Any, key: Any, public_key: ec.EllipticCurvePublicKey) -> None:
         self._session = session
@@ -74,7 +74,7 @@ class TokenSigner:
 
         Raises:
             TokenRefused: no such token or key, or the PIN is wrong.
-            KeyRefused: not a P-256 key, or one that can be taken out.
+            KeyRefused: not a P-256 key, or an extractable one.
         """
         session = _session(uri, pin)
         pkcs11 = _library()
@@ -89,17 +89,17 @@ class TokenSigner:
             ) from error
         if extractable:
             raise KeyRefused(
-                f"the key {uri.object} can be taken out of its token",
-                "make one that cannot: it is what a token is for",
+                f"the key {uri.object} is extractable from its token",
+                "create one that is not",
             )
         return cls(session, key, _public(uri, point))
 
     @classmethod
     def create(cls, uri: KeyUri, pin: str) -> Self:
-        """Make a new key in the token.
+        """Generate a new key in the token.
 
         Raises:
-            TokenRefused: no such token, the PIN is wrong, or there is a key of this name.
+            TokenRefused: no such token, the PIN is wrong, or the label is in use.
         """
         session = _session(uri, pin)
         pkcs11 = _library()
@@ -107,8 +107,8 @@ class TokenSigner:
 
         if list(session.get_objects({pkcs11.Attribute.LABEL: uri.object})):
             raise TokenRefused(
-                f"the token {uri.token} has something called {uri.object} already",
-                "choose another name for the key; nothing in a token is overwritten",
+                f"the token {uri.token} already has an object called {uri.object}",
+                "choose another label for the key; nothing in a token is overwritten",
             )
         try:
             session.create_domain_parameters(
@@ -125,25 +125,25 @@ class TokenSigner:
             )
         except pkcs11.exceptions.PKCS11Error as error:
             raise TokenRefused(
-                f"the token {uri.token} makes no P-256 key{_reason(error)}", _LIST_HINT
+                f"the token {uri.token} cannot generate a P-256 key{_reason(error)}", _LIST_HINT
             ) from error
         session.close()
         return cls.open(uri, pin)
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public half."""
+        """The public key."""
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1).
 
         Raises:
-            TokenRefused: the token was pulled out, or is not willing.
+            TokenRefused: the token was removed, or refuses.
         """
         pkcs11 = _library()
         try:
-            # CKM_ECDSA takes the digest: the token need not know how to hash.
+            # CKM_ECDSA takes the digest: the token need not support hashing.
             digest = hashlib.sha256(message).digest()
             return bytes(self._key.sign(digest, mechanism=pkcs11.Mechanism.ECDSA))
         except pkcs11.exceptions.PKCS11Error as error:
@@ -172,16 +172,17 @@ def _session(uri: KeyUri, pin: str) -> Any:
         raise TokenRefused(f"there is no token {uri.token}", _LIST_HINT) from error
     except pkcs11.exceptions.PinIncorrect as error:
         raise TokenRefused(
-            f"the PIN does not open the token {uri.token}", "careful: tokens lock after a few tries"
+            f"the PIN does not open the token {uri.token}",
+            "caution: tokens lock after a few wrong PINs",
         ) from error
     except pkcs11.exceptions.PKCS11Error as error:
         raise TokenRefused(
-            f"the token {uri.token} does not open{_reason(error)}", _LIST_HINT
+            f"the token {uri.token} cannot be opened{_reason(error)}", _LIST_HINT
         ) from error
 
 
 def _log_in(token: Any, pin: str) -> Any:
-    """A token knows one login per process: once the PIN was right, further sessions need none."""
+    """A token has one login per process: after the first one, sessions need no PIN."""
     try:
         return token.open(rw=True, user_pin=pin)
     except _library().exceptions.UserAlreadyLoggedIn:
@@ -200,7 +201,7 @@ def _public(uri: KeyUri, point: bytes) -> ec.EllipticCurvePublicKey:
 
 
 def _fields(text: str, separator: str) -> dict[str, str]:
-    """Attributes of RFC 7512, percent-decoded; one that comes twice is none."""
+    """Attributes of RFC 7512, percent-decoded; none if one is repeated."""
     pairs = [part.partition("=") for part in text.split(separator) if part]
     names = [name for name, _, _ in pairs]
     if len(set(names)) != len(names):

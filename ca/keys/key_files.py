@@ -1,8 +1,8 @@
-"""Private keys on disk: born 0600 with O_EXCL, never overwritten, never printed.
+"""Private keys on disk: created with mode 0600 and O_EXCL, never overwritten, never printed.
 
-This is a shell: it touches files and takes randomness from the system. A key that others on the
-machine can read is refused, as ssh does: it must be assumed to be copied. A key at rest is PKCS#8
-in PEM, encrypted with scrypt (`ca.keys.pbes2`) when there is a passphrase.
+This module does I/O and uses system randomness. A key that other users of the host can read is
+refused, as by ssh: it must be assumed to be copied. The format is PKCS#8 in PEM, encrypted with
+scrypt (`ca.keys.pbes2`) when there is a passphrase.
 """
 
 import base64
@@ -29,7 +29,7 @@ __all__ = ["generate", "load_private", "thumbprint", "write_private"]
 
 _MAX_FILE: Final = 8 * 1024
 _ENCRYPTED: Final = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
-# O_NONBLOCK: opening a FIFO must not hang; it is refused as no regular file right after.
+# O_NONBLOCK: opening a FIFO must not hang; it is refused afterwards, as not a regular file.
 _READ: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
@@ -46,7 +46,7 @@ def write_private(
 
     Raises:
         PassphraseRefused: the passphrase is empty.
-        KeyRefused: the file exists, or cannot be written; nothing half-written is left.
+        KeyRefused: the file exists, or cannot be written; no partial file is left.
     """
     pem = _to_pem(key, passphrase)
     try:
@@ -62,7 +62,8 @@ def write_private(
     except OSError as error:
         path.unlink(missing_ok=True)
         raise KeyRefused(
-            f"cannot write {path}: {error.strerror}", "no key was made: make room, then do it again"
+            f"cannot write {path}: {error.strerror}",
+            "no key was created: make room, then try again",
         ) from error
 
 
@@ -71,8 +72,8 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
 
     Raises:
         PassphraseRefused: the passphrase is missing, wrong, or given for a key without one.
-        PathRefused: another user owns it, or can put another in its place.
-        KeyRefused: no readable regular file, open to group or others, or not a P-256 key.
+        PathRefused: another user owns or can replace it.
+        KeyRefused: not a readable regular file, accessible by others, or not a P-256 key.
     """
     pem = _read(path)
     _check_passphrase(path, passphrase, encrypted=_ENCRYPTED in pem)
@@ -113,7 +114,7 @@ def _write_durably(descriptor: int, data: bytes, directory: Path) -> None:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make a new directory entry survive a power cut."""
+    """Make a new directory entry durable."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -130,7 +131,7 @@ def _read(path: Path) -> bytes:
     except OSError as error:
         raise KeyRefused(
             f"cannot open {path}: {error.strerror}",
-            "a key file must be a plain file of the user rossec runs as, no symbolic link",
+            "a key file must be a regular file of the user rossec runs as, not a symbolic link",
         ) from error
     with os.fdopen(descriptor, "rb") as file:
         _check_file(path, os.fstat(file.fileno()))
@@ -138,9 +139,9 @@ def _read(path: Path) -> bytes:
 
 
 def _check_file(path: Path, status: os.stat_result) -> None:
-    """Judge the file that was opened, not the path: the path may point elsewhere by now."""
+    """Check the opened file, not the path, which may have been replaced meanwhile."""
     if not stat.S_ISREG(status.st_mode):
-        raise KeyRefused(f"{path} is not a plain file", "a key lives in a file of its own")
+        raise KeyRefused(f"{path} is not a regular file", "name the file of the private key")
     if status.st_mode & 0o077:
         raise KeyRefused(
             f"{path} can be read or written by others",

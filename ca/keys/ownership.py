@@ -1,15 +1,15 @@
-"""Whom the files and directories belong to that are believed without a signature. A shell.
+"""Owner and mode of files and directories that are trusted without a signature. Does I/O.
 
-What decides whom a node trusts lies in files: who can change them decides in its place. So a file
-is believed only when it belongs to the user rossec runs as, or to root, and nobody else can write
-it; it is opened first and judged by what was opened (a path may point elsewhere by now). The same
-holds for its directory and all above it, up to the root and through every symbolic link on the
-way; a directory above may be open to others if it is sticky, as /tmp is, for then nobody can take
-away what is another's (stat(2) S_ISVTX). OpenSSH asks the same (StrictModes in sshd_config(5)).
+Files decide which peers a node trusts, so a user that can change them can decide that as well. A
+file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
+write it; it is opened first, and the open file is checked (the path may be replaced meanwhile). The
+same holds for its directory and all above it, up to the root and through every symbolic link. A
+directory above may be writable by others if it is sticky, as /tmp is: then other users cannot
+remove or rename its entries (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)).
 
-A group that is the owner's alone counts as the owner, as on systems where each user has one and the
-umask is 002. It has its owner's name (pam_umask(8) usergroups): a directory service need not say
-who else is in one. Root is asked no less: what it finds in a user's directory, that user wrote.
+A user private group counts as its owner, as on systems with umask 002. It has its owner's name
+(pam_umask(8) usergroups), since a directory service need not list all members of a group. The same
+checks hold for root: files in a user's directory were written by that user.
 """
 
 import grp
@@ -25,46 +25,46 @@ from ca.errors import PathRefused
 
 _ACL: Final = "system.posix_acl_access"
 _MAX_LINKS: Final = 40  # as the kernel follows
-# O_NONBLOCK: opening a FIFO must not hang; it is refused as no regular file right after.
+# O_NONBLOCK: opening a FIFO must not hang; it is refused afterwards, as not a regular file.
 _READ: Final = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
 
 
 def check_directory(path: Path) -> None:
-    """Return if nobody else can put anything into `path`, or put another directory in its place.
+    """Return if no other user can write to the directory `path`, or replace it.
 
-    What does not exist yet is not asked.
+    Components that do not exist yet are not checked.
 
     Raises:
-        PathRefused: who can.
+        PathRefused: another user can.
     """
-    for place, status, is_last in _walk(path):
-        _check_owner(place, status)
+    for part, status, is_last in _walk(path):
+        _check_owner(part, status)
         is_sticky = status.st_mode & stat.S_ISVTX
         if stat.S_ISDIR(status.st_mode) and (is_last or not is_sticky):
-            _check_writers(place, status)
+            _check_writers(part, status)
 
 
 def check_file(path: Path, status: os.stat_result) -> None:
-    """Judge a file by what was opened.
+    """Check the `status` of an opened file.
 
     Raises:
-        PathRefused: it is no plain file, or somebody else can write it.
+        PathRefused: it is not a regular file, or another user can write it.
     """
     if not stat.S_ISREG(status.st_mode):
-        raise PathRefused(f"{path} is not a plain file", "is it the right one?")
+        raise PathRefused(f"{path} is not a regular file", "is it the right one?")
     _check_owner(path, status)
     _check_writers(path, status)
 
 
 def check_trusted(path: Path) -> None:
-    """Judge a file that is believed without opening it: for those that others open.
+    """Check a trusted file without opening it, for files that a library opens.
 
-    Who opens and closes a file gives up every lock its process has on it (fcntl(2)), SQLite's too.
-    What is named is what will be opened, since nobody else can change names in its directory.
+    Closing a file drops every lock its process has on it (fcntl(2)), those of SQLite too. The
+    path will be the same file when opened: no other user can change names in its directory.
 
     Raises:
         FileNotFoundError: there is none.
-        PathRefused: somebody else could have written it.
+        PathRefused: another user could have written it.
     """
     check_directory(path.parent)
     status = os.lstat(path)
@@ -74,15 +74,15 @@ def check_trusted(path: Path) -> None:
 
 
 def open_trusted(path: Path, *, link: bool = False) -> int:
-    """Open a file that is believed, for reading; returns its descriptor.
+    """Open a trusted file for reading; returns its descriptor.
 
     Args:
         path: of the file.
-        link: the operator may have put a symbolic link there; where it leads is judged.
+        link: allow a symbolic link; its target is checked.
 
     Raises:
         FileNotFoundError: there is none.
-        PathRefused: somebody else could have written it.
+        PathRefused: another user could have written it.
     """
     check_directory(path.parent)
     if not link and path.is_symlink():
@@ -97,9 +97,9 @@ def open_trusted(path: Path, *, link: bool = False) -> int:
 
 
 def _walk(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
-    """Every directory and every link between the root and `path`, as the kernel walks it.
+    """Yield every directory and link from the root to `path`, in the order of the kernel.
 
-    The last is `path` itself, and said to be; where that does not exist, none is.
+    The boolean is true for `path` itself, which is not reached if it does not exist.
     """
     here, links = Path("/"), 0
     rest = [*reversed(path.absolute().parts[1:])]
@@ -129,8 +129,8 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
     owner, word = _user(status.st_uid)
     if os.geteuid() == 0:
         raise PathRefused(
-            f"{path} belongs to {owner}, and this is root: root would do what {owner} writes there",
-            f"run it as {owner} (sudo -u {word} rossec ...), or use a ROSSEC_HOME that is root's",
+            f"{path} belongs to {owner}, who could change what root trusts here",
+            f"run it as {owner} (sudo -u {word} rossec ...), or use a ROSSEC_HOME that root owns",
         )
     raise PathRefused(
         f"{path} belongs to {owner}, who could change what is trusted here",
@@ -146,22 +146,22 @@ def _check_writers(path: Path, status: os.stat_result) -> None:
             raise PathRefused(f"{path} can be written by others", "use a directory of yours in it")
         raise PathRefused(
             f"{path} can be written by others",
-            f"look what is in it; if nobody used that: chmod go-w {path}",
+            f"check its content; if it was not changed: chmod go-w {path}",
         )
 
 
 def _is_private_group(path: Path, status: os.stat_result) -> bool:
-    """Whether writable by the group means: by the owner alone."""
+    """Whether the group of the file has no other member than its owner."""
     try:
         os.getxattr(path, _ACL)
     except OSError:
         return _is_user_private_group(status.st_gid, status.st_uid)
-    return False  # with a list of others the bits of the group are the most that any of them may
+    return False  # with an ACL, the group bits are its mask
 
 
 @lru_cache(maxsize=64)
 def _is_user_private_group(group: int, owner: int) -> bool:
-    """Whether nobody but `owner`, and root, is in the group."""
+    """Whether `group` is the user private group of `owner`; root may be in it."""
     try:
         found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
     except KeyError:
@@ -172,7 +172,7 @@ def _is_user_private_group(group: int, owner: int) -> bool:
 
 
 def _user(number: int) -> tuple[str, str]:
-    """How to name a user in a sentence, and to sudo."""
+    """The name of a user for a message, and for sudo."""
     try:
         name = pwd.getpwuid(number).pw_name
     except KeyError:

@@ -2,8 +2,8 @@
 
 `cryptography` reads this form but cannot write it: its `BestAvailableEncryption` is PBKDF2 with
 2048 iterations, 4 ms a guess. The cost here is half a second. N stays at 2^14 because OpenSSL 3.0
-refuses scrypt beyond 32 MiB; p makes up for it. CBC without a MAC is what PKCS#8 readers know: a
-damaged file fails at its padding or as no key, it does not become another key of use to anyone.
+refuses scrypt beyond 32 MiB; p makes up for it. PKCS#8 readers support only CBC without a MAC: a
+damaged file fails at its padding or its structure, and does not become another usable key.
 """
 
 from typing import Final

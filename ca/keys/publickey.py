@@ -1,7 +1,7 @@
-"""P-256 public keys: the one curve accepted, and the name a key goes by.
+"""P-256 public keys, the only ones accepted, and their thumbprints.
 
-Keys are named by their COSE thumbprint (RFC 9679), so that grants, lists and logs name the key
-and not one of its certificates: a renewed certificate keeps its grants, a revoked key loses all.
+Keys are identified by their COSE thumbprint (RFC 9679): grants, lists and logs refer to the key,
+not to one of its certificates. A renewed certificate keeps its grants, a revoked key loses all.
 """
 
 import hashlib

@@ -1,6 +1,6 @@
-"""The one thing a private key does here: sign. Files today, tokens and TPMs behind the same shape.
+"""The interface of a private key: a `Signer` signs, and does not expose the key.
 
-A `Signer` never gives the key away; whoever holds one can sign and nothing else.
+Keys in files and in PKCS#11 tokens have the same interface.
 """
 
 from typing import Final, Protocol
@@ -14,11 +14,11 @@ _ES256: Final = ec.ECDSA(hashes.SHA256())
 
 
 class Signer(Protocol):
-    """A P-256 private key, wherever it lives."""
+    """A P-256 private key, in memory or in a token."""
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public half."""
+        """The public key."""
         ...
 
     def sign(self, message: bytes) -> bytes:
@@ -27,7 +27,7 @@ class Signer(Protocol):
 
 
 class KeySigner:
-    """A `Signer` over a P-256 key held in this process."""
+    """A `Signer` for a P-256 key in memory."""
 
     __slots__ = ("_key",)
 
@@ -36,7 +36,7 @@ class KeySigner:
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public half."""
+        """The public key."""
         return self._key.public_key()
 
     def sign(self, message: bytes) -> bytes:

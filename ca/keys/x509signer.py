@@ -1,7 +1,7 @@
-"""Let `cryptography`'s X.509 builders sign through a `Signer`.
+"""Let `cryptography`'s X.509 builders sign with a `Signer`.
 
-The builders want one of the library's private key classes; a subclass that forwards `sign` is
-enough. It has no key to give: everything but signing is refused, so this stays true for tokens.
+The builders require one of the library's private key classes; a subclass that forwards `sign` is
+enough. It does not have the key: everything but signing is refused, also for tokens.
 """
 
 from typing import NoReturn, TypeAlias
@@ -21,7 +21,7 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
 class X509Signer(ec.EllipticCurvePrivateKey):
-    """A P-256 private key as the builders of `cryptography.x509` expect it, over a `Signer`."""
+    """A P-256 private key for the builders of `cryptography.x509`, over a `Signer`."""
 
     def __init__(self, signer: Signer) -> None:
         self._signer = signer
@@ -35,7 +35,7 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         return encode_dss_signature(int.from_bytes(raw[:32]), int.from_bytes(raw[32:]))
 
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public half."""
+        """The public key."""
         return self._signer.public_key
 
     @property
@@ -49,12 +49,12 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         return 256
 
     def exchange(self, algorithm: ec.ECDH, peer_public_key: ec.EllipticCurvePublicKey) -> NoReturn:
-        """Refused: a `Signer` signs and nothing else."""
-        raise NotImplementedError("a Signer signs and nothing else")
+        """Refused: a `Signer` only signs."""
+        raise NotImplementedError("a Signer only signs")
 
     def private_numbers(self) -> NoReturn:
-        """Refused: a `Signer` never gives its key away."""
-        raise NotImplementedError("a Signer never gives its key away")
+        """Refused: a `Signer` does not expose its key."""
+        raise NotImplementedError("a Signer does not expose its key")
 
     def private_bytes(
         self,
@@ -62,8 +62,8 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         format: PrivateFormat,  # noqa: A002  (the name the library gave it)
         encryption_algorithm: KeySerializationEncryption,
     ) -> NoReturn:
-        """Refused: a `Signer` never gives its key away."""
-        raise NotImplementedError("a Signer never gives its key away")
+        """Refused: a `Signer` does not expose its key."""
+        raise NotImplementedError("a Signer does not expose its key")
 
     def __copy__(self) -> "X509Signer":
         return self

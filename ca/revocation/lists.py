@@ -1,11 +1,11 @@
 """The two signed statements of revocation, and their bytes.
 
-The authority signs the *list*: everything revoked, numbered by (epoch, seq), for at most some
-weeks. The master signs the *timestamp*: "the list with this digest was the newest at this
-second", for at most 30 seconds. This is the split of TUF's snapshot and timestamp roles: the
-authority's key stays offline, and a stolen master key can hold back news but not undo a
-revocation. Both are closed maps; claims 4 (exp) and 6 (iat) are CWT's (RFC 8392), the negative
-ones are from its private range. Entries are sorted, so one set of entries has one encoding.
+The authority signs the *list*: everything revoked, numbered by (epoch, seq), valid for some weeks.
+The master signs the *timestamp*: "the list with this digest was the newest at this time", valid
+for at most 30 seconds. These are the snapshot and timestamp roles of TUF: the authority's key
+stays offline, and a stolen master key can delay revocations but not undo one. Both are maps
+without other fields; claims 4 (exp) and 6 (iat) are CWT's (RFC 8392), the negative ones are from
+its private range. Entries are sorted, so one set of entries has one encoding.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from ca.keys.signer import Signer
 
 GRANT_ID_SIZE: Final = 16
 DIGEST_SIZE: Final = 32
-MAX_ENTRIES: Final = 4096  # beyond it the list is no longer sent whole
+MAX_ENTRIES: Final = 4096  # for more entries the authority signs a tree
 MAX_LIST: Final = MAX_ENTRIES * (THUMBPRINT_SIZE + 2) + 512
 MAX_TIMESTAMP: Final = 512
 MAX_AGE: Final = 30
@@ -39,7 +39,7 @@ _SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)
 
 @dataclass(frozen=True)
 class RevocationList:
-    """Everything revoked. Entries are 16-byte grant ids and 32-byte key thumbprints.
+    """All revocations. Entries are 16-byte grant ids and 32-byte key thumbprints.
 
     A higher `epoch` (a new authority key, a restored store) beats every `seq` of a lower one.
     """
@@ -67,7 +67,7 @@ class Timestamp:
 
 
 def digest(data: bytes) -> bytes:
-    """Return what a timestamp calls a list by: SHA-256 of its bytes as received."""
+    """Return the digest of a list in a timestamp: SHA-256 of its bytes as received."""
     return hashlib.sha256(data).digest()
 
 
@@ -75,7 +75,7 @@ def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
     """Sign `revocations` with the authority's key.
 
     Raises:
-        RevocationRefused: no valid list; what `open_list` would refuse is not signed either.
+        RevocationRefused: an invalid list, as for `open_list`.
     """
     _check_list(revocations)
     entries: list[Value] = [*sorted(revocations.entries)]
@@ -92,7 +92,7 @@ def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
 
 
 def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
-    """Verify and read a list; its age is not judged here.
+    """Verify and read a list; its age is not checked here.
 
     Raises:
         RevocationRefused: not signed by the authority, malformed, or not a valid list.
@@ -114,7 +114,7 @@ def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
     """Sign `timestamp` with the master's key.
 
     Raises:
-        RevocationRefused: no valid timestamp.
+        RevocationRefused: an invalid timestamp.
     """
     _check_timestamp(timestamp)
     return TIMESTAMP_PROFILE.sign(
@@ -129,14 +129,16 @@ def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
 
 
 def open_timestamp(data: bytes, key: ec.EllipticCurvePublicKey) -> Timestamp:
-    """Verify and read a timestamp; its age is not judged here. `key` is the master's.
+    """Verify and read a timestamp; its age is not checked here. `key` is the master's.
 
     Raises:
         RevocationRefused: not signed by `key`, malformed, or not a valid timestamp.
     """
     match _open(TIMESTAMP_PROFILE, data, key, MAX_TIMESTAMP):
-        case {6: iat, -70002: seq, -70004: bytes() as held, -70005: max_age, **rest} if not rest:
-            timestamp = Timestamp(_number(seq), held, _number(iat), _number(max_age))
+        case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if (
+            not rest
+        ):
+            timestamp = Timestamp(_number(seq), list_digest, _number(iat), _number(max_age))
         case _:
             raise RevocationRefused("the timestamp has missing or unknown fields")
     _check_timestamp(timestamp)
@@ -162,7 +164,7 @@ def _check_list(revocations: RevocationList) -> None:
         raise RevocationRefused(
             f"a revocation list of {len(revocations.entries)} entries"
             f" where at most {MAX_ENTRIES} are allowed",
-            "make a new authority, or let the revoked certificates and grants expire",
+            "make a new authority, or wait until revoked grants have expired",
         )
     for entry in revocations.entries:
         check_entry(entry)
@@ -190,7 +192,7 @@ def _check_timestamp(timestamp: Timestamp) -> None:
     for value in (timestamp.seq, timestamp.issued):
         _number(value)
     if len(timestamp.digest) != DIGEST_SIZE:
-        raise RevocationRefused("the timestamp's digest has not 32 bytes")
+        raise RevocationRefused("the timestamp's digest does not have 32 bytes")
     if not 1 <= timestamp.max_age <= MAX_AGE:
         raise RevocationRefused(
             f"a timestamp valid for {timestamp.max_age} s where 1 to {MAX_AGE} are allowed"

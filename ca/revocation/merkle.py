@@ -1,11 +1,11 @@
 """Merkle trees as in Certificate Transparency: roots, and short proofs that a verifier can check.
 
-RFC 6962 section 2.1 defines the hashes (a leaf is never mistaken for an inner node: 0x00 and 0x01
-before the data), RFC 9162 section 2.1 the two verifications done here. Pure, and about nothing but
-hashes: what a leaf means, who signed a root and whether it is new, the callers know. An
-*inclusion* proof shows that a leaf stands at its place; two neighbours of a tree over sorted leaves
-show that what would stand between them is absent. A *consistency* proof shows that a tree
-continues an older one. A proof is verified or refused by raising.
+RFC 6962 section 2.1 defines the hashes (the prefixes 0x00 and 0x01 separate leaves from inner
+nodes), RFC 9162 section 2.1 the two verifications. This module only knows hashes: the meaning of
+a leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
+leaf is at an index; with sorted leaves, the proofs of two adjacent leaves show that an entry
+between them is absent. A *consistency* proof shows that a tree extends an older one. Verification
+raises on failure.
 """
 
 import hashlib
@@ -25,12 +25,12 @@ def leaf_hash(data: bytes) -> bytes:
 
 
 def node_hash(left: bytes, right: bytes) -> bytes:
-    """The hash of the node above two others."""
+    """The hash of an inner node."""
     return hashlib.sha256(b"\1" + left + right).digest()
 
 
 class Tree:
-    """A growing tree with all its hashes at hand, of which older states can still be asked."""
+    """An append-only tree that stores all hashes; earlier sizes can be queried too."""
 
     def __init__(self, leaves: Iterable[bytes] = ()) -> None:
         """Start with the contents `leaves`."""
@@ -55,7 +55,7 @@ class Tree:
         """The root over the first `size` leaves, by default over all.
 
         Raises:
-            ProofRefused: there are not so many.
+            ProofRefused: the tree is smaller.
         """
         size = self._size(size)
         return self._hash(0, size) if size else EMPTY_ROOT
@@ -72,14 +72,14 @@ class Tree:
         return self._path(index, 0, size)
 
     def consistency(self, first: int, second: int | None = None) -> list[bytes]:
-        """The proof that the tree of `second` leaves continues the one of `first`.
+        """The proof that the tree of `second` leaves extends the one of `first`.
 
         Raises:
-            ProofRefused: it does not, or `first` is empty: nothing is proved about no leaves.
+            ProofRefused: it does not, or `first` is 0, for which there is no proof.
         """
         second = self._size(second)
         if not 0 < first <= second:
-            raise ProofRefused(f"a tree of {second} leaves does not continue one of {first}")
+            raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
         return self._subproof(first, 0, second, whole=True)
 
     def _size(self, size: int | None) -> int:
@@ -90,7 +90,7 @@ class Tree:
         return size
 
     def _hash(self, start: int, end: int) -> bytes:
-        """MTH(D[start:end]); whole subtrees are known, and `start` is always aligned to them."""
+        """MTH(D[start:end]); complete subtrees are stored, and `start` is aligned to them."""
         width = end - start
         if width & (width - 1) == 0:
             return self._levels[width.bit_length() - 1][start // width]
@@ -127,13 +127,13 @@ def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
     """The peaks after one more leaf.
 
     The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest
-    first: all that is needed to let it grow.
+    first: enough to append to it.
 
     Raises:
         ProofRefused: a tree of `size` leaves has another number of peaks.
     """
     if len(peaks) != size.bit_count():
-        raise ProofRefused(f"a tree of {size} leaves has not {len(peaks)} peaks")
+        raise ProofRefused(f"a tree of {size} leaves does not have {len(peaks)} peaks")
     grown, digest = list(peaks), leaf_hash(data)
     while size & 1:
         digest = node_hash(grown.pop(), digest)
@@ -180,17 +180,17 @@ def verify_inclusion(
 def verify_consistency(
     first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
 ) -> None:
-    """Return if `proof` shows that the second tree continues the first (RFC 9162, 2.1.4.2).
+    """Return if `proof` shows that the second tree extends the first (RFC 9162, 2.1.4.2).
 
     Raises:
         ProofRefused: it does not.
     """
     _check_form(proof)
     if not 0 < first <= second:
-        raise ProofRefused(f"a tree of {second} leaves does not continue one of {first}")
+        raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
     if first == second:
         if proof or first_root != second_root:
-            raise ProofRefused("two trees of one size are not the same")
+            raise ProofRefused("two trees of the same size have different roots")
         return
     _check_growth(first, second, proof, first_root, second_root)
 
@@ -198,7 +198,7 @@ def verify_consistency(
 def _check_growth(
     first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
 ) -> None:
-    # The old root itself is in no proof: it begins one when the old tree is a complete subtree.
+    # The old root is not in the proof: it is prepended when the old tree is a complete subtree.
     path = [first_root, *proof] if first & (first - 1) == 0 else list(proof)
     if not path:
         raise ProofRefused("the consistency proof is empty")

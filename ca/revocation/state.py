@@ -1,13 +1,13 @@
-"""What this node knows about revocations, and whether it may rely on it.
+"""The revocations this node knows, and whether they are fresh.
 
 The state fails closed: without a list, without a confirmation, after its maximum age, after the
-list's own expiry, or on a clock that runs backwards, `check` refuses. It only moves forward: a
-list older than the newest ever seen is refused, also after a restart, because the caller persists
-the list *before* it takes effect (CVE-2025-2888 in tough was that order reversed) and hands its
-number back as `floor`. Clock and disk are the caller's: `now` and `persist` are arguments.
+list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward: a list
+older than the newest ever seen is refused, also after a restart, because the caller persists the
+list *before* it takes effect (CVE-2025-2888 in tough was that order reversed) and passes its number
+as `floor`. Clock and disk are the caller's: `now` and `persist` are arguments.
 
 Where the authority signed a tree instead of a list (`ca.revocation.tree`), each entry needs a
-proof: until one has come nobody can tell, and what is waited for is said by `wanted`.
+proof: until it is received the status is unknown, and the entry is in `unproved`.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ __all__ = [
 
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
-MAX_PROOFS: Final = 16 * 1024  # entries proved absent, and wanted, that are remembered
+MAX_PROOFS: Final = 16 * 1024  # cached entries proved absent, and entries without a proof
 _HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
 
 
@@ -49,65 +49,65 @@ class Revocations:
     def __init__(
         self, anchor_key: ec.EllipticCurvePublicKey, floor: tuple[int, int] = NO_FLOOR
     ) -> None:
-        """Start without a list; nothing below `floor` = (epoch, seq) will be accepted."""
+        """Start without a list; lists below `floor` = (epoch, seq) are refused."""
         self._key = anchor_key
         self._floor = floor
         self._list: RevocationList | RevocationTree | None = None
         self._data = b""
         self._entries: frozenset[bytes] = frozenset()
         self._received = 0
-        self._complete = True  # False: `_entries` are those that are known of a tree
+        self._complete = True  # False: `_entries` are the known ones of a tree
         self._absent: set[bytes] = set()
         self._unproved: dict[bytes, None] = {}
         self._confirmed: Timestamp | None = None
-        self._relied_until = 0  # until when on a confirmation that is doubted now
+        self._relied_until = 0  # the end of a confirmation that was expired early
 
     @property
     def floor(self) -> tuple[int, int]:
-        """The (epoch, seq) below which no list is accepted: what must survive a restart."""
+        """The (epoch, seq) below which lists are refused; the caller persists it."""
         return self._floor
 
     @property
     def data(self) -> bytes:
-        """The signed list held, as received; empty if there is none."""
+        """The current signed list, as received; empty if there is none."""
         return self._data
 
     @property
     def current(self) -> RevocationList | RevocationTree | None:
-        """The list or tree held, if any."""
+        """The current list or tree, if any."""
         return self._list
 
     @property
     def entries(self) -> frozenset[bytes]:
-        """Everything known to be revoked, whether or not the knowledge is fresh."""
+        """Everything known to be revoked, fresh or not."""
         return self._entries
 
     @property
     def fresh_until(self) -> int:
-        """The last second at which `check` may say yes, or might have; 0 if there is none."""
+        """The last second at which `check` may succeed; 0 if there is none."""
         if self._list is None or self._confirmed is None:
             return self._relied_until
         return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
 
     def status_valid_until(self, entry: bytes) -> int:
-        """As `fresh_until`, for one entry: for the proof of one there is as long as for news."""
+        """As `fresh_until`, for one entry: a proof may take as long as a confirmation."""
         if self._complete or entry in self._absent:
             return self.fresh_until
         return min(self.fresh_until, self._received + MAX_AGE)
 
     @property
     def unproved(self) -> list[bytes]:
-        """Entries of a tree that were asked about and are waiting for a proof."""
+        """Entries that were checked against a tree and have no proof yet."""
         return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """Take the proof that `entry` is in the tree held, or is not.
+        """Add the proof that `entry` is in the current tree, or is not.
 
         Raises:
             RevocationRefused: it shows neither.
         """
         if not isinstance(self._list, RevocationTree):
-            return  # a list has come meanwhile, which says it all
+            return  # replaced by a list meanwhile, which needs no proofs
         revoked = is_revoked(self._list, check_entry(entry), proof)
         self._unproved.pop(entry, None)
         if revoked:
@@ -117,31 +117,30 @@ class Revocations:
             self._absent.clear()
         self._absent.add(entry)
 
-    def set_entries(self, listing: TreeEntries) -> None:
-        """Take all entries of the tree held: nothing needs a proof any more.
+    def set_entries(self, tree_entries: TreeEntries) -> None:
+        """Set all entries of the current tree: no proofs are needed any more.
 
         Raises:
-            RevocationRefused: these are not its entries, or no tree is held.
+            RevocationRefused: these are not its entries, or there is no tree.
         """
         if not isinstance(self._list, RevocationTree):
-            raise RevocationRefused("entries of a tree, and none is held")
-        listing.check(self._list)
-        self._entries, self._complete = listing.entries, True
+            raise RevocationRefused("entries of a tree, but there is no tree")
+        tree_entries.check(self._list)
+        self._entries, self._complete = tree_entries.entries, True
 
     def update(
         self, data: bytes, now: int, persist: Callable[[bytes], None] | None = None
     ) -> frozenset[bytes]:
-        """Take a signed list or tree; return the entries it adds, whose connections are to be cut.
+        """Apply a signed list or tree; return the entries it adds, to close their connections.
 
-        Its age is not judged: a clock that lags must not keep revocations out. `persist(data)` is
-        called after all checks and before the list takes effect; if it raises, nothing changes. A
-        list that has expired is taken too: what it revokes stays revoked, and `check` refuses
-        everything else. A new list needs a new confirmation. With a tree, what was known to be
-        revoked stays so.
+        Its age is not checked: a slow clock must not block revocations. `persist(data)` is called
+        after all checks and before the list takes effect; if it raises, nothing changes. An expired
+        list is applied too: what it revokes stays revoked, and `check` refuses everything else. A
+        new list needs a new confirmation. With a tree, what was known to be revoked stays so.
 
         Raises:
             RevocationRefused: not a list signed by the authority.
-            RollbackRefused: older than one seen, or different under the same number.
+            RollbackRefused: older than one seen, or different with the same number.
         """
         revocations = open_statement(data, self._key)
         self._check_number(revocations)
@@ -159,7 +158,7 @@ class Revocations:
         return added
 
     def confirm(self, timestamp: Timestamp, now: int) -> None:
-        """Take the master's word, opened with `open_timestamp`, that the list held is the newest.
+        """Apply a timestamp, opened with `open_timestamp`: the current list is the newest.
 
         Raises:
             RevocationRefused: for another list.
@@ -169,7 +168,7 @@ class Revocations:
             raise RevocationRefused("a timestamp came before any revocation list", _HINT_STALE)
         if timestamp.seq != self._list.seq or timestamp.digest != digest(self._data):
             raise RevocationRefused(
-                f"the timestamp is for another list than number {self._list.seq} held here",
+                f"the timestamp is for another list than the current number {self._list.seq}",
                 "fetch the newest list from the master",
             )
         if timestamp.max_age > MAX_AGE:
@@ -182,7 +181,7 @@ class Revocations:
             self._confirmed = timestamp
 
     def expire_confirmation(self, until: int = 0) -> None:
-        """Rely on the last confirmation no longer than `until`, and wait for a new one."""
+        """End the last confirmation at `until` at the latest; a new one is needed."""
         self._relied_until = min(self.fresh_until, until)
         self._confirmed = None
 
@@ -191,7 +190,7 @@ class Revocations:
 
         Raises:
             Revoked: it is on the list, fresh or not.
-            RevocationsStale: nobody can tell.
+            RevocationsStale: its status is unknown.
             RevocationRefused: `entry` is neither grant id nor thumbprint.
         """
         if check_entry(entry) in self.entries:
@@ -203,16 +202,18 @@ class Revocations:
             self._unproved[entry] = None
         self.check_fresh(now)
         if unproved:
-            raise RevocationsStale(f"no proof has come yet that {entry.hex()} holds", _HINT_STALE)
+            raise RevocationsStale(
+                f"no proof received yet that {entry.hex()} is not revoked", _HINT_STALE
+            )
 
     def check_fresh(self, now: int) -> None:
-        """Return if the list held is confirmed and valid at `now`.
+        """Return if the current list is confirmed and valid at `now`.
 
         Raises:
             RevocationsStale: no list, an expired list, no confirmation, or an outdated one.
         """
         if self._list is None:
-            raise RevocationsStale("no revocation list has arrived yet", _HINT_STALE)
+            raise RevocationsStale("no revocation list was received yet", _HINT_STALE)
         if now >= self._list.expires:
             raise RevocationsStale(
                 f"the revocation list expired {now - self._list.expires} s ago",
@@ -224,7 +225,7 @@ class Revocations:
             )
         if now > self.fresh_until:
             raise RevocationsStale(
-                f"the last confirmation ran out {now - self.fresh_until} s ago", _HINT_STALE
+                f"the last confirmation expired {now - self.fresh_until} s ago", _HINT_STALE
             )
         if now < max(self._list.issued, self._confirmed.issued) - SKEW:
             raise RevocationsStale("the clock is behind the revocation list", "set the clock")
@@ -233,7 +234,7 @@ class Revocations:
         if new.number < self._floor:
             raise RollbackRefused(
                 f"revocation list {_text(new.number)} is older than {_text(self._floor)}",
-                "somebody is replaying an old list: find out who sent it",
+                "an old list was replayed: find out which peer sent it",
             )
         if self._list is not None and new.number == self._list.number and new != self._list:
             raise RollbackRefused(
@@ -242,9 +243,9 @@ class Revocations:
             )
 
     @staticmethod
-    def _is_replay(held: Timestamp, new: Timestamp, now: int) -> bool:
-        """A replayed older timestamp must not shorten the time; a corrected clock must heal."""
-        return new.issued <= held.issued <= now + SKEW
+    def _is_replay(confirmed: Timestamp, new: Timestamp, now: int) -> bool:
+        """Ignore an older timestamp, unless the confirmed one is now in the future."""
+        return new.issued <= confirmed.issued <= now + SKEW
 
 
 def open_statement(

@@ -1,9 +1,9 @@
-"""Revocations that are too many to send: the authority signs a tree, the master shows its branches.
+"""Revocations too many for a list: the authority signs a Merkle tree, the master sends proofs.
 
 The tree is RFC 6962's over the sorted entries (`ca.revocation.merkle`); the authority signs its
-root and size under the same numbers as a list. Whoever has all entries can prove of any one that it
-is among them, or that it is not: then it would stand between two neighbours, or beyond an end. So a
-master can hide nothing, and a node asks only about what concerns it.
+root and size, numbered like a list. The holder of all entries can prove that an entry is present,
+or absent: then it would be between two adjacent leaves, or outside the first or last one. So the
+master can hide nothing, and a node requests only the entries it needs.
 """
 
 from bisect import bisect_left
@@ -22,7 +22,7 @@ from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
 
 TREE: Final = Profile("rossec-revocation-tree+cwt")
 MAX_TREE: Final = 512  # bytes of the statement
-MAX_LEAVES: Final = 32 * 1024  # what one call carries to the master
+MAX_LEAVES: Final = 32 * 1024  # what fits in one call to the master
 MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
 MAX_PROOF: Final = 4096
 
@@ -33,7 +33,7 @@ _INT_LIMIT: Final = 1 << 53
 
 @dataclass(frozen=True)
 class RevocationTree:
-    """Everything revoked, by the size and the root of its tree; numbered as a list is."""
+    """All revocations, as the size and the root of their tree; numbered like a list."""
 
     epoch: int
     seq: int
@@ -49,7 +49,9 @@ class RevocationTree:
         if self.expires <= self.issued or not 0 < self.size <= MAX_LEAVES:
             raise RevocationRefused("a revocation tree that is empty, too large, or never valid")
         if len(self.root) != HASH_SIZE:
-            raise RevocationRefused(f"the root of the revocation tree has not {HASH_SIZE} bytes")
+            raise RevocationRefused(
+                f"the root of the revocation tree does not have {HASH_SIZE} bytes"
+            )
 
     @property
     def number(self) -> tuple[int, int]:
@@ -58,7 +60,7 @@ class RevocationTree:
 
 
 def is_tree(data: bytes) -> bool:
-    """Whether `data` says of itself that it is a tree, not a list; nothing is verified."""
+    """Whether the type of `data` is a tree, not a list; nothing is verified."""
     return data.startswith(_FRAME)
 
 
@@ -81,7 +83,7 @@ def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
 
 
 def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
-    """Verify and read a tree; its age is not judged here.
+    """Verify and read a tree; its age is not checked here.
 
     Raises:
         RevocationRefused: not signed by the authority, malformed, or not a valid tree.
@@ -101,10 +103,10 @@ def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
 
 
 class TreeEntries:
-    """All entries of a tree, from which proofs are made.
+    """All entries of a tree; creates the proofs.
 
     Raises:
-        RevocationRefused: an entry that is none.
+        RevocationRefused: an invalid entry.
     """
 
     def __init__(self, entries: Collection[bytes]) -> None:
@@ -116,18 +118,18 @@ class TreeEntries:
         """Read what `encoded` wrote.
 
         Raises:
-            RevocationRefused: it is not that.
+            RevocationRefused: it is malformed.
         """
         try:
             value = decode(data, limit=MAX_TREE_ENTRIES_SIZE)
         except EncodingError as error:
-            raise RevocationRefused(f"not a listing of revocations: {error}") from error
+            raise RevocationRefused(f"not the entries of a revocation tree: {error}") from error
         if not isinstance(value, list):
-            raise RevocationRefused("not a listing of revocations")
+            raise RevocationRefused("not the entries of a revocation tree")
         return cls([check_entry(item) for item in value])
 
     def encoded(self) -> bytes:
-        """The entries, to be carried to the master."""
+        """The entries, encoded for the master."""
         entries: list[Value] = [*self._entries]
         return encode(entries)
 
@@ -142,7 +144,7 @@ class TreeEntries:
         return len(self._entries), self._tree.root()
 
     def check(self, tree: RevocationTree) -> None:
-        """Return if these are the entries `tree` was made of.
+        """Return if these are the entries of `tree`.
 
         Raises:
             RevocationRefused: otherwise.
@@ -155,19 +157,21 @@ class TreeEntries:
 
     def prove(self, entry: bytes) -> bytes:
         """The proof that `entry` is in the tree, or that it is not."""
-        at = bisect_left(self._entries, entry)
-        if at < len(self._entries) and self._entries[at] == entry:
-            places = [at]
+        position = bisect_left(self._entries, entry)
+        if position < len(self._entries) and self._entries[position] == entry:
+            indexes = [position]
         else:
-            places = [place for place in (at - 1, at) if 0 <= place < len(self._entries)]
+            indexes = [
+                index for index in (position - 1, position) if 0 <= index < len(self._entries)
+            ]
         proof: list[Value] = [
-            [place, self._entries[place], [*self._tree.inclusion(place)]] for place in places
+            [index, self._entries[index], [*self._tree.inclusion(index)]] for index in indexes
         ]
         return encode(proof)
 
 
 def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
-    """What `proof` shows of `entry`: that it is in `tree`, or that it is not.
+    """Whether `proof` shows that `entry` is in `tree`, or that it is not.
 
     Raises:
         RevocationRefused: it shows neither.
@@ -178,12 +182,12 @@ def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
             return True
         case [(0, first)] if entry < first:
             return False
-        case [(place, last)] if place == tree.size - 1 and last < entry:
+        case [(index, last)] if index == tree.size - 1 and last < entry:
             return False
         case [(left, below), (right, above)] if right == left + 1 and below < entry < above:
             return False
         case _:
-            raise RevocationRefused("a proof that shows nothing of what was asked")
+            raise RevocationRefused("the proof does not show the status of this entry")
 
 
 def _parts(proof: bytes) -> Sequence[Value]:
@@ -198,14 +202,14 @@ def _parts(proof: bytes) -> Sequence[Value]:
 
 def _leaf(tree: RevocationTree, part: Value) -> tuple[int, bytes]:
     match part:
-        case [int() as place, bytes() as leaf, list() as hashes] if type(place) is int:
+        case [int() as index, bytes() as leaf, list() as hashes] if type(index) is int:
             path = [item for item in hashes if isinstance(item, bytes)]
         case _:
-            raise RevocationRefused("a leaf of a proof is [place, entry, hashes]")
+            raise RevocationRefused("a leaf of a proof is [index, entry, hashes]")
     if len(path) != len(hashes):
         raise RevocationRefused("the hashes of a proof are bytes")
     try:
-        verify_inclusion(leaf, place, tree.size, path, tree.root)
+        verify_inclusion(leaf, index, tree.size, path, tree.root)
     except ProofRefused as error:
-        raise RevocationRefused(f"a proof is wrong: {error}") from error
-    return place, leaf
+        raise RevocationRefused(f"a proof is invalid: {error}") from error
+    return index, leaf

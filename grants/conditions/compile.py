@@ -1,6 +1,6 @@
 """Conditions on messages and time: typed against the layout, compiled to read only what they name.
 
-A condition admits a message when its value is exactly True. An error denies, and so does a NaN in
+A condition admits a message if its value is exactly True. An error denies, and so does a NaN in
 any field it names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages
 contain NaN routinely. Deviations from CEL: `false && error` and `true || error` deny when a named
 field cannot be read, because all named fields are read first; integers of all sizes are `int`;
@@ -9,40 +9,40 @@ cannot be read: the publisher sets them.
 """
 
 import math
-import operator
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import contains
 from typing import Final
 
-from grants.conditions.calendar import FIELDS, clock_field, read_moment
+from grants.conditions.calendar import FIELDS, clock_field, parse_timestamp
 from grants.conditions.syntax import (
     COMPARISONS,
-    Among,
     Binary,
     Expression,
     Literal,
+    Membership,
     Now,
     Path,
     Unary,
     parse_expression,
 )
 from grants.errors import ConditionRefused
-from grants.filters.codegen import MISFIT, Buffer, Cursor, SourceWriter, expression
+from grants.filters.codegen import LAYOUT_ERRORS, Buffer, Cursor, SourceWriter, expression
 from grants.filters.layout import Layout, Primitive, Struct, Text, Type
 
 _METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
     "startsWith": str.startswith,
     "endsWith": str.endswith,
-    "contains": operator.contains,
+    "contains": contains,
 }
 _NUMBERS: Final = ("int", "double")
-_ERRORS: Final = (*MISFIT, ArithmeticError, OSError)  # OSError: a moment beyond the calendar
+_ERRORS: Final = (*LAYOUT_ERRORS, ArithmeticError, OSError)  # OSError: a time beyond the calendar
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A compiled condition. It is an answer, so it does not raise: an error is False."""
+    """A compiled condition. Calling it does not raise: an error is False."""
 
     text: str
     reads_message: bool
@@ -57,16 +57,16 @@ class Condition:
 
 
 def check_syntax(text: str) -> None:
-    """Return if `text` is in the language, whatever fields it names.
+    """Check the syntax of `text`, not the fields it names.
 
     Raises:
-        ConditionRefused: it is not.
+        ConditionRefused: invalid syntax.
     """
     parse_expression(text)
 
 
 def compile_condition(layout: Layout | None, text: str) -> Condition:
-    """Compile `text` for messages of `layout`; None where there is no message to look at.
+    """Compile `text` for messages of `layout`; None if there is no message.
 
     Raises:
         ConditionRefused: outside the language, unknown field, or types that do not fit.
@@ -88,7 +88,7 @@ class _Compiler:
 
     def finish(self, code: str) -> Callable[[Buffer, int], object]:
         if self._layout is not None and self.fields:
-            _Reader(self._source, self.fields).read(self._layout.root)
+            _FieldReader(self._source, self.fields).read(self._layout.root)
         self._source.line(f"return {code}")
         return self._source.compile()
 
@@ -103,8 +103,8 @@ class _Compiler:
                 return "timestamp", "now"
             case Unary():
                 return self._unary(node)
-            case Among():
-                return self._among(node)
+            case Membership():
+                return self._membership(node)
             case Binary():
                 return self._binary(node)
             case _ if node.target is None:
@@ -114,32 +114,32 @@ class _Compiler:
 
     def _path(self, names: tuple[str, ...]) -> tuple[str, str]:
         if self._layout is None:
-            raise ConditionRefused("there is no message to look at here", "name its type")
+            raise ConditionRefused("a condition on msg needs a message type", "name the type")
         kind = _field_type(self._layout.root, names)
         variable = self.fields.setdefault(names, f"v{len(self.fields)}")
         return kind, variable
 
     def _unary(self, node: Unary) -> tuple[str, str]:
         kind, code = self.compile(node.operand)
-        if node.sign == "!" and kind == "bool":
+        if node.operator == "!" and kind == "bool":
             return "bool", f"(not {code})"
-        if node.sign == "-" and kind in _NUMBERS:
+        if node.operator == "-" and kind in _NUMBERS:
             return kind, self._checked(kind, f"-{code}")
-        raise ConditionRefused(f"{node.sign} does not go with a {kind}")
+        raise ConditionRefused(f"{node.operator} cannot be applied to a {kind}")
 
     def _binary(self, node: Binary) -> tuple[str, str]:
-        sign = node.sign
+        operator = node.operator
         left_kind, left = self.compile(node.left)
         right_kind, right = self.compile(node.right)
-        if sign in ("&&", "||") and left_kind == right_kind == "bool":
-            return "bool", f"({left} {'and' if sign == '&&' else 'or'} {right})"
-        if sign in COMPARISONS and _comparable(left_kind, right_kind):
-            return "bool", f"({left}{sign}{right})"
-        if sign in "+-*" and left_kind == right_kind and left_kind in _NUMBERS:
-            return left_kind, self._checked(left_kind, f"{left}{sign}{right}")
+        if operator in ("&&", "||") and left_kind == right_kind == "bool":
+            return "bool", f"({left} {'and' if operator == '&&' else 'or'} {right})"
+        if operator in COMPARISONS and _comparable(left_kind, right_kind):
+            return "bool", f"({left}{operator}{right})"
+        if operator in "+-*" and left_kind == right_kind and left_kind in _NUMBERS:
+            return left_kind, self._checked(left_kind, f"{left}{operator}{right}")
         mixed = {left_kind, right_kind} == set(_NUMBERS)
         raise ConditionRefused(
-            f"{sign} does not go with {left_kind} and {right_kind}",
+            f"{operator} cannot be applied to {left_kind} and {right_kind}",
             "write whole numbers as 2.0 beside a double" if mixed else "",
         )
 
@@ -147,20 +147,20 @@ class _Compiler:
         check = _in_64_bits if kind == "int" else _finite
         return f"{self._source.bind(check)}({code})"
 
-    def _among(self, node: Among) -> tuple[str, str]:
+    def _membership(self, node: Membership) -> tuple[str, str]:
         kind, code = self.compile(node.operand)
         compiled = [self.compile(item) for item in node.items]
         for other, _ in compiled:
             if not _comparable(kind, other):
-                raise ConditionRefused(f"in compares {kind} with {other}")
+                raise ConditionRefused(f"in cannot compare {kind} with {other}")
         return "bool", f"({code} in ({''.join(f'{item},' for _, item in compiled)}))"
 
     def _timestamp(self, name: str, arguments: tuple[Expression, ...]) -> tuple[str, str]:
         match arguments:
             case (Literal(str() as text),) if name == "timestamp":
-                return "timestamp", self._source.bind(read_moment(text))
+                return "timestamp", self._source.bind(parse_timestamp(text))
         raise ConditionRefused(
-            f"unknown function {name}()", 'there is timestamp("2026-11-20T18:00:00Z")'
+            f"unknown function {name}()", 'expected timestamp("2026-11-20T18:00:00Z")'
         )
 
     def _method(
@@ -175,12 +175,13 @@ class _Compiler:
                 return "bool", f"{self._source.bind(_METHODS[name])}({code},{argument})"
         known = list(FIELDS if kind == "timestamp" else _METHODS if kind == "string" else ())
         raise ConditionRefused(
-            f"a {kind} has no such .{name}()", f"there are {', '.join(known)}" if known else ""
+            f"a {kind} has no method {name}()",
+            f"expected one of {', '.join(known)}" if known else "",
         )
 
 
-class _Reader(Cursor):
-    """Reads the named fields into their variables and moves over the rest, up to the last one."""
+class _FieldReader(Cursor):
+    """Reads the named fields into variables and skips the others, up to the last named one."""
 
     def __init__(self, source: SourceWriter, fields: dict[tuple[str, ...], str]) -> None:
         super().__init__(source)
@@ -189,7 +190,7 @@ class _Reader(Cursor):
 
     def read(self, root: Struct) -> None:
         self._struct(root, ())
-        # A text may end behind the message; numbers cannot, `unpack_from` looks.
+        # A text may end beyond the message; numbers cannot, `unpack_from` checks.
         self.source.line(f"if len(b)<{self.at()}: raise ValueError")
 
     def _struct(self, kind: Struct, path: tuple[str, ...]) -> None:
@@ -235,7 +236,7 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
         return "string"
     if not isinstance(kind, Primitive) or len(kind.code) > 1:
         raise ConditionRefused(
-            f"msg.{'.'.join(names)} is a {kind.name}; only numbers, truth values and strings count",
+            f"msg.{'.'.join(names)} is a {kind.name}; only numbers, booleans, strings can be read",
             "name a field inside it" if isinstance(kind, Struct) else "",
         )
     return "bool" if kind.name == "bool" else "double" if kind.code in "fd" else "int"

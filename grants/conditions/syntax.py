@@ -1,4 +1,4 @@
-"""Reading conditions: text to tokens to a tree. Syntax only; no types, no evaluation.
+"""The parser of conditions: text to tokens to a tree. Syntax only; no types, no evaluation.
 
 The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and
 precedence: literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in`
@@ -22,8 +22,8 @@ _TOKEN: Final = re.compile(
       (?P<float>\d+\.\d+(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+)
     | (?P<int>\d+)
     | (?P<string>"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')
-    | (?P<word>[A-Za-z_][A-Za-z0-9_]*)
-    | (?P<sign>&&|\|\||[=!<>]=|[-+*!<>().,\[\]])
+    | (?P<identifier>[A-Za-z_][A-Za-z0-9_]*)
+    | (?P<operator>&&|\|\||[=!<>]=|[-+*!<>().,\[\]])
     )""",
     re.ASCII | re.VERBOSE,
 )
@@ -36,7 +36,7 @@ COMPARISONS: Final = ("==", "!=", "<", "<=", ">", ">=")
 
 @dataclass(frozen=True)
 class Literal:
-    """A value written in the text."""
+    """A literal value."""
 
     value: bool | int | float | str
 
@@ -50,7 +50,7 @@ class Path:
 
 @dataclass(frozen=True)
 class Now:
-    """The time of the decision."""
+    """The time of evaluation."""
 
 
 @dataclass(frozen=True)
@@ -66,32 +66,32 @@ class FunctionCall:
 class Unary:
     """`!` or `-`."""
 
-    sign: str
+    operator: str
     operand: "Expression"
 
 
 @dataclass(frozen=True)
 class Binary:
-    """Two operands and what stands between them."""
+    """Two operands and the operator between them."""
 
-    sign: str
+    operator: str
     left: "Expression"
     right: "Expression"
 
 
 @dataclass(frozen=True)
-class Among:
+class Membership:
     """`operand in [a, b]`."""
 
     operand: "Expression"
     items: tuple["Expression", ...]
 
 
-Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | Among
+Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | Membership
 
 
 class Token(NamedTuple):
-    """A word of the text and its kind; the end has kind "end"."""
+    """A token and its kind; the end of the text has kind "end"."""
 
     kind: str
     text: str
@@ -99,14 +99,14 @@ class Token(NamedTuple):
 
 
 def parse_expression(text: str) -> Expression:
-    """Read a condition.
+    """Parse a condition.
 
     Raises:
         ConditionRefused: outside the language, or larger than its limits.
     """
     if len(text) > MAX_CONDITION:
         raise ConditionRefused(f"a condition of more than {MAX_CONDITION} characters")
-    return _Parser(_tokens(text)).whole()
+    return _Parser(_tokens(text)).parse()
 
 
 def _tokens(text: str) -> list[Token]:
@@ -127,69 +127,69 @@ def _tokens(text: str) -> list[Token]:
 
 
 class _Parser:
-    """Recursive descent, one method per level of precedence, bounded in depth and nodes."""
+    """Recursive descent, one method per precedence level; depth and nodes are bounded."""
 
     def __init__(self, tokens: list[Token]) -> None:
         self._tokens = tokens
-        self._at = 0
+        self._position = 0
         self._nodes = 0
         self._depth = 0
 
-    def whole(self) -> Expression:
-        result = self._either()
+    def parse(self) -> Expression:
+        result = self._or()
         if self._next.kind != "end":
             raise self._unexpected()
         return result
 
     @property
     def _next(self) -> Token:
-        return self._tokens[self._at]
+        return self._tokens[self._position]
 
     def _unexpected(self) -> ConditionRefused:
         return ConditionRefused(f"unexpected {self._next.text!r} at character {self._next.at}")
 
-    def _take(self, *signs: str) -> str | None:
-        """The next sign (or `in`) if it is one of these."""
+    def _take(self, *operators: str) -> str | None:
+        """The next operator (or `in`) if it is one of these."""
         token = self._next
-        if token.text in signs and token.kind in ("sign", "word"):
-            self._at += 1
+        if token.text in operators and token.kind in ("operator", "identifier"):
+            self._position += 1
             return token.text
         return None
 
-    def _need(self, sign: str) -> None:
-        if self._take(sign) is None:
+    def _expect(self, operator: str) -> None:
+        if self._take(operator) is None:
             raise self._unexpected()
 
-    def _node(self, node: Expression) -> Expression:
+    def _counted(self, node: Expression) -> Expression:
         self._nodes += 1
         if self._nodes > MAX_NODES:
             raise ConditionRefused(f"a condition of more than {MAX_NODES} parts")
         return node
 
-    def _chain(self, operand: Callable[[], Expression], *signs: str) -> Expression:
+    def _chain(self, operand: Callable[[], Expression], *operators: str) -> Expression:
         left = operand()
-        while sign := self._take(*signs):
-            left = self._node(Binary(sign, left, operand()))
+        while operator := self._take(*operators):
+            left = self._counted(Binary(operator, left, operand()))
         return left
 
-    def _either(self) -> Expression:
+    def _or(self) -> Expression:
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise ConditionRefused(f"a condition nested deeper than {MAX_DEPTH}")
-        result = self._chain(self._both, "||")
+        result = self._chain(self._and, "||")
         self._depth -= 1
         return result
 
-    def _both(self) -> Expression:
+    def _and(self) -> Expression:
         return self._chain(self._relation, "&&")
 
     def _relation(self) -> Expression:
         left = self._sum()
         if self._take("in"):
-            self._need("[")
-            return self._node(Among(left, self._items("]")))
-        if sign := self._take(*COMPARISONS):
-            left = self._node(Binary(sign, left, self._sum()))
+            self._expect("[")
+            return self._counted(Membership(left, self._items("]")))
+        if operator := self._take(*COMPARISONS):
+            left = self._counted(Binary(operator, left, self._sum()))
         return left
 
     def _sum(self) -> Expression:
@@ -199,42 +199,42 @@ class _Parser:
         return self._chain(self._unary, "*")
 
     def _unary(self) -> Expression:
-        signs: list[str] = []
-        while sign := self._take("!", "-"):
-            signs.append(sign)
+        operators: list[str] = []
+        while operator := self._take("!", "-"):
+            operators.append(operator)
         result = self._member()
-        for sign in reversed(signs):
-            result = self._node(Unary(sign, result))
+        for operator in reversed(operators):
+            result = self._counted(Unary(operator, result))
         return result
 
     def _member(self) -> Expression:
         result = self._primary()
         while self._take("."):
-            name = self._word()
+            name = self._identifier()
             if self._take("("):
-                result = self._node(FunctionCall(result, name, self._items(")")))
+                result = self._counted(FunctionCall(result, name, self._items(")")))
             elif isinstance(result, Path):
                 result = Path((*result.names, name))
             else:
-                raise ConditionRefused(f"only msg has fields, not what is before .{name}")
+                raise ConditionRefused(f".{name}: only msg has fields")
         return result
 
-    def _word(self) -> str:
-        if self._next.kind != "word":
+    def _identifier(self) -> str:
+        if self._next.kind != "identifier":
             raise self._unexpected()
-        self._at += 1
-        return self._tokens[self._at - 1].text
+        self._position += 1
+        return self._tokens[self._position - 1].text
 
     def _primary(self) -> Expression:
         token = self._next
         if self._take("("):
-            inner = self._either()
-            self._need(")")
+            inner = self._or()
+            self._expect(")")
             return inner
-        if token.kind in ("sign", "end"):
+        if token.kind in ("operator", "end"):
             raise self._unexpected()
-        self._at += 1
-        return self._node(_literal(token) if token.kind != "word" else self._name(token))
+        self._position += 1
+        return self._counted(_literal(token) if token.kind != "identifier" else self._name(token))
 
     def _name(self, token: Token) -> Expression:
         if token.text in ("true", "false"):
@@ -247,15 +247,15 @@ class _Parser:
             return FunctionCall(None, token.text, self._items(")"))
         raise ConditionRefused(
             f"unknown name {token.text!r} at character {token.at}",
-            "there are msg, now, timestamp()",
+            "expected msg, now or timestamp()",
         )
 
     def _items(self, end: str) -> tuple[Expression, ...]:
         items: list[Expression] = []
         while not self._take(end):
             if items:
-                self._need(",")
-            items.append(self._either())
+                self._expect(",")
+            items.append(self._or())
         return tuple(items)
 
 

@@ -1,9 +1,9 @@
-"""Generated readers of serialized messages: positions, loops, and the rules of writing source.
+"""Generated readers of serialized messages: positions, loops, and safe construction of the source.
 
-Only what this module and its users make up enters the source: numbers, and names from a counter.
-Whatever came from outside (texts, parameters, functions) is bound in the namespace and appears
-under such a name; field names never appear at all. There are no builtins in the namespace but
-the ones listed here.
+The source contains only text made by this module and its users: numbers, and names from a counter.
+Values from outside (texts, parameters, functions) are bound in the namespace and referred to by
+such a name; field names never appear at all. The namespace has no builtins but the ones listed
+here.
 """
 
 import struct
@@ -19,8 +19,8 @@ Position: TypeAlias = tuple[str, int]  # a variable (or "" for none) and a const
 
 MAX_LOOPS: Final = 12  # Python itself allows 20 nested blocks
 
-# What a message of a wrong layout can make the generated code raise.
-MISFIT: Final = (struct.error, ValueError, IndexError, OverflowError)
+# What the generated code can raise for a message of another layout.
+LAYOUT_ERRORS: Final = (struct.error, ValueError, IndexError, OverflowError)
 
 
 class SourceWriter:
@@ -36,7 +36,7 @@ class SourceWriter:
         }
 
     def new(self, prefix: str) -> str:
-        """A name no other variable has."""
+        """A unique variable name."""
         self._count += 1
         return f"{prefix}{self._count}"
 
@@ -52,13 +52,13 @@ class SourceWriter:
         return len(self._lines) - 1
 
     def replace(self, number: int, text: str) -> None:
-        """Fill in a statement that had to wait for what comes after it."""
+        """Fill in a statement that depends on later ones."""
         line = self._lines[number]
         self._lines[number] = line[: len(line) - len(line.lstrip(" "))] + text
 
     @property
     def nested(self) -> bool:
-        """Whether the next statement stands inside a loop or a branch."""
+        """Whether the next statement is inside a loop or a branch."""
         return self._depth > 1
 
     @contextmanager
@@ -73,18 +73,18 @@ class SourceWriter:
 
     @property
     def text(self) -> str:
-        """All of it."""
+        """The whole source."""
         return "\n".join(self._lines) + "\n"
 
     def compile(self) -> Callable[..., Any]:
-        """The function."""
-        exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102 - only names and offsets made here
+        """The compiled function."""
+        exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102 - only names and offsets from here
         function: Callable[..., Any] = self._namespace["generated"]
         return function
 
 
 class Cursor:
-    """A position in the message `b` that moves over types, writing what is needed to know it.
+    """A position in the message `b` that moves over types, writing the code that computes it.
 
     A position only ever grows, and reading a length beyond the end raises `struct.error`; so
     loops end, and comparing the last position with the length of `b` checks all of them.
@@ -99,7 +99,7 @@ class Cursor:
         return expression(self.position, extra)
 
     def skip(self, kind: Type) -> None:
-        """Move behind one value of `kind`."""
+        """Move past one value of `kind`."""
         match kind:
             case Struct(size=None, fields=fields):
                 for _, member in fields:
@@ -120,13 +120,13 @@ class Cursor:
             self.skip(element)
 
     def jump(self, target: str) -> None:
-        """Go on at `target`, an expression."""
+        """Continue at `target`, an expression."""
         name = self.source.new("o")
         self.source.line(f"{name}={target}")
         self.position = (name, 0)
 
     def count(self, kind: Array) -> str:
-        """The number of elements as an expression; moves behind the count."""
+        """The number of elements as an expression; moves past the count."""
         if kind.length is not None:
             return str(kind.length)
         name = self.source.new("n")
@@ -136,7 +136,7 @@ class Cursor:
 
     @contextmanager
     def each(self, kind: Array) -> Iterator[None]:
-        """A loop over the elements; the cursor stands on the element inside, behind all after."""
+        """A loop over the elements; the cursor is at the element inside, past all of them after."""
         count = self.count(kind)
         with self.times(count, self.mark()):
             yield
@@ -166,7 +166,7 @@ def expression(position: Position, extra: int = 0) -> str:
     return f"{base}+{offset}" if offset else base
 
 
-def misfit(type_name: str) -> MessageRefused:
+def layout_mismatch(type_name: str) -> MessageRefused:
     """The refusal of a message that does not have the layout of its type."""
     return MessageRefused(
         f"a message that is not a {type_name}: truncated, too long or malformed",

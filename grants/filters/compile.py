@@ -1,8 +1,8 @@
-"""Field filters: rules and a layout in, a function on serialized messages out.
+"""Field filters: from rules and a layout to a function on serialized messages.
 
-The rules are matched against the layout here; what they do is in `grants.filters.operators`, how
-the bytes are rewritten in `grants.filters.message_rewriter`. A message is filtered without ever
-being deserialized, so no message classes are needed, and types never seen before can be filtered.
+The rules are matched against the layout here; the operators are in `grants.filters.operators`, the
+rewriting of bytes in `grants.filters.message_rewriter`. A message is filtered without being
+deserialized, so no message classes are needed, and previously unknown types can be filtered.
 """
 
 from collections.abc import Callable, Iterable
@@ -10,22 +10,22 @@ from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 from grants.errors import FilterRefused
-from grants.filters.codegen import MISFIT, Buffer, misfit
+from grants.filters.codegen import LAYOUT_ERRORS, Buffer, layout_mismatch
 from grants.filters.hashing import Keys
 from grants.filters.layout import Array, Layout, Struct, Type
 from grants.filters.message_rewriter import generate
-from grants.filters.operators import Treat, treatment
+from grants.filters.operators import TreatmentForType, treatment_for
 from grants.filters.treatments import (
     DESCEND,
-    Each,
-    Inside,
+    ArrayTreatment,
+    FieldTreatment,
+    HysteresisBinding,
     Keep,
     Node,
     Numbers,
-    Remembering,
+    SiblingTreatment,
     StructTreatment,
-    Treated,
-    remembers,
+    has_hysteresis,
 )
 from grants.memory import FieldKey, HysteresisState, Memory
 from grants.model import FilterRule
@@ -48,20 +48,20 @@ class Filter:
         """
         try:
             return self._rewrite(message if len(message) < _SMALL else memoryview(message))
-        except MISFIT:
-            raise misfit(self.type_name) from None
+        except LAYOUT_ERRORS:
+            raise layout_mismatch(self.type_name) from None
 
 
 def compile_filter(
     layout: Layout,
     rules: Iterable[FilterRule],
     keys: Keys | None = None,
-    cells: Callable[[FieldKey], HysteresisState] | None = None,
+    states: Callable[[FieldKey], HysteresisState] | None = None,
 ) -> Filter:
     """Compile `rules` (see `model.filter_rules`) for messages of `layout`.
 
-    `keys` by name are for `hash`; without them the rules are only checked, and what is hashed is
-    refused. `cells` finds what a field with hysteresis remembers; without it nothing was before.
+    `keys` by name are for `hash`; without them the rules are only checked, and a message to be
+    hashed is refused. `states` finds the state of a field with hysteresis; without it, it is new.
 
     Raises:
         FilterRefused: an unknown field or operator, a treatment that does not fit the field's
@@ -69,8 +69,8 @@ def compile_filter(
     """
     branch = _Branch({})
     for rule in rules:
-        _plant(branch, rule, treatment(rule, keys))
-    node = _bound(_resolve(layout.root, branch, ""), cells or Memory().hysteresis, ())
+        _insert(branch, rule, treatment_for(rule, keys))
+    node = _bind_hysteresis(_resolve(layout.root, branch, ""), states or Memory().hysteresis, ())
     return Filter(layout.type_name, generate(node))
 
 
@@ -78,10 +78,10 @@ def compile_filter(
 class _Branch:
     """Rules by field; a field written `name[*]` has its own entry."""
 
-    children: dict[str, "_Branch | Treat"]
+    children: dict[str, "_Branch | TreatmentForType"]
 
 
-def _plant(branch: _Branch, rule: FilterRule, treat: Treat) -> None:
+def _insert(branch: _Branch, rule: FilterRule, treat: TreatmentForType) -> None:
     *above, last = rule.path.split(".")
     for step in above:
         below = branch.children.setdefault(step, _Branch({}))
@@ -95,8 +95,8 @@ def _plant(branch: _Branch, rule: FilterRule, treat: Treat) -> None:
 
 def _overlap(path: str) -> FilterRefused:
     return FilterRefused(
-        f"{path} lies inside a field that has a filter, or the other way round",
-        "the order would decide: keep one of them",
+        f"{path} is inside a field that has a filter, or contains one",
+        "the order would matter: keep one of them",
     )
 
 
@@ -116,31 +116,36 @@ def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
             raise _overlap(path + step)
     parts = [_field(name, member, branch, path) for name, member in kind.fields]
     for (name, _), part in zip(kind.fields, parts, strict=True):
-        if isinstance(part, Treated) and isinstance(part.treatment, Inside):
-            _check_beside(kind, name, part.treatment, path)
+        if isinstance(part, FieldTreatment) and isinstance(part.treatment, SiblingTreatment):
+            _check_siblings(kind, name, part.treatment, path)
     return _parts(kind, parts)
 
 
-def _check_beside(kind: Struct, name: str, treatment: Inside, path: str) -> None:
-    """The field needs others of its message: they must be there, before it, of their types."""
+def _check_siblings(kind: Struct, name: str, treatment: SiblingTreatment, path: str) -> None:
+    """The field needs others of its message: they must precede it and have the right types."""
     before = [(field, member.name) for field, member in kind.fields]
     before = before[: before.index((name, dict(kind.fields)[name].name))]
-    if kind.name != treatment.message or not set(treatment.beside) <= set(before):
+    if kind.name != treatment.message or not set(treatment.siblings) <= set(before):
         raise FilterRefused(
-            f"{path}{name} of a {kind.name}: this needs the data of a {treatment.message}"
+            f"{path}{name} of a {kind.name}: the operator needs the data of a {treatment.message}"
         )
 
 
-def _bound(node: Node, cells: Callable[[FieldKey], HysteresisState], path: FieldKey) -> Node:
-    """Every field that remembers, with its cell; a field of another type has another."""
+def _bind_hysteresis(
+    node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey
+) -> Node:
+    """Bind every field with hysteresis to its state; a field of another type has another."""
     match node:
-        case Treated(kind, Numbers(remembering=Remembering(name, bind)) as numbers):
-            cell = cells((*path, kind.name, *name))
-            return Treated(kind, replace(numbers, scalar=bind(cell)))
+        case FieldTreatment(
+            kind, Numbers(hysteresis=HysteresisBinding(parameters, bind)) as numbers
+        ):
+            state = states((*path, kind.name, *parameters))
+            return FieldTreatment(kind, replace(numbers, scalar=bind(state)))
         case StructTreatment(kind, parts):
             fields = zip(kind.fields, parts, strict=True)
             return StructTreatment(
-                kind, tuple(_bound(part, cells, (*path, name)) for (name, _), part in fields)
+                kind,
+                tuple(_bind_hysteresis(part, states, (*path, name)) for (name, _), part in fields),
             )
         case _:
             return node
@@ -166,7 +171,7 @@ def _field(name: str, kind: Type, branch: _Branch, path: str) -> Node:
 _Memo: TypeAlias = dict[Type, Node]
 
 
-def _apply(treat: Treat, kind: Type, path: str, memo: _Memo) -> Node:
+def _apply(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
     """One treatment for everything in `kind`; equal types share it, so arrays can merge them."""
     if kind not in memo:
         try:
@@ -176,11 +181,11 @@ def _apply(treat: Treat, kind: Type, path: str, memo: _Memo) -> Node:
         if found == DESCEND:
             memo[kind] = _descend(treat, kind, path, memo)
         else:
-            memo[kind] = Treated(kind, found)
+            memo[kind] = FieldTreatment(kind, found)
     return memo[kind]
 
 
-def _descend(treat: Treat, kind: Type, path: str, memo: _Memo) -> Node:
+def _descend(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
     if isinstance(kind, Array):
         return _each(kind, _apply(treat, kind.element, path, memo))
     if isinstance(kind, Struct):
@@ -195,8 +200,11 @@ def _parts(kind: Struct, parts: list[Node]) -> Node:
 
 
 def _each(kind: Array, element: Node) -> Node:
-    if remembers(element):
+    if has_hysteresis(element):
         raise FilterRefused(
-            f"hysteresis does not go with {kind.name}", "elements of an array come and go"
+            f"hysteresis cannot be used on {kind.name}",
+            "array elements have no identity between messages",
         )
-    return Keep(kind) if isinstance(element, Keep) or kind.size == 0 else Each(kind, element)
+    return (
+        Keep(kind) if isinstance(element, Keep) or kind.size == 0 else ArrayTreatment(kind, element)
+    )

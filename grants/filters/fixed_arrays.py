@@ -1,7 +1,7 @@
-"""Arrays whose elements all have one size, treated column by column with numpy.
+"""Arrays of fixed-size elements, treated column by column with numpy.
 
-One copy of the elements is made, read as a table with the treated values as its columns;
-neighbouring values under one treatment are one column, so a thousand points cost three calls.
+One copy of the elements is made, read as a table with the treated values as its columns; adjacent
+values under one treatment are one column, so a thousand points cost three calls.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,14 @@ from typing import Any
 from grants.filters.codegen import Buffer
 from grants.filters.layout import Primitive
 from grants.filters.lazy_numpy import Vector, np
-from grants.filters.treatments import Constant, Each, Node, Numbers, StructTreatment, Treated
+from grants.filters.treatments import (
+    ArrayTreatment,
+    Constant,
+    FieldTreatment,
+    Node,
+    Numbers,
+    StructTreatment,
+)
 
 
 @dataclass(frozen=True)
@@ -23,14 +30,14 @@ class Column:
     count: int
     vector: Callable[[Vector], Vector]
 
-    def joins(self, other: "Column") -> bool:
-        """Whether `other` follows this column and is treated alike."""
+    def is_continued_by(self, other: "Column") -> bool:
+        """Whether `other` follows this column with the same treatment."""
         end = self.offset + self.count * np.dtype(self.code).itemsize
         return (end, self.code, self.vector) == (other.offset, other.code, other.vector)
 
 
 def columns(node: Node, offset: int) -> list[Column]:
-    """What is treated inside one fixed-size element that begins at `offset`."""
+    """The treated values of one fixed-size element that begins at `offset`."""
     match node:
         case StructTreatment(kind, parts):
             found = []
@@ -38,17 +45,17 @@ def columns(node: Node, offset: int) -> list[Column]:
                 found += columns(part, offset)
                 offset += member.size or 0
             return found
-        case Each(kind, element):
+        case ArrayTreatment(kind, element):
             size = kind.element.size or 0
             return [
                 column
                 for n in range(kind.length or 0)
                 for column in columns(element, offset + n * size)
             ]
-        case Treated(_, Constant(data)):
+        case FieldTreatment(_, Constant(data)):
             fill = np.frombuffer(data, np.uint8)
             return [Column(offset, "<u1", len(data), lambda _: fill)]
-        case Treated(Primitive(code=code), Numbers(vector=vector)):
+        case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
             return [Column(offset, f"<{code[0]}", len(code), vector)]
         case _:
             return []
@@ -57,7 +64,7 @@ def columns(node: Node, offset: int) -> list[Column]:
 def _merged(found: list[Column]) -> list[Column]:
     merged: list[Column] = []
     for column in found:
-        if merged and merged[-1].joins(column):
+        if merged and merged[-1].is_continued_by(column):
             last = merged.pop()
             column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901 - merged
         merged.append(column)
@@ -72,17 +79,17 @@ class Table:
     treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
 
     def apply(self, elements: Vector) -> None:
-        """Treat `elements` (of `dtype`) in place."""
+        """TreatmentForType `elements` (of `dtype`) in place."""
         for name, vector in self.treatments:
             elements[name] = vector(elements[name])
 
 
 def table(node: Node, size: int) -> Table:
-    """The table for elements that are `node`, each of `size` bytes."""
-    return table_of(columns(node, 0), size)
+    """The table for elements of `size` bytes with the treatments in `node`."""
+    return table_from_columns(columns(node, 0), size)
 
 
-def table_of(found: list[Column], size: int) -> Table:
+def table_from_columns(found: list[Column], size: int) -> Table:
     """The table with these columns."""
     merged = _merged(found)
     names = [f"f{n}" for n in range(len(merged))]
@@ -100,10 +107,10 @@ def table_of(found: list[Column], size: int) -> Table:
 def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buffer]:
     """Return a function of message, start and count of the elements, to the elements' new bytes.
 
-    It raises ValueError when the message is shorter than that.
+    It raises ValueError if the message is too short.
     """
     match element:
-        case Treated(Primitive(code=code), Numbers(vector=vector)):
+        case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
             return _numbers_rewriter(f"<{code[0]}", len(code), vector)
         case _:
             return _elements_rewriter(table(element, size))
@@ -112,7 +119,7 @@ def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buf
 def _numbers_rewriter(
     code: str, values: int, vector: Callable[[Vector], Vector]
 ) -> Callable[[Buffer, int, int], Buffer]:
-    """Nothing but numbers: no table is needed, nor a copy to change."""
+    """For arrays of numbers: without a table, and without a copy to change."""
 
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         if count == 0:
@@ -123,8 +130,8 @@ def _numbers_rewriter(
     return rewrite
 
 
-def _elements_rewriter(treated: Table) -> Callable[[Buffer, int, int], Buffer]:
-    size = treated.dtype.itemsize
+def _elements_rewriter(table: Table) -> Callable[[Buffer, int, int], Buffer]:
+    size = table.dtype.itemsize
 
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         end = start + count * size
@@ -133,7 +140,7 @@ def _elements_rewriter(treated: Table) -> Callable[[Buffer, int, int], Buffer]:
         if count == 0:
             return b""
         copy = bytearray(message[start:end])
-        treated.apply(np.frombuffer(copy, treated.dtype))
+        table.apply(np.frombuffer(copy, table.dtype))
         return copy
 
     return rewrite

@@ -1,8 +1,8 @@
 """Pseudonyms: HMAC-SHA-256 of a text under a named key, shortened.
 
-The same text under the same key has the same pseudonym, so whoever gets two topics hashed with
-one key can link them; another key name breaks the link. Without the key a pseudonym can be
-neither undone nor tried out on guesses. Keys stay with the publisher.
+The same text under the same key has the same pseudonym, so a receiver of two topics hashed with
+one key can link them; different keys prevent that. Without the key a pseudonym can be neither
+reversed nor compared with guesses. Keys stay with the publisher.
 """
 
 import hmac
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from grants.errors import FilterRefused
 from grants.model import FilterRule
 
-if TYPE_CHECKING:  # a node's home needs no compiler
+if TYPE_CHECKING:  # a node's home does not load the compiler
     from grants.filters.codegen import Buffer
 
 Keys: TypeAlias = Mapping[str, bytes]
@@ -24,14 +24,14 @@ _KEY_NAME: Final = re.compile(r"[a-z][a-z0-9_-]{0,31}", re.ASCII)
 
 
 def check_key_name(name: object) -> str:
-    """Return `name` if it is one of a filter key: it may become the name of a file.
+    """Return `name` if it is a valid name of a filter key: it may become a file name.
 
     Raises:
         FilterRefused: not 1 to 32 lower case letters, digits, `-` and `_`, a letter first.
     """
     if not isinstance(name, str) or _KEY_NAME.fullmatch(name) is None:
         raise FilterRefused(
-            f"not the name of a key: {str(name)[:40]!r}", "for example {hash: {key: ward}}"
+            f"not a key name: {str(name)[:40]!r}", "for example {hash: {key: ward}}"
         )
     return name
 
@@ -69,4 +69,4 @@ def pseudonyms(
 
 
 def _no_key(_: "Buffer") -> "tuple[Buffer, int]":
-    raise ValueError  # of `codegen.MISFIT`: the message is refused
+    raise ValueError  # of `codegen.LAYOUT_ERRORS`: the message is refused

@@ -2,10 +2,9 @@
 
 The text is the `message_definition` field of a TCPROS connection header: the definition, then
 each definition it needs after a line of 80 `=` and `MSG: package/Type`. It may come from a peer,
-so every size is bounded before it is used. `Layout.md5` is computed as genmsg does
-(`genmsg/gentools.py`, `compute_md5_text`), which forgets array brackets behind the name of a
-message type: an md5 proves the layout only where `Layout.is_proven` says so. `Layout.digest` is
-over all of it.
+so every size is checked before it is used. `Layout.md5` is computed as in genmsg
+(`genmsg/gentools.py`, `compute_md5_text`), which omits array brackets after the name of a message
+type: an md5 proves the layout only if `Layout.is_proven`. `Layout.digest` covers all of it.
 """
 
 import hashlib
@@ -18,7 +17,7 @@ from grants.errors import DefinitionRefused
 
 MAX_TEXT: Final = 256 * 1024  # characters; the largest definition in Debian has 13,000
 MAX_DEPTH: Final = 32
-MAX_FIELDS: Final = 4096  # after all nested messages are written out
+MAX_FIELDS: Final = 4096  # with all nested messages expanded
 MAX_FIXED: Final = 16 * 1024 * 1024  # bytes of a fixed-size part
 
 SEPARATOR: Final = "=" * 80
@@ -63,7 +62,7 @@ class Array:
     def size(self) -> int | None:
         """Bytes on the wire when always the same, else None."""
         if self.length == 0:
-            # Whatever the elements: a loop over many of these would read nothing and never fail.
+            # For any element type: a loop over many of these would read nothing and never fail.
             return 0
         if self.length is None or self.element.size is None:
             return None
@@ -88,7 +87,7 @@ class Struct:
         return total
 
     def explain_missing(self, name: str) -> str:
-        """One line for a field that is not there."""
+        """One line for a missing field."""
         has = ", ".join(known for known, _ in self.fields) or "no fields"
         return f"no field {name!r} in {self.name} (has {has})"
 
@@ -113,20 +112,20 @@ _CONSTANT_TYPES: Final = _BUILT_IN.keys() - {"time", "duration"}
 class Layout:
     """The layout of one message type: `md5` is ROS's checksum of the definition.
 
-    `checked` is the text that checksum is over: constants and fields, in genmsg's form. `digest`
+    `md5_text` is the text the checksum covers: constants and fields, in genmsg's form. `digest`
     (SHA-256, 32 bytes) is equal for layouts with the same fields at the same places.
     """
 
     type_name: str
     md5: str
     root: Struct
-    checked: str
+    md5_text: str
     digest: bytes
 
     @property
     def is_proven(self) -> bool:
-        """Whether the md5 proves where every field is: none of them is made of messages."""
-        return not any(_made_of_messages(kind) for _, kind in self.root.fields)
+        """Whether the md5 proves the position of every field: no field has a message type."""
+        return not any(_contains_messages(kind) for _, kind in self.root.fields)
 
 
 def parse(type_name: str, definition: str) -> Layout:
@@ -142,17 +141,17 @@ def parse(type_name: str, definition: str) -> Layout:
     if TYPE_NAME.fullmatch(type_name) is None:
         raise DefinitionRefused(f"not a message type: {type_name[:80]!r}", "package/Type")
     if any("\ud800" <= character <= "\udfff" for character in definition):
-        raise DefinitionRefused("a definition that is not text: it has lone surrogates")
+        raise DefinitionRefused("a definition with lone surrogates")
     built = _Builder(_sections(type_name, definition)).build(type_name, ())
-    return Layout(type_name, built.md5, built.struct, built.checked, built.digest)
+    return Layout(type_name, built.md5, built.struct, built.md5_text, built.digest)
 
 
-def _made_of_messages(kind: Type) -> bool:
+def _contains_messages(kind: Type) -> bool:
     return isinstance(kind.element if isinstance(kind, Array) else kind, Struct)
 
 
 def dependencies(type_name: str, definition: str) -> frozenset[str]:
-    """The message types that the fields of one definition (a .msg file) are made of.
+    """The message types that the fields of one definition (a .msg file) use.
 
     Raises:
         DefinitionRefused: malformed.
@@ -165,8 +164,8 @@ def dependencies(type_name: str, definition: str) -> frozenset[str]:
 
 
 def service_md5(request: Layout, response: Layout) -> str:
-    """ROS's checksum of a service: over both parts, joined by nothing (genmsg, `_compute_hash`)."""
-    return _md5(request.checked + response.checked)
+    """ROS's checksum of a service: over both parts, concatenated (genmsg, `_compute_hash`)."""
+    return _md5(request.md5_text + response.md5_text)
 
 
 def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
@@ -180,7 +179,7 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
             continue
         name = _section_name(next(lines, ""))
         if name in sections:
-            # The last would win in genpy, the first elsewhere: two readers, two layouts.
+            # genpy would use the last, others the first: two layouts for one text.
             raise DefinitionRefused(f"{name} is defined twice")
         current = sections[name] = []
     return sections
@@ -196,7 +195,7 @@ def _section_name(line: str) -> str:
 @dataclass(frozen=True)
 class _Built:
     struct: Struct
-    checked: str
+    md5_text: str
     md5: str
     leaves: int
     digest: bytes
@@ -204,56 +203,56 @@ class _Built:
 
 @dataclass
 class _Builder:
-    """Builds each message type once, however often it is used (2^20 fields cost 20 steps)."""
+    """Builds each message type once, even if used often (2^20 fields cost 20 steps)."""
 
     sections: dict[str, list[str]]
-    done: dict[str, _Built] = field(default_factory=dict)
+    built: dict[str, _Built] = field(default_factory=dict)
 
-    def build(self, name: str, above: tuple[str, ...]) -> _Built:
-        if name not in self.done:
-            self.done[name] = self._build(name, above)
-        return self.done[name]
+    def build(self, name: str, parents: tuple[str, ...]) -> _Built:
+        if name not in self.built:
+            self.built[name] = self._build(name, parents)
+        return self.built[name]
 
-    def _build(self, name: str, above: tuple[str, ...]) -> _Built:
+    def _build(self, name: str, parents: tuple[str, ...]) -> _Built:
         if name not in self.sections:
             raise DefinitionRefused(f"the definition of {name} is missing")
-        if name in above or len(above) >= MAX_DEPTH:
+        if name in parents or len(parents) >= MAX_DEPTH:
             raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
         constants, declared = _statements(name, self.sections[name])
         fields: list[tuple[str, Type]] = []
         lines: list[str] = []
-        whole = hashlib.sha256(name.encode())
+        full_digest = hashlib.sha256(name.encode())
         leaves = 0
         for field_name, text in declared.items():
-            kind, digest, count = self._resolve(name, text, (*above, name))
+            kind, digest, count = self._resolve(name, text, (*parents, name))
             fields.append((field_name, kind))
             lines.append(f"{digest} {field_name}")
-            whole.update(f"\n{self._whole(kind)} {field_name}".encode())
+            full_digest.update(f"\n{self._full_type(kind)} {field_name}".encode())
             leaves += count
             if leaves > MAX_FIELDS:
                 raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
-        checked = "\n".join(constants + lines).strip()
+        md5_text = "\n".join(constants + lines).strip()
         struct = _bounded(Struct(name, tuple(fields)))
-        return _Built(struct, checked, _md5(checked), leaves, whole.digest())
+        return _Built(struct, md5_text, _md5(md5_text), leaves, full_digest.digest())
 
-    def _whole(self, kind: Type) -> str:
-        """The type of a field with all that is below it, in one word."""
+    def _full_type(self, kind: Type) -> str:
+        """The type of a field with all nested types, as one string."""
         match kind:
             case Array(element, length):
-                return f"{self._whole(element)}[{'' if length is None else length}]"
+                return f"{self._full_type(element)}[{'' if length is None else length}]"
             case Struct(name):
-                return f"{name}:{self.done[name].digest.hex()}"
+                return f"{name}:{self.built[name].digest.hex()}"
             case _:
                 return kind.name
 
-    def _resolve(self, inside: str, text: str, above: tuple[str, ...]) -> tuple[Type, str, int]:
-        """The type `text` means inside a message, what it adds to the checksum, and its leaves."""
+    def _resolve(self, inside: str, text: str, parents: tuple[str, ...]) -> tuple[Type, str, int]:
+        """The type named by `text` in a message, its part of the checksum, and its leaf count."""
         base, length = _base(inside, text)
         digest, leaves = text, 1
         if base in _BUILT_IN:
             kind = _BUILT_IN[base]
         else:
-            built = self.build(_full_name(inside, base, text), above)
+            built = self.build(_full_name(inside, base, text), parents)
             kind, digest, leaves = built.struct, built.md5, built.leaves + 1
         if length is not None:
             kind = _bounded(Array(kind, int(length) if length else None))
@@ -261,7 +260,7 @@ class _Builder:
 
 
 def _base(inside: str, text: str) -> tuple[str, str | None]:
-    """A field's type without brackets, and what stands in them; None: there are none."""
+    """A field's type without brackets, and their content; None without brackets."""
     matched = _FIELD_TYPE.fullmatch(text)
     if matched is None:
         raise DefinitionRefused(f"not a field type in {inside}: {text[:80]!r}")
@@ -271,13 +270,13 @@ def _base(inside: str, text: str) -> tuple[str, str | None]:
 def _full_name(inside: str, base: str, text: str) -> str:
     if "/" in base:
         return base
-    if text == "Header":  # only so, not as an array: genmsg's `_load_field_line`
+    if text == "Header":  # not as an array, as in genmsg's `_load_field_line`
         return "std_msgs/Header"
     return f"{inside.split('/', maxsplit=1)[0]}/{base}"
 
 
 def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]:
-    """The constants as the checksum wants them, and the fields: type by name."""
+    """The constants in the form of the checksum, and the fields: type by name."""
     constants: list[str] = []
     fields: dict[str, str] = {}
     for line in lines:

@@ -1,6 +1,6 @@
-"""numpy, imported when the first array is treated: a process that filters none need not hold it.
+"""numpy, imported when the first array is treated: a process that filters none need not load it.
 
-It takes a third of a sidecar's memory. Names are looked up once and kept.
+It takes a third of a sidecar's memory. Attributes are looked up once and cached.
 """
 
 from importlib import import_module
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 __all__ = ["Vector", "np"]
 
 
-class _Late:
-    """Stands for numpy until somebody asks it for something."""
+class _LazyNumpy:
+    """Imports numpy on the first access to an attribute."""
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(import_module("numpy"), name)
@@ -24,5 +24,5 @@ if TYPE_CHECKING:
 
     Vector: TypeAlias = npt.NDArray[Any]
 else:
-    np = _Late()
+    np = _LazyNumpy()
     Vector = Any

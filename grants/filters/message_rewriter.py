@@ -1,9 +1,9 @@
-"""From a treated layout to a function on bytes: what is kept is sliced, what is treated is made.
+"""From a treated layout to a function on bytes: kept parts are sliced, treated parts are computed.
 
 The generated function returns the pieces of the new message in order, for scatter-gather
-sending: kept parts are slices of the message (an image is never copied), neighbouring treated
+sending: kept parts are slices of the message (an image is never copied), adjacent treated
 numbers go through one `struct` call, arrays of numbers and arrays of fixed-size messages through
-numpy. It raises one of `codegen.MISFIT` when the message does not have the layout.
+numpy. It raises one of `codegen.LAYOUT_ERRORS` if the message does not have the layout.
 """
 
 import struct
@@ -15,21 +15,21 @@ from grants.filters.codegen import Buffer, Cursor, Position, SourceWriter, expre
 from grants.filters.fixed_arrays import table_rewriter
 from grants.filters.layout import Array, Primitive, Struct, Type
 from grants.filters.treatments import (
+    ArrayTreatment,
     Constant,
     ContentTreatment,
-    Each,
-    Inside,
+    FieldTreatment,
     Keep,
     Node,
     Numbers,
+    SiblingTreatment,
     StructTreatment,
-    Treated,
 )
-from grants.filters.variable_arrays import ArrayCollector, gathers
+from grants.filters.variable_arrays import ArrayCollector, preserves_sizes
 
 MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
-_GATHER: Final = 24  # from so many elements on, numpy's fixed costs pay
+_MIN_COLLECTED: Final = 24  # elements from which numpy is faster
 
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
@@ -38,21 +38,21 @@ def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
     writer = _Writer(source)
     writer.write(node)
     pieces = writer.finish()
-    # Only a loop can make many pieces; beyond some of them a copy is cheaper than a long list.
+    # Only a loop can make many pieces; a copy is then cheaper than a long list.
     many = len(pieces) > MAX_PIECES or any(piece.startswith("*") for piece in pieces)
-    made = f"[{','.join(pieces)}]"
+    result = f"[{','.join(pieces)}]"
     source.line(f"if len(b)!={writer.at()}: raise ValueError")
-    source.line(f"return {source.bind(_few)}({made})" if many else f"return {made}")
+    source.line(f"return {source.bind(_limit_pieces)}({result})" if many else f"return {result}")
     return source.compile()
 
 
-def _few(pieces: list[Buffer]) -> list[Buffer]:
+def _limit_pieces(pieces: list[Buffer]) -> list[Buffer]:
     return pieces if len(pieces) <= MAX_PIECES else [b"".join(pieces)]
 
 
 @dataclass
 class _Run:
-    """Treated values side by side: one unpack, one pack."""
+    """Adjacent treated values: one unpack, one pack."""
 
     start: Position
     end: Position
@@ -60,11 +60,11 @@ class _Run:
 
 
 class _Writer(Cursor):
-    """A cursor that collects pieces; `_kept` is where the part not yet collected begins."""
+    """A cursor that collects pieces of the message, which are complete up to `_copied`."""
 
     def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
-        self._kept: Position = ("", 0)
+        self._copied: Position = ("", 0)
         self._run: _Run | None = None
         self._pieces: list[str] = []
 
@@ -74,19 +74,19 @@ class _Writer(Cursor):
                 self.skip(kind)
             case StructTreatment(kind, parts):
                 self._parts(kind, parts)
-            case Each(kind, element):
+            case ArrayTreatment(kind, element):
                 self._array(kind, element)
             case _:
                 self._treated(node.kind, node.treatment)
 
     def _parts(self, kind: Struct, parts: tuple[Node, ...]) -> None:
-        needed = {name for part in parts for name in _beside(part)}
+        needed = {name for part in parts for name in _siblings(part)}
         values: dict[str, str] = {}
         for (name, member), part in zip(kind.fields, parts, strict=True):
             start = self.position
             match part:
-                case Treated(_, Inside(beside=beside, rewrite=rewrite)):
-                    self._body(member, rewrite, [values[other] for other, _ in beside])
+                case FieldTreatment(_, SiblingTreatment(siblings=siblings, rewrite=rewrite)):
+                    self._content(member, rewrite, [values[other] for other, _ in siblings])
                 case _:
                     self.write(part)
             if name in needed:
@@ -106,12 +106,12 @@ class _Writer(Cursor):
         """All pieces as expressions, the rest of the message last."""
         self._flush()
         pieces, self._pieces = self._pieces, []
-        if self._kept != self.position or not pieces:
-            pieces.append(f"b[{expression(self._kept)}:]")
+        if self._copied != self.position or not pieces:
+            pieces.append(f"b[{expression(self._copied)}:]")
         return pieces
 
     def _treated(
-        self, kind: Type, treatment: Constant | Numbers | ContentTreatment | Inside
+        self, kind: Type, treatment: Constant | Numbers | ContentTreatment | SiblingTreatment
     ) -> None:
         match treatment:
             case Constant(data):
@@ -122,27 +122,27 @@ class _Writer(Cursor):
             case Numbers():
                 assert isinstance(kind, Primitive)  # noqa: S101 - for the type checker
                 self._extend(kind, (kind, treatment))
-            case _:  # `Inside` is never met outside of its message
-                self._body(kind, treatment.rewrite, [])
+            case _:  # `SiblingTreatment` is handled in `_parts`
+                self._content(kind, treatment.rewrite, [])
 
     def _replace(self, kind: Type, *pieces: str) -> None:
-        """Other pieces in place of one value of `kind`."""
+        """Replace one value of `kind` by these pieces."""
         self._flush()
         self.skip(kind)
         self._pieces.extend(pieces)
-        self._kept = self.position
+        self._copied = self.position
 
-    def _body(
-        self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], beside: list[str]
+    def _content(
+        self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], siblings: list[str]
     ) -> None:
         start = self.position
         self._flush()
         self.skip(kind)
         head, body = self.source.new("h"), self.source.new("c")
-        content = ",".join([f"b[{expression(start, 4)}:{self.at()}]", *beside])
+        content = ",".join([f"b[{expression(start, 4)}:{self.at()}]", *siblings])
         self.source.line(f"{head},{body}={self.source.bind(_prefixed(rewrite))}({content})")
         self._pieces += [head, body]
-        self._kept = self.position
+        self._copied = self.position
 
     def _extend(self, kind: Type, item: tuple[Primitive, Numbers] | bytes) -> None:
         """Add a fixed-size value to the run, or begin one."""
@@ -154,14 +154,14 @@ class _Writer(Cursor):
         self._run.end = self.position
 
     def _flush(self) -> None:
-        """Collect everything before the current position."""
+        """Collect everything up to the current position."""
         self._close()
         self._keep_until(self.position)
 
     def _keep_until(self, end: Position) -> None:
-        if self._kept != end:
-            self._pieces.append(f"b[{expression(self._kept)}:{expression(end)}]")
-            self._kept = end
+        if self._copied != end:
+            self._pieces.append(f"b[{expression(self._copied)}:{expression(end)}]")
+            self._copied = end
 
     def _close(self) -> None:
         """Write the run as one piece."""
@@ -170,7 +170,7 @@ class _Writer(Cursor):
         run, self._run = self._run, None
         self._keep_until(run.start)
         self._pieces.append(self._packed(run))
-        self._kept = run.end
+        self._copied = run.end
 
     def _packed(self, run: _Run) -> str:
         unpack, pack, values, results = "<", "<", [], []
@@ -211,38 +211,38 @@ class _Writer(Cursor):
         name = self.source.new("t")
         self.source.line(f"{name}={table}(b,{expression(start)},{count})")
         self._pieces.append(name)
-        self._kept = self.position
+        self._copied = self.position
 
     def _loop(self, kind: Array, element: Node) -> None:
-        """One element after another; what is kept may reach from one into the next."""
+        """One element after another; a kept part may extend into the next element."""
         self._close()
         pieces, kept = self.source.new("l"), self.source.new("s")
         self.source.line(f"{pieces}=[]")
-        self.source.line(f"{kept}={expression(self._kept)}")
+        self.source.line(f"{kept}={expression(self._copied)}")
         outer, self._pieces = self._pieces, []
-        gather = not self.source.nested and gathers(element)
+        collect = not self.source.nested and preserves_sizes(element)
         count = self.count(kind)
         mark = self.mark()
-        if gather:
-            with self.source.block(f"if {count}<{_GATHER}"):
+        if collect:
+            with self.source.block(f"if {count}<{_MIN_COLLECTED}"):
                 self._one_by_one(element, count, mark, pieces, kept)
             with self.source.block("else"):
-                self._gathered(element, count, mark, pieces, kept)
+                self._collected(element, count, mark, pieces, kept)
         else:
             self._one_by_one(element, count, mark, pieces, kept)
-        self._pieces, self._kept = [*outer, f"*{pieces}"], (kept, 0)
+        self._pieces, self._copied = [*outer, f"*{pieces}"], (kept, 0)
 
     def _one_by_one(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
-        self._kept = (kept, 0)
+        self._copied = (kept, 0)
         with self.times(count, mark):
             self.write(element)
             self._close()
             self.source.line(f"{pieces}+=[{','.join(self._pieces)}]")
-            self.source.line(f"{kept}={expression(self._kept)}")
+            self.source.line(f"{kept}={expression(self._copied)}")
             self._pieces = []
 
-    def _gathered(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
-        """Only find the places in the loop; numpy treats all of them in one copy after it."""
+    def _collected(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
+        """Only collect the positions in the loop; numpy then treats all of them in one copy."""
         collector = ArrayCollector(self.source)
         collector.position = (mark, 0)
         with collector.times(count, mark):
@@ -252,11 +252,11 @@ class _Writer(Cursor):
         self.position = (mark, 0)
 
 
-def _beside(node: Node) -> tuple[str, ...]:
-    """The fields that must be known to treat `node`."""
+def _siblings(node: Node) -> tuple[str, ...]:
+    """The fields whose values the treatment of `node` needs."""
     match node:
-        case Treated(_, Inside(beside=beside)):
-            return tuple(name for name, _ in beside)
+        case FieldTreatment(_, SiblingTreatment(siblings=siblings)):
+            return tuple(name for name, _ in siblings)
         case _:
             return ()
 

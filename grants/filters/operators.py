@@ -1,9 +1,9 @@
-"""What a filter can do to a field: one entry in `OPERATORS` each.
+"""The operators of filters: one entry in `OPERATORS` each.
 
 An operator reads its named parameters and returns a function from the type of a field to a
 treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
-operator that does not know a type passes the treatment down (`DESCEND`): a message's fields, an
-array's elements. None of this is source text: generated code only *calls* what is here.
+operator that does not treat a type itself returns `DESCEND`, and is then applied to a message's
+fields or an array's elements. Nothing here is source text: generated code only *calls* it.
 """
 
 import difflib
@@ -18,27 +18,27 @@ from grants.filters.codegen import Buffer
 from grants.filters.hashing import DEFAULT_LENGTH, Keys, pseudonyms
 from grants.filters.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
 from grants.filters.lazy_numpy import Vector, np
-from grants.filters.pictures import BESIDE, MAX_SIDE, pixelation
-from grants.filters.rounding import hold, round_floats, round_integers, round_times
+from grants.filters.pictures import MAX_SIDE, SIBLINGS, pixelation
+from grants.filters.rounding import round_floats, round_integers, round_times, with_hysteresis
 from grants.filters.treatments import (
     DESCEND,
     Constant,
     ContentTreatment,
-    Inside,
+    HysteresisBinding,
     Numbers,
-    Remembering,
+    SiblingTreatment,
     Treatment,
 )
 from grants.model import FilterRule, Scalar
 
-Treat: TypeAlias = Callable[[Type], Treatment]
+TreatmentForType: TypeAlias = Callable[[Type], Treatment]
 Parameters: TypeAlias = dict[str, Scalar]
 
 _EMPTY: Final = Constant(bytes(4))
 _INTEGERS: Final = frozenset("bBhHiIqQ")
 
 
-def _clear(parameters: Parameters) -> Treat:
+def _clear(parameters: Parameters) -> TreatmentForType:
     """The zero value: 0, false, "", no elements; a fixed array keeps its length."""
     _expect(parameters)
     return _zero_value
@@ -51,7 +51,7 @@ def _zero_value(kind: Type) -> Treatment:
     return _EMPTY if variable else DESCEND
 
 
-def _drop(parameters: Parameters) -> Treat:
+def _drop(parameters: Parameters) -> TreatmentForType:
     """No elements."""
     _expect(parameters)
 
@@ -63,7 +63,7 @@ def _drop(parameters: Parameters) -> Treat:
     return treat
 
 
-def _zero(parameters: Parameters) -> Treat:
+def _zero(parameters: Parameters) -> TreatmentForType:
     """Zeros in place of the elements; the length stays, so images remain consistent."""
     _expect(parameters)
 
@@ -80,10 +80,10 @@ def _zero(parameters: Parameters) -> Treat:
     return treat
 
 
-def _round(parameters: Parameters) -> Treat:
+def _round(parameters: Parameters) -> TreatmentForType:
     """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass.
 
-    With `hysteresis` a value stays in its cell until it is that far beyond the border.
+    With `hysteresis` a value keeps its cell until it is that far beyond the border.
     """
     step = _number(parameters, "step")
     hysteresis = _number(parameters, "hysteresis") if "hysteresis" in parameters else None
@@ -101,8 +101,8 @@ def _round(parameters: Parameters) -> Treat:
             return found
         if len(kind.code if isinstance(kind, Primitive) else "") > 1:
             raise FilterRefused(f"hysteresis needs numbers, not {kind.name}")
-        holding = hold(found.scalar, step, hysteresis)
-        return replace(found, remembering=Remembering((step, hysteresis), holding))
+        binding = with_hysteresis(found.scalar, step, hysteresis)
+        return replace(found, hysteresis=HysteresisBinding((step, hysteresis), binding))
 
     return treat
 
@@ -117,7 +117,7 @@ def _rounding(kind: Primitive | Text, step: float) -> Numbers:
     return Numbers(*round_floats(kind, step))
 
 
-def _clamp(parameters: Parameters) -> Treat:
+def _clamp(parameters: Parameters) -> TreatmentForType:
     """Into [low, high]; NaN becomes low."""
     low, high = _number(parameters, "low"), _number(parameters, "high")
     _expect(parameters, "low", "high")
@@ -138,7 +138,7 @@ def _clamp(parameters: Parameters) -> Treat:
 
 def _clamping(low: float, high: float) -> Numbers:
     def scalar(value: float) -> float:
-        # Asked this way round NaN becomes `low`.
+        # Compared in this order NaN becomes `low`.
         return min(value, high) if value >= low else low
 
     def vector(values: Vector) -> Vector:
@@ -147,14 +147,14 @@ def _clamping(low: float, high: float) -> Numbers:
     return Numbers(scalar, vector)
 
 
-def _set(parameters: Parameters) -> Treat:
-    """This value instead."""
+def _set(parameters: Parameters) -> TreatmentForType:
+    """Replace the value by this one."""
     value = parameters.get("value")
     _expect(parameters, "value")
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text) and isinstance(value, str):
-            return Constant(_text(value))
+            return Constant(_serialized_text(value))
         if isinstance(kind, Primitive) and len(kind.code) == 1:
             return Constant(_pack(kind, value, "set"))
         raise FilterRefused(f"set cannot put {value!r} into {kind.name}")
@@ -162,8 +162,8 @@ def _set(parameters: Parameters) -> Treat:
     return treat
 
 
-def _redact(parameters: Parameters) -> Treat:
-    """This text instead of any text."""
+def _redact(parameters: Parameters) -> TreatmentForType:
+    """Replace any text by this one."""
     text = parameters.get("text")
     _expect(parameters, "text")
     if not isinstance(text, str):
@@ -171,18 +171,18 @@ def _redact(parameters: Parameters) -> Treat:
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):
-            return Constant(_text(text))
+            return Constant(_serialized_text(text))
         raise FilterRefused(f"redact needs a string, not {kind.name}")
 
     return treat
 
 
-def _truncate(parameters: Parameters) -> Treat:
+def _truncate(parameters: Parameters) -> TreatmentForType:
     """At most `length` characters of a string or elements of an array."""
     length = _number(parameters, "length")
     _expect(parameters, "length")
     if not isinstance(length, int) or not 0 <= length < 1 << 32:
-        raise FilterRefused("truncate needs a whole, not negative length")
+        raise FilterRefused("truncate needs a non-negative whole length")
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):
@@ -205,16 +205,16 @@ def _first_elements(content: Buffer, length: int, size: int) -> tuple[Buffer, in
     return kept, len(kept) // size
 
 
-_Operator: TypeAlias = Callable[[Parameters, Keys | None], Treat]
+_Operator: TypeAlias = Callable[[Parameters, Keys | None], TreatmentForType]
 
 
-def _keyless(operator: Callable[[Parameters], Treat]) -> _Operator:
+def _keyless(operator: Callable[[Parameters], TreatmentForType]) -> _Operator:
     return lambda parameters, _: operator(parameters)
 
 
-def _hash(parameters: Parameters, keys: Keys | None) -> Treat:
-    """A pseudonym instead of a text: the same for the same text and key (`filters.hashing`)."""
-    length = _whole(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
+def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
+    """Replace a text by a pseudonym, equal for equal text and key (`filters.hashing`)."""
+    length = _integer(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
     _expect(parameters, "key", *(["length"] if "length" in parameters else []))
     pseudonym = ContentTreatment(pseudonyms(parameters["key"], length, keys))
 
@@ -231,11 +231,11 @@ def _hash(parameters: Parameters, keys: Keys | None) -> Treat:
 _REGION: Final = ("x", "y", "width", "height")
 
 
-def _pixelate(parameters: Parameters) -> Treat:
-    """Squares of `block` pixels instead of a picture, or of a region of it; see `pictures`."""
+def _pixelate(parameters: Parameters) -> TreatmentForType:
+    """Replace a picture, or a region of it, by squares of `block` pixels; see `pictures`."""
     names = _REGION if parameters.keys() & set(_REGION) else ()
-    block = _whole(parameters, "block", MAX_SIDE)
-    region = tuple(_whole(parameters, name, MAX_SIDE, least=0) for name in names)
+    block = _integer(parameters, "block", MAX_SIDE)
+    region = tuple(_integer(parameters, name, MAX_SIDE, minimum=0) for name in names)
     _expect(parameters, "block", *names)
     if block < 2:
         raise FilterRefused("pixelate needs a block of at least 2 pixels")
@@ -243,7 +243,7 @@ def _pixelate(parameters: Parameters) -> Treat:
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Array) and kind.name == "uint8[]":
-            return Inside("sensor_msgs/Image", BESIDE, rewrite)
+            return SiblingTreatment("sensor_msgs/Image", SIBLINGS, rewrite)
         raise FilterRefused(f"pixelate needs the data of a sensor_msgs/Image, not {kind.name}")
 
     return treat
@@ -263,21 +263,20 @@ OPERATORS: Final[dict[str, _Operator]] = {
 }
 
 
-def treatment(rule: FilterRule, keys: Keys | None = None) -> Treat:
+def treatment_for(rule: FilterRule, keys: Keys | None = None) -> TreatmentForType:
     """The function from field type to treatment that `rule` names.
 
     Args:
         rule: the rule.
-        keys: by name, for `hash`. None only checks the rule: what is hashed is then refused.
+        keys: by name, for `hash`. None: only check the rule; messages to be hashed are refused.
 
     Raises:
-        FilterRefused: unknown operator, parameters that are not exactly the operator's, or a
-            key that is not among `keys`. The returned function raises it for a type the
-            operator cannot treat.
+        FilterRefused: unknown operator, other parameters than the operator's, or a key that is
+            not in `keys`. The returned function raises it for a type the operator cannot treat.
     """
     if rule.operator not in OPERATORS:
-        near = difflib.get_close_matches(rule.operator, OPERATORS, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(OPERATORS)}"
+        close = difflib.get_close_matches(rule.operator, OPERATORS, 1)
+        hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(OPERATORS)}"
         raise FilterRefused(f"{rule.path}: unknown operator {rule.operator[:40]!r}", hint)
     try:
         return OPERATORS[rule.operator](dict(rule.parameters), keys)
@@ -302,23 +301,23 @@ def _number(parameters: Parameters, name: str) -> float:
     return value
 
 
-def _whole(parameters: Parameters, name: str, most: int, least: int = 1) -> int:
+def _integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -> int:
     value = parameters.get(name)
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise FilterRefused(f"{name} must be a whole number from {least} to {most}")
+    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+        raise FilterRefused(f"{name} must be a whole number from {minimum} to {maximum}")
     return value
 
 
 def _pack(kind: Primitive, value: Scalar | None, operator: str) -> bytes:
-    whole = isinstance(value, bool) if kind is PRIMITIVES["bool"] else not isinstance(value, bool)
+    fits = isinstance(value, bool) if kind is PRIMITIVES["bool"] else not isinstance(value, bool)
     try:
-        if whole and (kind.code not in _INTEGERS or isinstance(value, int)):
+        if fits and (kind.code not in _INTEGERS or isinstance(value, int)):
             return struct.pack(f"<{kind.code}", value)
     except (struct.error, OverflowError):
         pass
     raise FilterRefused(f"{operator} cannot put {value!r} into {kind.name}")
 
 
-def _text(text: str) -> bytes:
+def _serialized_text(text: str) -> bytes:
     data = text.encode()
     return len(data).to_bytes(4, "little") + data

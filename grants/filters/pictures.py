@@ -1,9 +1,9 @@
 """Pixelation: every square of a picture shows the colour of its first pixel.
 
-Squares are counted from the picture's corner, also in a region, so a region that moves shows no
-more than its squares. What lies between the rows of pixels is zeroed. An encoding that is not in
-the table is refused: its pixels are unknown, and a Bayer pattern or YUV 4:2:2 shares colours
-between pixels.
+Squares are aligned with the picture's corner, also in a region, so a moving region reveals no more
+than its squares. Padding between the rows of pixels is zeroed. An encoding that is not in the table
+is refused: its pixel size is unknown, and a Bayer pattern or YUV 4:2:2 shares colours between
+pixels.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ _Pixels: TypeAlias = Vector
 
 MAX_SIDE: Final = 65535
 
-# Read beside the data of a sensor_msgs/Image.
-BESIDE: Final = (
+# The fields of a sensor_msgs/Image that are read with its data.
+SIBLINGS: Final = (
     ("height", "uint32"), ("width", "uint32"), ("encoding", "string"), ("step", "uint32"),
 )  # fmt: skip
 
@@ -28,12 +28,12 @@ _NAMED: Final = {
     "rgb16": 6, "bgr16": 6, "rgba16": 8, "bgra16": 8, "mono16": 2,
 }  # fmt: skip
 _DEPTHS: Final = {"8U": 1, "8S": 1, "16U": 2, "16S": 2, "32S": 4, "32F": 4, "64F": 8}
-_PLAIN: Final = {
+_GENERIC: Final = {
     f"{depth}C{channels}": size * channels
     for depth, size in _DEPTHS.items()
     for channels in range(1, 5)
 }
-PIXEL_SIZES: Final = _NAMED | _PLAIN
+PIXEL_SIZES: Final = _NAMED | _GENERIC
 
 
 def pixelation(
@@ -55,14 +55,14 @@ def pixelation(
         x, y, wide, high = region or (0, 0, width, height)
         rows = np.frombuffer(content, np.uint8).reshape(height, step)
         pixels = np.ascontiguousarray(rows[:, : width * size]).view(f"V{size}")
-        part = (slice(y, y + high), slice(x, x + wide))
-        made = _squares(pixels, block)
+        area = (slice(y, y + high), slice(x, x + wide))
+        result = _squares(pixels, block)
         if region is not None:
             whole = pixels.copy()
-            whole[part] = made[part]
-            made = whole
+            whole[area] = result[area]
+            result = whole
         padded = np.zeros((height, step), np.uint8)
-        padded[:, : width * size] = made.view(np.uint8).reshape(height, -1)
+        padded[:, : width * size] = result.view(np.uint8).reshape(height, -1)
         return padded.tobytes(), len(content)
 
     return rewrite
@@ -71,5 +71,5 @@ def pixelation(
 def _squares(pixels: _Pixels, block: int) -> _Pixels:
     height, width = pixels.shape
     across = np.repeat(pixels[::block, ::block], min(block, width), axis=1)[:, :width]
-    # Few rows are widened first, then whole rows are copied.
+    # Few rows are repeated along the row first, then whole rows are copied.
     return np.ascontiguousarray(np.repeat(across, min(block, height), axis=0)[:height])

@@ -1,8 +1,8 @@
-"""Named restrictions for the usual wishes: what they hide, and what is still learnt from them.
+"""Named restrictions for common needs: what they hide, and what they still reveal.
 
-Rounding a position alone hides little: flips at a cell's border, an exact velocity, stamps and
-sequence numbers tell the rest. A preset treats the field together with its relatives. Every text
-here is for people who decide; `docs/spec/grant.md` names the attacks.
+Rounding a position alone hides little: changes at a cell's border, an exact velocity, stamps and
+sequence numbers reveal the rest. A preset treats the field with its related fields. Every text here
+is shown to the people who decide; `docs/spec/grant.md` lists the attacks.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,15 +24,15 @@ class Preset:
     """A restriction by name.
 
     Args:
-        name: as people write it.
+        name: as users write it.
         hides: what the receiver no longer learns.
-        leaves: what an attacker who keeps all messages still learns.
+        reveals: what an attacker who keeps all messages still learns.
         rate: messages a second.
     """
 
     name: str
     hides: str
-    leaves: str
+    reveals: str
     rate: float
     _rules: Callable[[Layout], _Rules]
 
@@ -40,7 +40,7 @@ class Preset:
         """The preset for messages of `layout`.
 
         Raises:
-            FilterRefused: it does not exist for this type.
+            FilterRefused: the preset does not support this type.
         """
         return Restriction(
             type=layout.type_name, filters=filter_rules(self._rules(layout)), rate=self.rate
@@ -58,8 +58,8 @@ def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
     def rules(layout: Layout) -> _Rules:
         if layout.type_name not in types:
             raise FilterRefused(
-                f"the preset does not exist for {layout.type_name}",
-                f"it is for {', '.join(types)}",
+                f"the preset does not support {layout.type_name}",
+                f"it supports {', '.join(types)}",
             )
         return types[layout.type_name]
 
@@ -67,7 +67,7 @@ def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
 
 
 def _everything(layout: Layout) -> _Rules:
-    """All fields cleared; only arrays of a fixed length keep theirs."""
+    """All fields cleared; only arrays of fixed length keep their length."""
     return {name: _CLEAR for name, _ in layout.root.fields}
 
 
@@ -142,8 +142,8 @@ def preset(name: str) -> Preset:
     """The preset `name`.
 
     Raises:
-        FilterRefused: there is none.
+        FilterRefused: unknown preset.
     """
     if name not in PRESETS:
-        raise FilterRefused(f"no preset {name[:40]!r}", f"there are {', '.join(PRESETS)}")
+        raise FilterRefused(f"no preset {name[:40]!r}", f"expected one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -1,8 +1,8 @@
 """Rounding to multiples of a step, for every number type, one value or a whole array.
 
-`floor(x / step + 1/2) * step`: the same cell for the same place, always; unlike "half to even"
-it has no cells of another size. Values stay in their type's range (the last multiple in it), NaN
-and infinities pass. One value and an array of it give the same bits: tests compare them.
+`floor(x / step + 1/2) * step`: equal values always have the same cell; unlike "half to even" all
+cells have the same size. Values stay in their type's range (the last multiple in it), NaN and
+infinities pass. One value and an array of it give the same bits: tests compare them.
 """
 
 import math
@@ -22,13 +22,13 @@ _FLOAT_MAX: Final = {"f": float.fromhex("0x1.fffffep+127"), "d": sys.float_info.
 
 
 def round_floats(kind: Primitive, step: float) -> Rounding:
-    """For float32 and float64; computed in 64 bits, as genpy's values are."""
+    """For float32 and float64; computed in 64 bits, like the values of genpy."""
     step = float(step)
     largest = _FLOAT_MAX[kind.code]
     cells = largest / step
     last = min(math.floor(cells) * step, largest) if math.isfinite(cells) else largest
-    # Below this the formula needs no care (and NaN is never below): the cell is within 2^53
-    # of zero, where half a cell still counts, and its value in the type's range.
+    # Below this the plain formula is correct (NaN is never below): the cell is within 2^53 of
+    # zero, where half a cell is still representable, and its value in the type's range.
     plain = min(cells - 1, 2.0**52)
     square = max(plain, 0.0) ** 2
 
@@ -117,27 +117,27 @@ def _exact(step: int, low: int, high: int) -> Callable[[int], int]:
     return scalar
 
 
-def hold(
+def with_hysteresis(
     scalar: Callable[[float], float], step: float, hysteresis: float
 ) -> Callable[[HysteresisState], Callable[[float], float]]:
     """Rounding that stays in its cell until the value is `hysteresis` beyond the border.
 
-    A value that trembles about a border would tell, by the flips, exactly where it is. Returns a
-    maker of functions that remember in a cell: one for each field of each holder.
+    A value that varies around a border would otherwise reveal, by the changes, exactly where it
+    is. Returns a function from state to `scalar`: one state for each field of each holder.
     """
     reach = step / 2 + hysteresis
 
     def bind(state: HysteresisState) -> Callable[[float], float]:
-        def remembering(value: float) -> float:
-            held = state.value
-            # With NaN the comparison is false; NaN and infinities pass and are not remembered.
-            if held is not None and abs(value - held) <= reach:
-                return held
+        def scalar_with_hysteresis(value: float) -> float:
+            previous = state.value
+            # With NaN the comparison is false; NaN and infinities pass and are not stored.
+            if previous is not None and abs(value - previous) <= reach:
+                return previous
             rounded = scalar(value)
             if math.isfinite(rounded):
                 state.value = rounded
             return rounded
 
-        return remembering
+        return scalar_with_hysteresis
 
     return bind

@@ -1,7 +1,7 @@
-"""The vocabulary between rules and generated code: treatments of a field, and the treated layout.
+"""The types between rules and generated code: treatments of a field, and the treated layout.
 
-A treatment is what an operator decided for one type; a node says for every part of a message
-whether it is kept, treated, or gone into.
+A treatment is the result of an operator for one type; a node says for every part of a message
+whether it is kept, treated, or entered.
 """
 
 from collections.abc import Callable
@@ -18,39 +18,39 @@ DESCEND: Final = "descend"
 
 @dataclass(frozen=True)
 class Constant:
-    """These bytes stand in the field's place."""
+    """These bytes replace the field."""
 
     data: bytes
 
 
 @dataclass(frozen=True)
-class Remembering:
-    """A `scalar` with a memory: `bind` makes it of the cell that the field has in it.
+class HysteresisBinding:
+    """A `scalar` with hysteresis: `bind` makes it from the state of the field.
 
-    `name` says what it does, so that only its like shares the cell.
+    `parameters` are part of the state's key, so that only equal treatments share the state.
     """
 
-    name: tuple[float, ...]
+    parameters: tuple[float, ...]
     bind: Callable[[HysteresisState], Callable[..., Any]]
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """The values of a `Primitive` go through `scalar`, arrays of them through `vector`.
+    """`scalar` is applied to the values of a `Primitive`, `vector` to arrays of them.
 
-    `scalar` takes as many values as the type's format has, and returns as many (one: bare).
-    With `remembering`, every field gets a `scalar` of its own from it;
-    such a treatment has no place in an array, whose elements come and go.
+    `scalar` takes as many values as the type's format has, and returns as many (a single one
+    without a tuple). With `hysteresis`, every field gets its own `scalar` from it; such a
+    treatment cannot be used in an array, whose elements have no identity between messages.
     """
 
     scalar: Callable[..., Any]
     vector: Callable[[Vector], Vector]
-    remembering: Remembering | None = None
+    hysteresis: HysteresisBinding | None = None
 
 
 @dataclass(frozen=True)
 class ContentTreatment:
-    """The content of a string or of an array, without its length, goes through `rewrite`.
+    """`rewrite` is applied to the content of a string or of an array, without its length.
 
     `rewrite(content)` returns the new content and the new length, in bytes or elements.
     """
@@ -59,19 +59,19 @@ class ContentTreatment:
 
 
 @dataclass(frozen=True)
-class Inside:
-    """Like `ContentTreatment`, for a field that can only be read with others of its message.
+class SiblingTreatment:
+    """Like `ContentTreatment`, for a field that can only be read with other fields of its message.
 
-    `rewrite(content, *values)` gets the values of the fields `beside` (names and type names, in
-    this order and before the field) as they were, in a message of type `message`.
+    `rewrite(content, *values)` gets the values of the fields `siblings` (names and type
+    names, in this order and before the field), unfiltered, in a message of type `message`.
     """
 
     message: str
-    beside: tuple[tuple[str, str], ...]
+    siblings: tuple[tuple[str, str], ...]
     rewrite: Callable[..., tuple[Buffer, int]]
 
 
-Treatment: TypeAlias = Constant | Numbers | ContentTreatment | Inside | Literal["descend"]
+Treatment: TypeAlias = Constant | Numbers | ContentTreatment | SiblingTreatment | Literal["descend"]
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,11 @@ class Keep:
 
 
 @dataclass(frozen=True)
-class Treated:
+class FieldTreatment:
     """A whole value of `kind` under one treatment (`Numbers` only for a `Primitive`)."""
 
     kind: Type
-    treatment: Constant | Numbers | ContentTreatment | Inside
+    treatment: Constant | Numbers | ContentTreatment | SiblingTreatment
 
 
 @dataclass(frozen=True)
@@ -98,22 +98,22 @@ class StructTreatment:
 
 
 @dataclass(frozen=True)
-class Each:
-    """An array, every element alike."""
+class ArrayTreatment:
+    """An array, with one treatment for every element."""
 
     kind: Array
     element: "Node"
 
 
-Node: TypeAlias = Keep | Treated | StructTreatment | Each
+Node: TypeAlias = Keep | FieldTreatment | StructTreatment | ArrayTreatment
 
 
-def remembers(node: Node) -> bool:
-    """Whether a treatment in `node` has a memory."""
+def has_hysteresis(node: Node) -> bool:
+    """Whether a treatment in `node` has hysteresis."""
     match node:
-        case Treated(_, Numbers(remembering=remembering)):
-            return remembering is not None
+        case FieldTreatment(_, Numbers(hysteresis=hysteresis)):
+            return hysteresis is not None
         case StructTreatment(_, parts):
-            return any(map(remembers, parts))
+            return any(map(has_hysteresis, parts))
         case _:
             return False

@@ -12,7 +12,7 @@ from grants.conditions.compile import check_syntax, compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantError
 from grants.filters.compile import compile_filter
 from grants.filters.layout import Array, Layout, Struct, Type
-from grants.filters.operators import OPERATORS, treatment
+from grants.filters.operators import OPERATORS, treatment_for
 from grants.filters.presets import preset
 from grants.model import FilterRule, Scalar
 from grants.policy.mistakes import Mistakes, SourcePosition, suggest
@@ -70,7 +70,7 @@ def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | 
         return None
     try:
         rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
-        treatment(rule)
+        treatment_for(rule)
     except GrantError as error:
         mistakes.add(place, str(error), error.hint or _example(operator))
         return None

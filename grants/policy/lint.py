@@ -11,7 +11,7 @@ from typing import Final
 
 from grants.errors import GrantError
 from grants.filters.layout import Layout
-from grants.filters.operators import OPERATORS, treatment
+from grants.filters.operators import OPERATORS, treatment_for
 from grants.model import FilterRule, Right
 from grants.policy.decision import Decider
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
@@ -148,7 +148,7 @@ def _borders(rule: PolicyRule, clause: Clause, moving: list[FilterRule]) -> Iter
 def _knows_hysteresis() -> bool:
     rule = FilterRule("x", "round", (("hysteresis", 0.1), ("step", 1.0)))
     try:
-        treatment(rule)
+        treatment_for(rule)
     except GrantError:
         return False
     return "round" in OPERATORS

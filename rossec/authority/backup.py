@@ -100,7 +100,7 @@ def restore(
             if target.exists():
                 aside = (target.with_name(f"ca.replaced.{number}") for number in count(now))
                 target.rename(next(path for path in aside if not path.exists()))
-            files.settle(staging, target)
+            files.commit_directory(staging, target)
     except BaseException:
         shutil.rmtree(staging, ignore_errors=True)
         raise

@@ -80,7 +80,7 @@ class AuthorityHome:
                 key_files.write_private(staging / "ca.key", key, passphrase)
             else:
                 files.create(staging / KEY_URI, f"{uri}\n".encode())
-            files.settle(staging, path)
+            files.commit_directory(staging, path)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
             raise

@@ -57,7 +57,7 @@ class PolicyFile:
             ConfigurationError: somebody else has changed the file; it is not touched.
         """
         policy = parse_policy(text, str(self.path))
-        with files.alone(self.path.parent):
+        with files.locked_directory(self.path.parent):
             if self.path.exists():  # else it is a new one
                 self.check_unchanged()
             files.replace(self.path.resolve(), text.encode(), 0o644)  # behind a link

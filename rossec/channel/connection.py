@@ -178,7 +178,7 @@ class Connection(Outbound[PeerT]):
         if opened:
             raise ConnectionTruncated(
                 "the connection ended without the peer's close",
-                "data may be missing: the peer crashed, or the connection was cut",
+                "data may be missing: the peer crashed, or something reset the connection",
             )
         raise HandshakeFailed(
             "the peer ended the connection during the handshake",

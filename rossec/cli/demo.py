@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 
 from rossec.cli.shared import invocation
-from rossec.demo import story
-from rossec.demo.stage import Narrator, Run, Stage
+from rossec.demo import steps
+from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
@@ -25,27 +25,27 @@ def demo(context: click.Context, keep: Path | None) -> None:
     run = partial(invocation.run, context.find_root().command)
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-            asyncio.run(_play(Path(directory), run))
+            asyncio.run(_run(Path(directory), run))
         return
     try:
         keep.mkdir(mode=0o700, parents=True)
     except FileExistsError:
         raise ConfigurationError(f"{keep} exists", "give a directory that does not exist") from None
-    asyncio.run(_play(keep.resolve(), run))
-    say(_GO_ON.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
+    asyncio.run(_run(keep.resolve(), run))
+    say(_CONTINUE.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
 
 
-async def _play(directory: Path, run: Run) -> None:
-    narrator = Narrator(sys.stdout.write)
-    stage = Stage(directory, narrator, {"ROS_IP": "127.0.0.1"}, run)
+async def _run(directory: Path, run: Run) -> None:
+    printer = StepPrinter(sys.stdout.write)
+    environment = DemoEnvironment(directory, printer, {"ROS_IP": "127.0.0.1"}, run)
     try:
-        await story.tell(stage)
+        await steps.run_steps(environment)
     finally:
-        await stage.clear()
+        await environment.stop_all()
 
 
-_GO_ON = """
-Everything is in {directory}. To go on, in three terminals:
+_CONTINUE = """
+Everything is in {directory}. To continue, in three terminals:
 
     export ROSSEC_HOME={directory} ROS_IP=127.0.0.1 PATH="{programs}:$PATH"
     rossec master

@@ -1,6 +1,5 @@
 """The `rossec` command: nouns with verbs. A refusal leaves as error and hint, never a traceback."""
 
-import importlib
 import logging
 import os
 import sys
@@ -10,58 +9,56 @@ from typing import Any, Final, NoReturn
 import click
 
 from rossec.cli.shared import invocation
+from rossec.cli.shared.lazy import LazyGroup
 from rossec.terminal import printable
 
-_NOUNS: Final = {  # a noun's module, and those whose COMMANDS are more of its verbs
-    "audit": ("master.audit",),
-    "ca": ("ca.group", "ca.identities", "ca.backup", "ca.enroll", "ca.requests", "ca.intermediate",
-           "ca.import_identities", "ca.log"),
-    "demo": ("demo",),
-    "discover": ("master.discover",),
-    "doctor": ("node.doctor",),
-    "explain": ("policy.explain",),
-    "grant": ("grant.group", "grant.request"),
-    "graph": ("ros.graph",),
-    "master": ("master.group", "master.delegate"),
-    "node": ("node.group", "node.enroll"),
-    "param": ("ros.param",),
-    "policy": ("policy.group",),
-    "privacy": ("policy.privacy",),
-    "run": ("node.run",),
-    "service": ("ros.service",),
-    "sidecar": ("node.sidecar",),
-    "simulate": ("policy.simulate",),
-    "topic": ("ros.topic",),
-}  # fmt: skip
+_TABLE: Final = {
+    "audit": (
+        "master.audit:audit",
+        "Show the master's audit: what was denied, and what was administered.",
+    ),
+    "ca": ("ca.group:ca", "Run the authority, which signs the identities."),
+    "demo": ("demo:demo", "Show the main job: enroll, grant, filter, refuse, revoke."),
+    "discover": (
+        "master.discover:discover",
+        "Look for the masters of this trust domain, the best link first.",
+    ),
+    "doctor": (
+        "node.doctor:doctor",
+        "Check the set-up of NODE on this machine: identity, grants, master, what is plain.",
+    ),
+    "explain": (
+        "policy.explain:explain",
+        "Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why.",
+    ),
+    "grant": ("grant.group:grant", "Sign, show and revoke grants."),
+    "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
+    "master": ("master.group:master", "Run the master, as the node /master."),
+    "node": ("node.group:node", "Prepare a node on its own machine."),
+    "param": ("ros.group:param", "Read and write parameters."),
+    "policy": ("policy.group:policy", "Write what is allowed, and check it."),
+    "privacy": (
+        "policy.group:privacy",
+        "Show every field of every topic: which node sees it, how, why and until when.",
+    ),
+    "run": (
+        "node.run:run",
+        "Run COMMAND, a ROS program in any language, behind a sidecar of its own.",
+    ),
+    "service": ("ros.group:service", "List, ask and call services."),
+    "sidecar": (
+        "node.sidecar:sidecar",
+        "Serve the ROS programs of this host: each node with the identity enrolled for its name.",
+    ),
+    "simulate": (
+        "policy.simulate:simulate",
+        "Show per topic and receiver how many messages of a bag pass, before and after.",
+    ),
+    "topic": ("ros.group:topic", "Publish and listen."),
+}
 
 
-class Nouns(click.Group):
-    """Each noun is a command of the same name in a module of `rossec.cli`.
-
-    It is imported when it is called for: a master that runs for months carries nothing of the rest.
-    """
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - the base's shape
-        """Every noun."""
-        return sorted({*_NOUNS, *self.commands})
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of a noun."""
-        if cmd_name in _NOUNS and cmd_name not in self.commands:
-            self.add_command(_complete(cmd_name))
-        return super().get_command(ctx, cmd_name)
-
-
-def _complete(noun: str) -> click.Command:
-    own, *more = (importlib.import_module(f"rossec.cli.{name}") for name in _NOUNS[noun])
-    command: click.Command = getattr(own, noun)
-    for module in more:
-        for verb in module.COMMANDS:
-            command.add_command(verb)  # type: ignore[attr-defined]
-    return command
-
-
-@click.group(cls=Nouns, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, table=_TABLE, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="rossec", prog_name="rossec", message="%(prog)s %(version)s")
 @click.option("--verbose", "-v", is_flag=True, help="log what happens")
 def rossec(verbose: bool) -> None:

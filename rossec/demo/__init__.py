@@ -1,1 +1,1 @@
-"""The main job as a story one can watch: `rossec demo`. Every step is the real thing."""
+"""The main job, step by step: `rossec demo`. Every step is real."""

@@ -1,8 +1,9 @@
 """How `rossec node confirm` reaches the waiting `rossec node enroll`: a socket in its directory.
 
-Only the same user (or root) may speak there: the kernel says who calls. The digits are no secret,
-but saying them is what activates a trust anchor, so this never goes over the network. The socket is
-named through /proc: a path of a Unix socket has at most 107 octets, a directory's may have more.
+Only the same user (or root) may use it: the kernel gives the user of the caller. The digits are not
+secret, but confirming them activates a trust anchor, so this never goes over the network. The
+socket is named through /proc: the path of a Unix socket has at most 107 octets, a directory's may
+have more.
 """
 
 import asyncio
@@ -38,9 +39,9 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
             if _is_ours(writer.get_extra_info("socket")):
                 async with asyncio.timeout(_PATIENCE):
                     request = _request(await reader.readline())
-                writer.write(json.dumps(_answered(answer, request)).encode() + b"\n")
+                writer.write(json.dumps(_call(answer, request)).encode() + b"\n")
         except (OSError, ValueError, TimeoutError):
-            pass  # whoever speaks nonsense gets no answer
+            pass  # a malformed request gets no answer
         finally:
             writer.close()
 
@@ -50,12 +51,12 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
         raise ConfigurationError(
             "an enrollment of this node is waiting already", "finish or stop that one first"
         )
-    with _place(directory) as path:
+    with _socket_path(directory) as path:
         return await asyncio.start_unix_server(call, path, limit=_LIMIT)
 
 
 def remove(directory: Path) -> None:
-    """Take the socket away."""
+    """Remove the socket."""
     (directory / _NAME).unlink(missing_ok=True)
 
 
@@ -63,7 +64,7 @@ def ask(directory: Path, request: Answer) -> Answer:
     """Ask the waiting process.
 
     Raises:
-        ConfigurationError: there is none, or it says no; then with its words.
+        ConfigurationError: there is none, or it refused; then with its message.
     """
     sock = _connect(directory)
     if sock is None:
@@ -73,18 +74,18 @@ def ask(directory: Path, request: Answer) -> Answer:
     with sock:
         line = _exchange(sock, json.dumps(request).encode() + b"\n")
     if not line:
-        raise ConfigurationError("the waiting enrollment has just ended", "see its last words")
+        raise ConfigurationError("the waiting enrollment has just ended", "see its last message")
     answer: Answer = json.loads(line)
     if "error" in answer:
         raise ConfigurationError(answer["error"], answer.get("hint", ""))
     return answer
 
 
-def _exchange(sock: socket.socket, question: bytes) -> bytes:
-    """The line that answers; none when the other side has hung up."""
+def _exchange(sock: socket.socket, request: bytes) -> bytes:
+    """The answer, one line; empty when the other side has closed."""
     sock.settimeout(_PATIENCE)
     with suppress(OSError), sock.makefile("rb") as stream:
-        sock.sendall(question)
+        sock.sendall(request)
         return stream.readline(_LIMIT)
     return b""
 
@@ -92,11 +93,11 @@ def _exchange(sock: socket.socket, question: bytes) -> bytes:
 def _request(line: bytes) -> Answer:
     found = json.loads(line)
     if not isinstance(found, dict):
-        raise ValueError("no request")  # noqa: TRY004 - as json says it
+        raise ValueError("not a request")  # noqa: TRY004 - as json says it
     return found
 
 
-def _answered(answer: Callable[[Answer], Answer], request: Answer) -> Answer:
+def _call(answer: Callable[[Answer], Answer], request: Answer) -> Answer:
     try:
         return answer(request)
     except HintedError as error:
@@ -110,10 +111,10 @@ def _is_ours(sock: socket.socket) -> bool:
 
 
 def _connect(directory: Path) -> socket.socket | None:
-    """A connection to the waiting process, or None: a socket nobody listens at is no process."""
+    """A connection to the waiting process, or None: the socket of a process that has exited."""
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        with _place(directory) as path:
+        with _socket_path(directory) as path:
             sock.connect(path)
     except (FileNotFoundError, ConnectionRefusedError):
         sock.close()
@@ -122,7 +123,7 @@ def _connect(directory: Path) -> socket.socket | None:
 
 
 @contextmanager
-def _place(directory: Path) -> Iterator[str]:
+def _socket_path(directory: Path) -> Iterator[str]:
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         yield f"/proc/self/fd/{descriptor}/{_NAME}"

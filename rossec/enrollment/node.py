@@ -1,8 +1,8 @@
-"""A node that waits to be enrolled: its listening port, open to everybody, and its person.
+"""A node that waits to be enrolled: its listening port, open to all, and the person who confirms.
 
-Whoever calls is a stranger: at most so many at a time, each with a deadline; a message that is
-refused ends its connection, and what is refused is told to the person in one line. The callers
-whose offer was answered stay connected, to hear how it ends.
+Callers are unauthenticated: a limited number at a time, each with a deadline; a message that is
+refused ends its connection, and is reported to the person in one line. Callers whose offer was
+answered stay connected for the result.
 """
 
 import asyncio
@@ -26,8 +26,8 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 from rossec.ros.text import printable
 
-PATIENCE: Final = 10.0  # seconds a caller may be silent
-_FAREWELL: Final = 5.0
+PATIENCE: Final = 10.0  # seconds without a message from a caller
+_CLOSE_TIMEOUT: Final = 5.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
 _REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
     ConflictingOffer: Reason.CONFLICT,
@@ -44,18 +44,18 @@ class WaitingNode:
         self,
         core: NodeEnrollment,
         clock: Callable[[], int],
-        complain: Callable[[str], None],
+        on_refusal: Callable[[str], None],
         patience: float = PATIENCE,
     ) -> None:
-        """`complain` is given what was refused, one printable line each."""
+        """`on_refusal` is called with each refusal as one printable line."""
         self.core = core
         self.port = 0
         self._clock = clock
-        self._complain = complain
+        self._on_refusal = on_refusal
         self._patience = patience
         self._servers: list[asyncio.Server] = []
         self._callers = HalfOpenCount(_CAPS)
-        self._answered: set[asyncio.StreamWriter] = set()
+        self._waiting: set[asyncio.StreamWriter] = set()
         self._tasks = TaskSet()
         self._changed = asyncio.Event()
 
@@ -63,7 +63,7 @@ class WaitingNode:
         """Serve on `host` (None: every address) and `port` (0: any free one).
 
         Raises:
-            OSError: the address is not ours or the port is taken.
+            OSError: not an address of this host, or the port is taken.
         """
         for sock in bind(host, port):
             server = await asyncio.start_server(self._accept, sock=sock, limit=MAX_MESSAGE)
@@ -71,10 +71,10 @@ class WaitingNode:
             self.port = sock.getsockname()[1]
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
-        """Wait for one of `states`; `every` second is told how many of them are left.
+        """Wait for one of `states`; `every` is called each second with the seconds left.
 
         Raises:
-            EnrollmentRefused: it ended otherwise; the reason.
+            EnrollmentRefused: it ended in another state; the reason.
         """
         while self.core.state not in states:
             if self.core.end_reason is not None:
@@ -87,10 +87,10 @@ class WaitingNode:
             self.core.tick(self._clock())
 
     def confirm(self, digits: str, activate: Callable[[Pending], None]) -> None:
-        """A person confirmed: `activate` writes the identity, then the authority is told.
+        """A person confirmed: `activate` writes the identity, then the authority is notified.
 
         Raises:
-            EnrollmentRefused: the digits are not ours, or there is nothing to confirm.
+            EnrollmentRefused: the digits are wrong, or there is nothing to confirm.
         """
         try:
             pending = self.core.confirm(digits, self._clock())
@@ -98,26 +98,26 @@ class WaitingNode:
         except BaseException as error:
             if self.core.state is NodeState.CONFIRMED:
                 self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
-            self._settle()
+            self._state_changed()
             raise
-        self._tell(self.core.activated())
+        self._send_all(self.core.activated())
         self._changed.set()
 
     def stop(self, why: EnrollmentRefused) -> None:
-        """End it without an identity, and tell the authority."""
+        """End it without an identity, and notify the authority."""
         self.core.stop(why)
-        self._settle()
+        self._state_changed()
 
     async def close(self) -> None:
-        """Stop to listen; who was answered hears the end."""
+        """Stop listening; callers that wait for the result get it."""
         for server in self._servers:
             server.close()
-        leaving = [*self._answered]
+        leaving = [*self._waiting]
         for writer in leaving:
             writer.close()
         for writer in leaving:
             with suppress(OSError, TimeoutError):
-                async with asyncio.timeout(_FAREWELL):
+                async with asyncio.timeout(_CLOSE_TIMEOUT):
                     await writer.wait_closed()
         await self._tasks.close()
 
@@ -133,34 +133,36 @@ class WaitingNode:
         await self.close()
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        peer = writer.get_extra_info("peername")  # None: gone already
+        peer = writer.get_extra_info("peername")  # None: closed already
         address = "" if peer is None else str(peer[0])
-        place = None if peer is None else self._callers.admit(address)
-        if place is None:
+        slot = None if peer is None else self._callers.admit(address)
+        if slot is None:
             writer.transport.abort()
             return
-        self._tasks.spawn(self._count(reader, writer, address, place), name=f"caller {address}")
+        self._tasks.spawn(
+            self._serve_counted(reader, writer, address, slot), name=f"caller {address}"
+        )
 
-    async def _count(
+    async def _serve_counted(
         self,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
         address: str,
-        place: HalfOpenSlot,
+        slot: HalfOpenSlot,
     ) -> None:
-        """A caller counts until its socket is closed; who does not read its end makes room."""
-        place.close = writer.transport.abort
+        """A caller counts until its socket is closed; a lingering one is evicted first."""
+        slot.close = writer.transport.abort
         try:
-            await self._call(reader, writer, address)
-            place.linger()
+            await self._serve(reader, writer, address)
+            slot.linger()
             with suppress(OSError, TimeoutError):
-                async with asyncio.timeout(_FAREWELL):
+                async with asyncio.timeout(_CLOSE_TIMEOUT):
                     await writer.wait_closed()
         finally:
             writer.transport.abort()
-            place.settle()
+            slot.release()
 
-    async def _call(
+    async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
     ) -> None:
         try:
@@ -168,21 +170,23 @@ class WaitingNode:
                 async with asyncio.timeout(self._wait_for(writer)):
                     data = await wire.receive(reader)
                 self._answer(writer, data)
-                async with asyncio.timeout(self._patience):  # who does not read is not written to
+                async with asyncio.timeout(
+                    self._patience
+                ):  # a caller that does not read is not written to
                     await writer.drain()
         except EnrollmentRefused as error:
-            self._complain(printable(f"{address}: {error}"))
+            self._on_refusal(printable(f"{address}: {error}"))
             wire.send(writer, _abort(error))
         except TimeoutError:
-            writer.transport.abort()  # to close would wait for who does not read
+            writer.transport.abort()  # close() would wait for a caller that does not read
         except (OSError, EOFError):
-            pass  # whoever hangs up may call again
+            pass  # the caller may connect again
         finally:
-            self._answered.discard(writer)
+            self._waiting.discard(writer)
             writer.close()
 
     def _wait_for(self, writer: asyncio.StreamWriter) -> float:
-        if writer in self._answered:
+        if writer in self._waiting:
             return max(1, self.core.expires - self._clock() + 1)
         return self._patience
 
@@ -192,20 +196,20 @@ class WaitingNode:
             answers = self.core.receive(data, self._clock())
         finally:
             if self.core.state is not before:
-                self._settle()
+                self._state_changed()
         for answer in answers:
             wire.send(writer, answer)
         if not isinstance(read(answers[0]), Delivery):
-            self._answered.add(writer)
+            self._waiting.add(writer)
 
-    def _settle(self) -> None:
-        """The state has changed: whoever waits for it is told."""
+    def _state_changed(self) -> None:
+        """Wake `until`; if it is over, notify the waiting callers."""
         self._changed.set()
         if self.core.state is NodeState.OVER and self.core.end_reason is not None:
-            self._tell([_abort(self.core.end_reason)])
+            self._send_all([_abort(self.core.end_reason)])
 
-    def _tell(self, messages: list[bytes]) -> None:
-        for writer in self._answered:
+    def _send_all(self, messages: list[bytes]) -> None:
+        for writer in self._waiting:
             for message in messages:
                 wire.send(writer, message)
 

@@ -71,7 +71,7 @@ class Connector:
         """Stop counting an admitted caller: it needs no handshake, or is gone."""
         slot = self._slots.pop(sock, None)
         if slot is not None:
-            slot.settle()
+            slot.release()
 
     def respond(self, sock: socket.socket, protocol: WireProtocol) -> Stream:
         """The responder's side for a caller that was admitted; the handshake is still to come.

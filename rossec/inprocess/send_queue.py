@@ -164,14 +164,14 @@ def write(transport: Any, messages: list[Pieces]) -> None:
 
 
 def write_now(transport: Any, message: bytes) -> bool:
-    """Send a small message if that does not block (`RosSocket.send_now`).
+    """Send a small message if that does not block (`RosSocket.try_send`).
 
     Raises:
         TransportTerminated: the connection was closed.
         HintedError, OSError: it has ended, and must be closed.
     """
     sock = _socket(transport)
-    if not sock.send_now(message):
+    if not sock.try_send(message):
         return False
     transport.stat_bytes += len(message)
     transport.stat_num_msg += not sock.unsent  # else it is counted with the rest

@@ -214,7 +214,7 @@ class RosSocket:
         Raises:
             LimitExceeded: it does not.
         """
-        while framing.waits and self.gettimeout() is None:
+        while framing.incomplete and self.gettimeout() is None:
             self.settimeout(PATIENCE)
             try:
                 return receive()
@@ -252,7 +252,7 @@ class RosSocket:
         stream.sendall(*pieces)
         self._pump_soon(stream)
 
-    def send_now(self, data: bytes) -> bool:
+    def try_send(self, data: bytes) -> bool:
         """Send a small unit if that does not block; False: nothing was sent.
 
         Raises:
@@ -261,20 +261,20 @@ class RosSocket:
         stream = self._stream
         if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
-        sent = stream.send_now(data)
+        sent = stream.try_send(data)
         self._pump_soon(stream)
         return sent
 
     @property
     def unsent(self) -> bool:
-        """Whether `send_now` left bytes for `send_unit` to send."""
+        """Whether `try_send` left bytes for `send_unit` to send."""
         return isinstance(self._stream, SecureSocket) and self._stream.unsent
 
     def run_timers(self) -> None:
-        """`SecureSocket.tend`; an error there is raised where the connection is used."""
+        """`SecureSocket.run_timers`; an error there is raised where the connection is used."""
         if isinstance(self._stream, SecureSocket):
             with suppress(ChannelError, OSError):
-                self._stream.tend()
+                self._stream.run_timers()
                 self._pump_soon(self._stream)
 
     def _pump_soon(self, stream: Stream | PlainStream) -> None:

@@ -1,9 +1,9 @@
-"""How many strangers may hold a socket of this process, in all and from one source (N8, M11).
+"""How many half-open connections this process has, in total and from one source (N8, M11).
 
 A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose
 handshake failed lingers, so that its peer can read the refusal, and costs a descriptor as before.
-Where there is no room, the one that lingers longest is closed first; then, where all places are
-taken, one of the source that has most, if it has more than who comes.
+At the limit, the one that lingers longest is closed first; then, if the total is reached, one of
+the source that has most, if it has more than the source of the new one.
 """
 
 import functools
@@ -25,7 +25,7 @@ class HalfOpen:
 
 
 class HalfOpenSlot:
-    """What one caller holds; made by `HalfOpenCount.admit`."""
+    """One half-open connection; made by `HalfOpenCount.admit`."""
 
     __slots__ = ("_count", "close", "source")
 
@@ -36,16 +36,16 @@ class HalfOpenSlot:
         """Closes its socket at once, to make room; None where that cannot be done."""
 
     def linger(self) -> None:
-        """Its handshake has failed, and its socket is open still: it is the first to make room."""
+        """Its handshake has failed, its socket is still open: it is evicted first."""
         self._count.lingers(self)
 
-    def settle(self) -> None:
+    def release(self) -> None:
         """Its peer is authenticated, or its socket is closed; once is enough."""
         self._count.forget(self)
 
     def bind(self, sock: Any) -> None:
-        """Give the place back with `sock` at the latest, whatever becomes of who handles it."""
-        finalize(sock, self._count.gone.append, self).atexit = False
+        """Release the slot when `sock` is collected, at the latest."""
+        finalize(sock, self._count.collected.append, self).atexit = False
 
 
 class HalfOpenCount:
@@ -54,76 +54,76 @@ class HalfOpenCount:
     def __init__(self, caps: HalfOpen) -> None:
         self._caps = caps
         self._total = 0
-        # Both in the order in which it began.
+        # Both in the order of their beginning.
         self._sources: dict[str, dict[HalfOpenSlot, None]] = {}
         self._lingering: dict[HalfOpenSlot, None] = {}
         self._lock = Lock()
-        self.gone: deque[HalfOpenSlot] = deque()
-        """Whose sockets were collected as garbage: that may happen here, with the lock held."""
+        self.collected: deque[HalfOpenSlot] = deque()
+        """Slots whose sockets were garbage collected: that may happen with the lock held."""
 
     def __len__(self) -> int:
         with self._lock:
-            self._forget_gone()
+            self._forget_collected()
             return self._total
 
     def admit(self, address: str) -> HalfOpenSlot | None:
         """Count one more from this address; None: there is no room."""
         source = source_of(address)
         with self._lock:
-            self._forget_gone()
+            self._forget_collected()
             victim = None
             if self._is_full(source):
                 victim = self._victim(source)
                 if victim is None:
                     return None
                 self._remove(victim)
-            place = HalfOpenSlot(self, source)
-            self._sources.setdefault(source, {})[place] = None
+            slot = HalfOpenSlot(self, source)
+            self._sources.setdefault(source, {})[slot] = None
             self._total += 1
         if victim is not None and victim.close is not None:
             victim.close()
-        return place
+        return slot
 
-    def forget(self, place: HalfOpenSlot) -> None:
-        """As of `HalfOpenSlot.settle`."""
+    def forget(self, slot: HalfOpenSlot) -> None:
+        """As of `HalfOpenSlot.release`."""
         with self._lock:
-            self._remove(place)
+            self._remove(slot)
 
-    def _forget_gone(self) -> None:
-        while self.gone:
-            self._remove(self.gone.popleft())
+    def _forget_collected(self) -> None:
+        while self.collected:
+            self._remove(self.collected.popleft())
 
-    def lingers(self, place: HalfOpenSlot) -> None:
+    def lingers(self, slot: HalfOpenSlot) -> None:
         """As of `HalfOpenSlot.linger`."""
         with self._lock:
-            if place in self._sources.get(place.source, ()):
-                self._lingering[place] = None
+            if slot in self._sources.get(slot.source, ()):
+                self._lingering[slot] = None
 
     def _is_full(self, source: str) -> bool:
         held = len(self._sources.get(source, ()))
         return self._total >= self._caps.total or held >= self._caps.per_address
 
     def _victim(self, source: str) -> HalfOpenSlot | None:
-        """Whose socket is closed for a caller from `source`."""
+        """The slot to evict for a caller from `source`."""
         own = self._sources.get(source, {})
         own_full = len(own) >= self._caps.per_address
-        for place in self._lingering:
-            if place.close is not None and (place.source == source or not own_full):
-                return place
+        for slot in self._lingering:
+            if slot.close is not None and (slot.source == source or not own_full):
+                return slot
         most = max(self._sources.values(), key=len, default={})
         if own_full or len(most) <= len(own) + 1:
             return None
-        return next((place for place in most if place.close is not None), None)
+        return next((slot for slot in most if slot.close is not None), None)
 
-    def _remove(self, place: HalfOpenSlot) -> None:
-        places = self._sources.get(place.source, {})
-        if place not in places:
+    def _remove(self, slot: HalfOpenSlot) -> None:
+        slots = self._sources.get(slot.source, {})
+        if slot not in slots:
             return
         self._total -= 1
-        self._lingering.pop(place, None)
-        del places[place]
-        if not places:
-            del self._sources[place.source]
+        self._lingering.pop(slot, None)
+        del slots[slot]
+        if not slots:
+            del self._sources[slot.source]
 
 
 @functools.lru_cache(maxsize=256)

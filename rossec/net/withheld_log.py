@@ -1,7 +1,7 @@
-"""What is said of messages and calls that are withheld: a line for each cause and peer in a minute.
+"""Log lines about messages and calls that are withheld: one for each cause and peer in a minute.
 
-Whoever has a limited right decides how many of his messages are malformed or not allowed, and must
-not fill the disk of those who apply the limit. How many were left out stands in the next line.
+A peer with a limited grant decides how many of its messages are malformed or not allowed, and must
+not fill the disk of the node that applies the limit. The next line has the count of those left out.
 """
 
 import logging
@@ -13,15 +13,15 @@ from rossec.log_limits import CAUSE, LogRateLimit
 SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
 RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
 REFUSED: Final = "%(where)s: refused %(peer)s: %(cause)s"
-_QUIET: Final = LogRateLimit()
+_RATE_LIMIT: Final = LogRateLimit()
 _LOCK: Final = Lock()  # rospy's connections have threads
 
 
 def warn(log: logging.Logger, text: str, where: str, peer: str, cause: object) -> None:
-    """Write `text`, filled in with the place, the peer and the cause, unless it was said already.
+    """Log `text`, filled in with the place, the peer and the cause, unless it is rate-limited.
 
     Args:
-        cause: an error counts by its type, since its text may be in the peer's hand.
+        cause: an error counts by its type, since its text may be the peer's.
     """
     if not log.isEnabledFor(logging.WARNING):
         return
@@ -30,6 +30,6 @@ def warn(log: logging.Logger, text: str, where: str, peer: str, cause: object) -
     record = log.makeRecord(log.name, logging.WARNING, "", 0, text, (args,), None)
     setattr(record, CAUSE, (f"{log.name} {where} {peer} {kind}", peer))
     with _LOCK:
-        said = _QUIET.filter(record)
-    if said:
+        allowed = _RATE_LIMIT.filter(record)
+    if allowed:
         log.handle(record)

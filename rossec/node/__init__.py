@@ -1,7 +1,6 @@
 """A ROS node that needs no ROS: `async with Node("/camera") as node: ...`.
 
-What is exported here is imported on first use: message classes and arrays take more memory than all
-the rest, and a sidecar, which shares this package's rules, never looks at a message.
+Exports are imported on first use: message classes and arrays take more memory than all the rest.
 """
 
 from importlib import import_module
@@ -28,7 +27,7 @@ __all__ = [
     "service_type",
 ]
 
-_PLACES: Final = {
+_MODULES: Final = {
     "Node": "rossec.node.node",
     "Publisher": "rossec.node.publisher",
     "Service": "rossec.node.service",
@@ -42,7 +41,7 @@ _PLACES: Final = {
 
 
 def __getattr__(name: str) -> object:
-    """Import what is exported (PEP 562)."""
-    if name not in _PLACES:
+    """Import an export on first use (PEP 562)."""
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_PLACES[name]), name)
+    return getattr(import_module(_MODULES[name]), name)

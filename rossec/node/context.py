@@ -1,4 +1,4 @@
-"""What the parts of one node share: who it is, what it may do, and how it reaches others."""
+"""What the parts of one node share: its name, its rights, and its connections to others."""
 
 import contextlib
 import logging
@@ -17,7 +17,7 @@ _log = logging.getLogger("rossec.node")
 
 @dataclass(frozen=True)
 class NodeContext:
-    """One running node.
+    """The context of one running node.
 
     Attributes:
         call: calls the master.
@@ -39,7 +39,7 @@ class NodeContext:
 
     @contextlib.contextmanager
     def restoring(self, what: str) -> Iterator[None]:
-        """Register `what` again; one right that is gone must not cost the node all the others."""
+        """Register `what` again; a refusal of one registration must not prevent the others."""
         try:
             yield
         except AnswerRefused as error:

@@ -1,7 +1,7 @@
 """The two ports of a node: its slave API, and TCPROS for its topics and services.
 
-A shell. Every connection is authenticated before it arrives here. What a refused peer hears is the
-refusal of its own grants; it says nothing of what this node publishes or provides.
+Every connection is authenticated before it is handled here. A refused peer receives the error about
+its own grants, which reveals nothing of what this node publishes or provides.
 """
 
 import asyncio
@@ -86,7 +86,7 @@ class Listener:
         return self._servers[1].port
 
     async def start(self, address: str) -> None:
-        """Listen: on loopback alone when `address`, where others are told to come, is loopback."""
+        """Listen; on loopback only when `address`, which the node registers, is loopback."""
         bind = address if is_loopback(address) else None
         for handler, flavour in (
             (self._serve_slave, WireProtocol.HTTP),
@@ -113,12 +113,12 @@ class Listener:
         self._accepted.abort_revoked(revoked)
 
     async def close(self) -> None:
-        """Stop listening and cut what was accepted."""
+        """Stop listening and close the accepted connections."""
         for server in self._servers:
             await server.close()
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        """The master's connection stays; another node asks where a topic is, and goes."""
+        """Serve calls: without a time limit for the master, within `DEADLINE` for other peers."""
         limit = None if stream.peer.name == MASTER else slave_api.DEADLINE
         presented: list[bytes] = []
         with contextlib.suppress(TimeoutError):
@@ -128,7 +128,7 @@ class Listener:
     async def _call(
         self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
-        """Ask at every call: a peer, also the master, may be revoked while it is connected.
+        """Check the peer at every call: it may be revoked while connected, the master too.
 
         `presented` holds the grants the peer has presented on this connection.
         """
@@ -146,7 +146,7 @@ class Listener:
                 check_slave_call(method, peer, self._name, presented[0], self._access, now)
                 authorized = True
         except RevocationsStale as error:
-            if method != REVOCATION_UPDATE:  # what ends the staleness must get through
+            if method != REVOCATION_UPDATE:  # the update that ends the staleness must be accepted
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)
@@ -201,10 +201,10 @@ def _refused(peer: Identity, error: HintedError) -> list[object]:
 
 
 async def first_frame(stream: SecureStream[Identity]) -> bytes:
-    """The connection header, which a peer sends first and alone.
+    """The connection header, which must arrive before anything else.
 
     Raises:
-        ConnectionHeaderRefused: more follows before the answer.
+        ConnectionHeaderRefused: more data arrives before the answer.
     """
     reader = header.FrameReader(header.HEADER_LIMIT)
     while not (frames := reader.feed(await stream.receive())):

@@ -1,8 +1,8 @@
 """A ROS node without ROS: topics, services and parameters over the secure channel, in asyncio.
 
-A shell that wires the parts together: the master session, the slave API, the TCPROS server, the
-desks of topics and services, and the watch over their links. Judgement is elsewhere: `access` says
-who may do what, `topics` and `services` check headers, `links` says what must end.
+Connects the parts: the master session, the slave API, the TCPROS server, topics and services, and
+the watchdog of their connections. Decisions are made elsewhere: `access` authorizes peers, the
+handshake modules check headers, `connections` says when a connection must end.
 """
 
 import asyncio
@@ -51,8 +51,8 @@ from rossec.participant.topic_handshake import TopicEndpoint
 from rossec.ros import settings
 from rossec.saved_revocations import saved_revocations
 
-_PRESENTED: Final = 64  # as many as the master keeps of one node
-_MAINTENANCE_PERIOD: Final = 1.0  # seconds between looks for new grants
+_PRESENTED: Final = 64  # the master stores this many of one node
+_MAINTENANCE_PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
 
 _log = logging.getLogger("rossec.node")
 
@@ -62,7 +62,7 @@ class Node:
 
     Args:
         name: the node's name; `__name:=` and `__ns:=` in `argv` change it as in ROS. For
-            `/rviz_17` an identity of `/rviz` for anonymous nodes will do.
+            `/rviz_17` an identity of `/rviz` for anonymous nodes is enough.
         argv: ROS arguments of the program (remappings and the like), without its path.
         environ: where ROS_MASTER_URI, ROS_IP and so on, ROSSEC_HOME and ROSSEC_POST_QUANTUM are
             read from.
@@ -238,7 +238,7 @@ class Node:
         await asyncio.shield(self._ended)
 
     async def close(self) -> None:
-        """Unregister, cut every connection, stop every task. Safe to call twice."""
+        """Unregister, close every connection, stop every task. Safe to call twice."""
         for publisher in self._topics.publishers.values():
             publisher.close()
         await self._listener.close()
@@ -250,28 +250,28 @@ class Node:
         await self._session.close()
         self._ended.cancel()
 
-    # --- what the slave API reports (SlaveEvents) ---
+    # --- calls of the slave API (SlaveEvents) ---
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """Follow the master's list of publishers."""
         self._topics.publishers_changed(topic, uris)
 
     def parameter_changed(self, key: str, value: object) -> None:
-        """Tell those who follow the parameter."""
+        """Notify the subscriptions of the parameter."""
         self.params.changed(key, value)
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take over a newer list and a fresh timestamp, then cut what they end."""
+        """Take a newer list and a fresh timestamp, then close connections that must end."""
         now = clock.now()
         try:
             self.access.update_revocations(
                 revocations, timestamp, master, now, self.home.save_revocations
             )
-        finally:  # what the list revokes ends, whatever is wrong with the timestamp
+        finally:  # the list takes effect even when the timestamp is refused
             self._watchdog.close_terminated(now)
 
     def shutdown_requested(self, reason: str) -> None:
-        """End the node: another one took its name, or an administrator wants it so."""
+        """End the node: another one took its name, or an administrator shut it down."""
         if not self._ended.done():
             self._ended.set_exception(NodeShutdown(f"the master ended this node: {reason}"))
 
@@ -280,7 +280,7 @@ class Node:
         return self._host, self._listener.topic_port
 
     def describe(self) -> dict[str, object]:
-        """What the informational slave methods tell the master."""
+        """Values of the informational slave methods, by method name."""
         return {
             "getName": self.name,
             "getUri": self.uri,
@@ -296,22 +296,20 @@ class Node:
         """This node's API URI, as registered with the master."""
         return settings.build_uri(self._host, self._listener.slave_port)
 
-    # --- start ---
-
     async def _start(self) -> None:
         stream = await self._session.open()
         self._host = self.settings.address or stream.local_address
         await self._listener.start(self._host)
         self._tasks.spawn(self._session.run(), f"{self.name}: master session")
-        self._tasks.spawn(self._watchdog.run(), f"{self.name}: watch")
-        self._tasks.spawn(self._maintain(), f"{self.name}: grants")
+        self._tasks.spawn(self._watchdog.run(), f"{self.name}: watchdog")
+        self._tasks.spawn(self._maintain(), f"{self.name}: maintenance")
 
     async def _dial_master(self) -> SecureStream[Identity]:
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def _restore(self, session: MasterSession) -> None:
         self._topics.session_opened()
-        with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
+        with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
         current = self.access.current(clock.now())
         await session.call("rossec.presentGrants", current[:_PRESENTED])
@@ -322,31 +320,31 @@ class Node:
         await self.services.restore()
         await self.params.restore()
 
-    # --- what must end ---
-
     def _connections(self) -> Iterator[AuthorizedConnection]:
         yield from self._topics.connections()
         yield from self.services.connections()
 
     async def _maintain(self) -> None:
-        """A grant that arrives in the node's directory, or is renewed, counts without a restart."""
+        """Load new grants, renew grants and the identity, request proofs: periodically."""
         while True:
             await asyncio.sleep(_MAINTENANCE_PERIOD)
             self._topics.drop_expired_publishers()
             new = self._grant_directory.take_new()
-            with contextlib.suppress(HintedError, OSError):  # else with the next connection
+            with contextlib.suppress(
+                HintedError, OSError
+            ):  # retried later, or with the next connection
                 if new:
                     _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
                 renewed = await renew(self._session.call, self._renewals, clock.now())
                 if new or renewed:
-                    await self._register()  # what was refused for want of it
+                    await self._register()  # registrations refused before for lack of the grant
                 await renew_identity(self._session.call, self._identity_renewal, clock.now())
                 if await prove(self._session.call, self.revocations):
                     self._watchdog.close_terminated(clock.now())
 
     def _crashed(self, error: BaseException) -> None:
-        """A node whose watch has died must not go on: it would no longer cut anything."""
+        """Close the node when a task fails: without its watchdog it would close no connection."""
         if not self._ended.done():
             self._ended.set_exception(error)
             self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")

@@ -1,8 +1,8 @@
 """Parameters: the master's tree, read and written over the node's session, and its changes.
 
-Values are what XML-RPC carries: bool, int, float, str, bytes, lists, mappings with text as keys.
-A subscription holds the newest value; who iterates slower than it changes misses values in between.
-The master tells a subscriber of an unset parameter with an empty mapping: ROS knows no difference.
+Values are those of XML-RPC: bool, int, float, str, bytes, lists, mappings with str keys. A
+subscription holds the newest value; a slow iteration misses values in between. The master notifies
+subscribers of an unset parameter with an empty mapping, as ROS does.
 """
 
 import asyncio
@@ -18,17 +18,19 @@ from rossec.ros.names import SEPARATOR
 from rossec.ros.xmlrpc import Fault
 
 _REQUIRED: Final = object()
-_NOT_FOUND: Final = "Cannot find parameter"  # what the master says to a search, as stock
-_REFUSAL: Final = "rossec: "  # begins every refusal of the master; what else has code -1 is absent
+_NOT_FOUND: Final = "Cannot find parameter"  # the master's answer to a search, as stock
+_REFUSAL: Final = (
+    "rossec: "  # begins every refusal of the master; other answers with code -1 mean absent
+)
 
-Value = Any  # what XML-RPC carries
+Value = Any  # any XML-RPC value
 
 
 class NodeParameters:
-    """The parameters as this node may see them: `node.params`.
+    """The parameters this node may read and write: `node.params`.
 
     Args:
-        resolve: a name as the program writes it, made absolute and remapped.
+        resolve: makes a name absolute and applies remappings.
     """
 
     def __init__(self, context: NodeContext, resolve: Callable[[str], str]) -> None:
@@ -54,14 +56,14 @@ class NodeParameters:
             raise _unset(key) from error
 
     async def set(self, name: str, value: Value) -> None:
-        """Give `name` a value; a mapping sets a namespace and drops what else was in it.
+        """Give `name` a value; a mapping replaces a whole namespace.
 
         Raises:
             RossecError: XML-RPC cannot carry the value, or the master refuses.
         """
         key = self._key(name)
         await self._ask("setParam", key, value)
-        self.changed(key, value)  # the master does not tell the one who set it
+        self.changed(key, value)  # the master does not notify the caller
 
     async def has(self, name: str) -> bool:
         """Whether `name` has a value; raises as `get`."""
@@ -81,7 +83,7 @@ class NodeParameters:
         """The nearest `name` in this node's namespace and those above; None when there is none.
 
         Raises:
-            RossecError: no name to search for, or the master is out of reach.
+            RossecError: the name is empty, or the master is out of reach.
         """
         try:
             return str(await self._ask("searchParam", name))
@@ -94,11 +96,11 @@ class NodeParameters:
         """Every parameter this node may read."""
         found = await self._ask("getParamNames")
         if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
-            raise AnswerMalformed("names of parameters that are no list of text")
+            raise AnswerMalformed("parameter names that are not a list of str")
         return found
 
     async def subscribe(self, name: str) -> "ParameterSubscription":
-        """Follow `name`: `async for value in subscription` begins with the present value.
+        """Subscribe to `name`: `async for value in subscription` begins with the current value.
 
         Raises:
             RossecError: the master refuses, or is out of reach.
@@ -113,7 +115,7 @@ class NodeParameters:
         return subscription
 
     def changed(self, key: str, value: Value) -> None:
-        """Take over what the master (or this node) says `key` is now."""
+        """Take a new value of `key` from the master or this node."""
         key = key.removesuffix(SEPARATOR) or SEPARATOR
         for name, subscriptions in self._subscriptions.items():
             for subscription in subscriptions:
@@ -123,7 +125,7 @@ class NodeParameters:
                     subscription.take(_found(value, _path(name, key)))
 
     async def restore(self) -> None:
-        """Subscribe to everything again: the master was restarted, or a grant is new."""
+        """Subscribe to everything again: the master was restarted, or there is a new grant."""
         for name in tuple(self._subscriptions):
             with self._context.restoring(name):
                 await self._register(name)
@@ -138,7 +140,7 @@ class NodeParameters:
         before = [item.updates for item in self._subscriptions[key]]
         value = await self._ask("subscribeParam", self._context.uri(), key)
         for subscription, updates in zip(self._subscriptions.get(key, []), before, strict=False):
-            if subscription.updates == updates:  # a push may have been faster
+            if subscription.updates == updates:  # an update may have arrived first
                 subscription.take(value)
 
     async def _unsubscribe(self, subscription: "ParameterSubscription") -> None:
@@ -155,12 +157,12 @@ class NodeParameters:
             self._subscriptions.pop(subscription.name, None)
 
     async def _ask(self, method: str, *params: object) -> object:
-        """Call the master; that it cannot even read the call is an ordinary refusal here."""
+        """Call the master; a fault because it cannot parse the call counts as a refusal."""
         try:
             return await self._context.call(method, *params)
         except Fault as fault:
             raise AnswerRefused(
-                f"the master cannot read this {method}: {fault.faultString}",
+                f"the master cannot parse this {method}: {fault.faultString}",
                 "XML carries no control characters; send such text as bytes",
                 code=fault.faultCode,
             ) from fault
@@ -170,7 +172,7 @@ class NodeParameters:
 
 
 class ParameterSubscription:
-    """One parameter, followed. Made by `NodeParameters.subscribe`.
+    """A subscription to one parameter. Made by `NodeParameters.subscribe`.
 
     Attributes:
         name: its resolved name.
@@ -188,7 +190,7 @@ class ParameterSubscription:
         self._ended = False
 
     def take(self, value: Value) -> None:
-        """A new value; the same one again wakes nobody."""
+        """Take a value; the same one again is not yielded."""
         fresh = self.updates == 0 or value != self.value
         self.updates += 1
         if fresh:
@@ -196,7 +198,7 @@ class ParameterSubscription:
             self._updated.set()
 
     async def __aiter__(self) -> AsyncIterator[Value]:
-        """The present value, then the newest one whenever it has changed."""
+        """The current value, then the newest one whenever it has changed."""
         while True:
             await self._updated.wait()
             if self._ended:
@@ -237,7 +239,7 @@ def _found(tree: Value, path: list[str]) -> Value:
 
 
 def _replaced(tree: Value, path: list[str], value: Value) -> Value:
-    """`tree` with `value` at `path`; an empty mapping there means that nothing is."""
+    """`tree` with `value` at `path`; an empty mapping removes what is there."""
     if not path:
         return deepcopy(value)
     new = dict(tree) if isinstance(tree, dict) else {}

@@ -1,8 +1,8 @@
-"""A topic this node publishes: who is connected, and what each of them may see of a message.
+"""A topic this node publishes: its subscribers, and what each may receive of a message.
 
-A shell around the guards: a message is serialized once, filtered once per distinct treatment, and
+A shell around the guards: a message is serialized once, filtered once per distinct filter, and
 queued per subscriber; a full queue drops its oldest message, as rospy's does. A subscriber whose
-guard cannot judge a message does not get it.
+guard cannot evaluate a message does not receive it.
 """
 
 import asyncio
@@ -37,7 +37,7 @@ _log = logging.getLogger("rossec.node")
 
 
 class SubscriberConnection:
-    """One admitted subscriber: its stream, its guard, and the messages waiting for it."""
+    """One admitted subscriber: its stream, its guard, and its queue of messages."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class SubscriberConnection:
         self._wake = asyncio.Event()
 
     def enqueue(self, pieces: Pieces) -> None:
-        """Queue one filtered message; the oldest gives way when the queue is full."""
+        """Queue one filtered message; the oldest is dropped when the queue is full."""
         if len(self._queue) >= self._queue_size:
             self._queue.popleft()
             self.dropped += 1
@@ -65,7 +65,7 @@ class SubscriberConnection:
         self._wake.set()
 
     async def run(self) -> None:
-        """Send what is queued until the stream ends (it raises then)."""
+        """Send queued messages until the stream ends, which raises."""
         async with asyncio.TaskGroup() as group:
             group.create_task(self._until_closed())
             while True:
@@ -136,7 +136,7 @@ class Publisher:
     def publish_bytes(self, data: bytes | memoryview) -> None:
         """Send a message that is serialized already (without its length prefix).
 
-        What is judged is what is sent: a buffer that could still change is copied first.
+        A buffer that could still change is copied, so that the bytes checked are the bytes sent.
         """
         self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
 
@@ -153,7 +153,7 @@ class Publisher:
         filtered: dict[Hashable, Pieces | None] = {}
         now = clock.now()
         for connection in tuple(self.links):
-            if connection.ends <= now:  # its timer is about to cut it
+            if connection.ends <= now:  # the watchdog is about to close it
                 continue
             key = connection.guard.key
             if key not in filtered:
@@ -171,10 +171,10 @@ class Publisher:
             await self._changed.wait()
 
     def guard(self, decision: Decision) -> Guard:
-        """What `decision` means for the messages of this topic.
+        """The guard that applies `decision` to the messages of this topic.
 
         Raises:
-            GrantError: its restrictions were written for another message type.
+            GrantError: its restrictions are for another message type.
             ConfigurationError: a key for pseudonyms cannot be read.
         """
         keys = {name: self._filter_key(name) for name in needed_keys(decision.restrictions)}
@@ -183,7 +183,7 @@ class Publisher:
     async def serve(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes
     ) -> None:
-        """Answer one admitted subscriber and feed it until its stream ends.
+        """Answer one admitted subscriber and send it messages until its stream ends.
 
         It is registered before the answer is sent: a revocation received meanwhile closes it.
         """

@@ -1,8 +1,8 @@
-"""A service this node provides: who is connected, and what each of them may ask and hear.
+"""A service this node provides: its callers, and what each of them may send and receive.
 
-A shell around `serviceguard`. Every request is judged anew: a connection may be hours old. Requests
-of one connection are answered one after the other; a caller that sends faster is not read. What a
-handler raises stays here, except `ServiceFailed`, which is meant for the caller.
+Every request is checked again, as a connection may be hours old. The requests of one connection are
+answered one after the other; a caller that sends faster is not read from. Exceptions of a handler
+are not sent to the caller, except `ServiceFailed`.
 """
 
 import asyncio
@@ -61,11 +61,11 @@ class CallerConnection:
         self._frames = wire.request_reader()
 
     async def request(self, *, wait: bool) -> bytes:
-        """The next request; `wait` as long as it takes for it to begin.
+        """The next request; `wait` without a time limit for it to begin.
 
         Raises:
-            FrameRefused: it is too long, or did not come in time.
-            ChannelError: the connection is at its end.
+            FrameRefused: it is too long, or did not arrive in time.
+            ChannelError: the connection was closed.
         """
         content = self._frames.feed_one(await self.stream.receive()) if wait else None
         try:
@@ -73,7 +73,7 @@ class CallerConnection:
                 while content is None:
                     content = self._frames.feed_one(await self.stream.receive())
         except TimeoutError:
-            raise FrameRefused("a request that did not come in time") from None
+            raise FrameRefused("a request that did not arrive in time") from None
         return content
 
 
@@ -82,7 +82,7 @@ class Service:
 
     Args:
         handler: takes a request, returns the response: a message, a mapping of its fields, or
-            None if it has none; it may be a coroutine function. A plain function holds up the
+            None if it has none; it may be a coroutine function. A plain function blocks the
             whole node while it runs.
         concurrency: how many calls are handled at a time, half of them of one caller; more wait.
         deadline: seconds a call may take, waiting included.
@@ -102,7 +102,7 @@ class Service:
         if concurrency < 1 or deadline <= 0:
             raise ConfigurationError(
                 f"{name}: concurrency {concurrency}, deadline {deadline:g} s",
-                "give both above zero",
+                "both must be above zero",
             )
         self.name = name
         self.kind = kind
@@ -125,13 +125,13 @@ class Service:
         return self.kind.response.create(**fields)
 
     async def close(self) -> None:
-        """Unregister and cut every caller."""
+        """Unregister and close the connection of every caller."""
         for connection in tuple(self.links):
             connection.stream.abort("the service is closed")
         await self._on_close(self)
 
     def guard(self, decision: Decision) -> ServiceGuard:
-        """What `decision` means for the messages of this service; raises as `ServiceGuard`."""
+        """The guard that applies `decision` to the messages; raises as `ServiceGuard`."""
         return ServiceGuard(
             self.kind, decision, self._context.filter_key, self._context.memory_scope
         )
@@ -162,7 +162,7 @@ class Service:
             self.links.discard(connection)
 
     def _share_of(self, caller: Identity) -> asyncio.Semaphore:
-        """Of all turns one caller takes half at most, over however many connections."""
+        """The calls of one caller at a time: at most half, on however many connections."""
         share = self._shares.get(caller.thumbprint)
         if share is None:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
@@ -176,7 +176,7 @@ class Service:
         await connection.stream.send(*await self._respond(connection, request))
 
     async def _respond(self, connection: CallerConnection, request: bytes) -> Pieces:
-        """The response, or why there is none, as bytes."""
+        """The response, or the error response, as bytes."""
         try:
             async with asyncio.timeout(self._deadline), connection.share, self._slots:
                 allowed = b"".join(connection.guard.request(request, clock.now()))
@@ -203,7 +203,7 @@ class Service:
             raise ServiceRefused(f"not one {self.kind.request.name}") from error
 
     async def _handle(self, request: Message) -> memoryview:
-        """The serialized response; whatever else the handler raises tells about our inside."""
+        """The serialized response; the caller is sent no exception but `ServiceFailed`."""
         try:
             result = self._handler(request)
             if inspect.isawaitable(result):
@@ -223,7 +223,7 @@ class Service:
             return empty
         if type(result) is not type(empty):
             raise MessageError(
-                f"the handler of {self.name} returned no {self.kind.response.name}",
+                f"the handler of {self.name} did not return a {self.kind.response.name}",
                 "return service.create(...), or a mapping of its fields",
             )
         return result

@@ -1,9 +1,9 @@
-"""Calls of a service: a connection for each, or one that is kept.
+"""Calls of a service: a connection for each call, or a persistent one.
 
-A shell. The master says where the provider is, nothing more. Who it is comes from the channel,
-whether it may provide from the grant it shows, and what it is told and believed from
-`serviceguard`. A connection that failed half-way through a call is never used again: a late
-response must not be taken for the next one's.
+The master provides the address of the provider only. Its identity comes from the channel, its right
+to provide from the grant it presents; `service_guard` filters what is sent and received. A
+connection that failed during a call is not used again: a late response must not be taken for that
+of the next call.
 """
 
 import asyncio
@@ -59,8 +59,8 @@ class ProviderConnection:
         """The response to one request.
 
         Raises:
-            ServiceFailed: the provider says why there is none.
-            RossecError: the connection is at its end, or broke the protocol.
+            ServiceFailed: the provider answered with an error.
+            RossecError: the connection was closed, or the peer violated the protocol.
         """
         await self.stream.send(*wire.framed(request))
         while (content := self._frames.feed_one(await self.stream.receive())) is None:
@@ -78,10 +78,10 @@ async def exchange_headers(
     persistent: bool = False,
     probe: bool = False,
 ) -> tuple[Fields, Decision]:
-    """Exchange headers with a provider: what it said, and what its grants decide.
+    """Exchange headers with a provider; returns its header, and the decision on its grants.
 
     Raises:
-        HintedError: it refuses, or is not entitled.
+        HintedError: it refuses, or lacks the right.
     """
     fields = client_header(
         caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
@@ -95,10 +95,10 @@ async def exchange_headers(
 
 
 async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[Fields, Identity]:
-    """Ask the provider of `service` for its header alone; returns it and who answered.
+    """Request the header of the provider of `service`; returns it and the provider's identity.
 
     Raises:
-        HintedError: there is none, it refuses, or is not entitled.
+        HintedError: there is none, it refuses, or lacks the right.
         TimeoutError: it does not answer.
     """
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
@@ -114,7 +114,7 @@ class ServiceClient:
     """Calls one service: `response = await client(data=True)`. Made by `Node.client`.
 
     Args:
-        persistent: keep the connection between calls; calls then take turns.
+        persistent: keep the connection between calls, which then run one at a time.
         deadline: seconds a call may take, connecting included.
     """
 
@@ -130,7 +130,7 @@ class ServiceClient:
         deadline: float = CALL_DEADLINE,
     ) -> None:
         if deadline <= 0:
-            raise ConfigurationError(f"a deadline of {deadline:g} seconds", "give one above zero")
+            raise ConfigurationError(f"a deadline of {deadline:g} seconds", "it must be above zero")
         self.service = service
         self.kind = kind
         self.links: set[ProviderConnection] = set()
@@ -153,8 +153,8 @@ class ServiceClient:
 
         Raises:
             ServiceUnavailable: no node provides the service.
-            ServiceFailed: the provider says why it could not, or it took too long.
-            HintedError: one side is not entitled, or the connection failed.
+            ServiceFailed: the provider answered with an error, or too late.
+            HintedError: one side lacks the right, or the connection failed.
         """
         if request is None:
             request = self.create(**fields)
@@ -165,7 +165,7 @@ class ServiceClient:
         """Call with a serialized request (without its length); returns the serialized response.
 
         Raises:
-            as calling does.
+            HintedError: as `__call__`.
         """
         if self._closed:
             raise ChannelClosed(f"the client of {self.service} is closed")
@@ -176,7 +176,7 @@ class ServiceClient:
             raise ServiceFailed(f"{self.service} did not answer in time") from None
 
     async def close(self) -> None:
-        """Drop the connections; calls under way fail. Safe to call twice."""
+        """Close the connections; calls in progress fail. Safe to call twice."""
         self._closed = True
         for connection in tuple(self.links):
             connection.stream.abort("the client is closed")
@@ -197,7 +197,7 @@ class ServiceClient:
 
     @contextlib.asynccontextmanager
     async def _connection(self) -> AsyncIterator[ProviderConnection]:
-        """The kept connection, for one call at a time, or one for this call."""
+        """The persistent connection, for one call at a time, or one for this call."""
         if not self._persistent:
             connection = await self._connect()
             try:
@@ -253,17 +253,17 @@ class ServiceClient:
         )
         check_md5(answer, self.service, kind.md5sum)
         stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
-        own = self._context
-        guard = ServiceGuard(self.kind, decision, own.filter_key, own.memory_scope)
+        context = self._context
+        guard = ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
         return ProviderConnection(stream, decision, guard)
 
     async def _discard_when_ended(self, connection: ProviderConnection) -> None:
-        """A connection that has ended, whoever ended it, is not used for the next call."""
+        """Discard a connection when it ends, so that the next call does not use it."""
         await connection.stream.wait_ended()
         self._discard(connection)
 
     def _discard(self, connection: ProviderConnection) -> None:
-        connection.stream.abort("the call failed half-way")
+        connection.stream.abort("the call failed before its end")
         self.links.discard(connection)
         if self._cached is connection:
             self._cached = None

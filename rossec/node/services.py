@@ -1,7 +1,7 @@
-"""The services of one node: those it provides, those it calls, and what the master knows of them.
+"""The services of one node: those it provides, those it calls, and their registrations.
 
-A shell. Authorization precedes any look at what this node provides: a caller or a probe without the
-right learns nothing (attack N6).
+A caller is authorized before this node looks up the service: a caller or a probe without the right
+learns nothing (attack N6).
 """
 
 import asyncio
@@ -39,12 +39,14 @@ from rossec.participant.service_types import ServiceType
 from rossec.ros import header
 from rossec.ros.service import REQUEST_LIMIT
 
-_POLL_PERIOD: Final = 0.3  # seconds between looks for a service, as in rospy
-_ABSENT: Final = "no provider"  # what the master says, as stock; a refusal begins with "rossec: "
+_POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
+_ABSENT: Final = (
+    "no provider"  # the status of the master, as stock; a refusal begins with "rossec: "
+)
 
 
 class Services:
-    """The desk every call of a service goes through, in either direction."""
+    """The provided services by name, and the clients."""
 
     def __init__(self, context: NodeContext) -> None:
         self._context = context
@@ -68,7 +70,7 @@ class Services:
         if name in self._provided:
             raise ConfigurationError(f"{name} is provided by this node already")
         service = Service(
-            name, kind, handler, self._context, self._withdraw,
+            name, kind, handler, self._context, self._unregister,
             concurrency=concurrency, deadline=deadline,
         )  # fmt: skip
         self._provided[name] = service
@@ -118,20 +120,20 @@ class Services:
             await asyncio.sleep(_POLL_PERIOD)
 
     async def probe(self, name: str) -> tuple[Fields, Identity]:
-        """The header of the provider of `name`, and who it is; raises as `client.probe`."""
+        """The header and identity of the provider of `name`; raises as `service_client.probe`."""
         return await probe(self.dial, self._context.name, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
-        """Services this node may see, and who provides each.
+        """Services this node may see, each with its providers.
 
         Raises:
-            RossecError: the master is out of reach, or answers nonsense.
+            RossecError: the master is out of reach, or sends a malformed answer.
         """
         match await self._context.call("getSystemState"):
             case [_, _, [*services]]:
                 return dict(_provided(item) for item in services)
             case _:
-                raise AnswerMalformed("a system state that is none")
+                raise AnswerMalformed("an invalid system state")
 
     async def lookup(self, name: str) -> str:
         """The rosrpc URI of the provider of `name`.
@@ -160,16 +162,18 @@ class Services:
         """Decide on a caller from its header; returns what serves it.
 
         Raises:
-            HintedError: why not.
+            HintedError: the caller is refused.
         """
-        own, now = self._context, clock.now()
-        decision = admit_caller(fields, stream.peer, own.access, now)
+        context, now = self._context, clock.now()
+        decision = admit_caller(fields, stream.peer, context.access, now)
         name = requested_service(fields)
         service = self._provided.get(name)
         if service is None:
-            raise ConnectionHeaderRefused(f"{own.name} does not provide {name}")
+            raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
         check_md5(fields, name, service.kind.md5sum)
-        answer = header.encode(server_header(own.name, name, service.expected, own.access, now))
+        answer = header.encode(
+            server_header(context.name, name, service.expected, context.access, now)
+        )
         if is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
@@ -185,23 +189,23 @@ class Services:
             yield from client.links
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted, or a grant is new."""
+        """Register everything again: the master was restarted, or there is a new grant."""
         for service in tuple(self._provided.values()):
             with self._context.restoring(service.name):
                 await self._register(service)
 
     async def close(self) -> None:
-        """Drop every client and every caller; unregister."""
+        """Close every client and every service; unregister."""
         for client in tuple(self._clients):
             await client.close()
         for service in tuple(self._provided.values()):
             await service.close()
 
     async def _register(self, service: Service) -> None:
-        own = self._context
-        await own.call("registerService", service.name, own.rosrpc(), own.uri())
+        context = self._context
+        await context.call("registerService", service.name, context.rosrpc(), context.uri())
 
-    async def _withdraw(self, service: Service) -> None:
+    async def _unregister(self, service: Service) -> None:
         if self._provided.get(service.name) is service:
             del self._provided[service.name]
             with contextlib.suppress(HintedError, OSError, TimeoutError):
@@ -213,4 +217,4 @@ def _provided(item: object) -> tuple[str, list[str]]:
         case [str() as name, [*nodes]]:
             return name, [node for node in nodes if isinstance(node, str)]
         case _:
-            raise AnswerMalformed("a system state that is none")
+            raise AnswerMalformed("an invalid system state")

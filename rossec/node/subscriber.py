@@ -1,8 +1,8 @@
-"""A topic this node subscribes to: one connection to each publisher the master names.
+"""A topic this node subscribes to: one connection to each publisher the master lists.
 
-A shell: the master says where publishers are, nothing more. Who they are comes from the channel,
-whether they may publish from the grant they show. A publisher that refuses, or is refused, is
-tried again with growing pauses for as long as the master names it: a grant may arrive later.
+The master provides the addresses of publishers only. Their identity comes from the channel, their
+right to publish from the grant they present. A publisher that refuses, or is refused, is tried
+again with growing pauses for as long as the master lists it: a grant may arrive later.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from rossec import clock
 from rossec.errors import ConfigurationError, MessageError
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import arrived
+from rossec.net.aio.arrivals import next_messages
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.participant.access import Access
@@ -44,7 +44,7 @@ _log = logging.getLogger("rossec.node")
 
 
 class PublisherConnection:
-    """One admitted publisher; `guard` applies what its right is restricted by, if anything."""
+    """One admitted publisher; `guard` applies the restrictions of its right, if any."""
 
     def __init__(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard | None
@@ -97,7 +97,7 @@ class Subscriber:
         return self.endpoint.topic
 
     def update(self, publishers: list[str]) -> None:
-        """Connect to exactly `publishers` (API URIs), as the master says."""
+        """Connect to exactly `publishers` (API URIs), the master's list."""
         if self._closed:
             return
         self.updates += 1
@@ -107,7 +107,7 @@ class Subscriber:
             self._tasks[uri] = self._task_set.spawn(self._follow(uri), f"{self.topic} from {uri}")
 
     async def messages(self) -> AsyncIterator[Message]:
-        """Messages as they arrive; ends when the node closes. A malformed one is left out."""
+        """Messages as they arrive; ends when the node closes. A malformed one is dropped."""
         async for data in self.raw():
             try:
                 message = self.endpoint.type.deserialize(data)
@@ -130,7 +130,7 @@ class Subscriber:
             await self._wake.wait()
 
     async def close(self) -> None:
-        """Drop every connection, end the iterators, tell the master. Safe to call twice."""
+        """Close every connection, end the iterators, unregister. Safe to call twice."""
         if self._closed:
             return
         self._closed = True
@@ -140,13 +140,13 @@ class Subscriber:
         await self._on_close(self)
 
     async def _follow(self, uri: str) -> None:
-        """Keep one publisher connected until the master forgets it."""
+        """Keep one publisher connected until the master no longer lists it."""
         pause = _FIRST_PAUSE
         while True:
             before = self.received
             try:
                 await self._receive_from(uri)
-            except Exception as error:  # noqa: BLE001 - whatever a peer provokes, try it again later
+            except Exception as error:  # noqa: BLE001 - after any error try again later
                 self._record_failure(uri, error)
             pause = _FIRST_PAUSE if self.received > before else min(2 * pause, _LONGEST_PAUSE)
             await asyncio.sleep(pause)
@@ -165,7 +165,7 @@ class Subscriber:
             self._deliver(connection, early)
             framing = Framing(frames)
             while True:
-                self._deliver(connection, await arrived(stream, framing))
+                self._deliver(connection, await next_messages(stream, framing))
         finally:
             self.links.discard(connection)
             stream.abort("no longer subscribed")
@@ -198,7 +198,7 @@ class Subscriber:
             self._wake.set()
 
     def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: int) -> list[bytes]:
-        """What a publisher with a restricted right may say."""
+        """The messages that the right of the publisher allows, filtered."""
         filtered = []
         for message in messages:
             try:
@@ -210,17 +210,17 @@ class Subscriber:
         return filtered
 
     def _record_failure(self, uri: str, error: Exception) -> None:
-        """Say each reason once: it is tried again and again."""
+        """Log a failure; the same one again at level INFO only, as every attempt may repeat it."""
         if isinstance(error, HintedError):
             self.refusals.append(error)
         reason = f"{self.topic} from {uri}: {str(error) or type(error).__name__}"
-        unforeseen = not isinstance(error, HintedError | OSError)
+        unexpected = not isinstance(error, HintedError | OSError)
         level = logging.INFO if reason == self._last_reason else logging.WARNING
-        _log.log(level, "%s", reason, exc_info=error if unforeseen else None)
+        _log.log(level, "%s", reason, exc_info=error if unexpected else None)
         self._last_reason = reason
 
 
 def check_queue_size(size: int) -> None:
-    """Refuse a queue that holds nothing (rospy's 0 means without bound, which memory is not)."""
+    """Refuse a size below 1 (in rospy 0 means unbounded, but memory is not)."""
     if size < 1:
-        raise ConfigurationError(f"a queue of {size} messages", "give queue_size 1 or more")
+        raise ConfigurationError(f"a queue of {size} messages", "queue_size must be 1 or more")

@@ -1,7 +1,4 @@
-"""The topics of one node: its publishers and subscribers, and their standing with the master.
-
-A shell.
-"""
+"""The topics of one node: its publishers and subscribers, and their registrations."""
 
 import contextlib
 import logging
@@ -51,9 +48,14 @@ class Topics:
         if endpoint.topic in self._publishers:
             raise ConfigurationError(f"{endpoint.topic} is published by this node already")
         shape = layout.parse(endpoint.type.name, endpoint.type.definition)
-        own = self._context
+        context = self._context
         publisher = Publisher(
-            endpoint, shape, own.filter_key, own.memory_scope, latch=latch, queue_size=queue_size
+            endpoint,
+            shape,
+            context.filter_key,
+            context.memory_scope,
+            latch=latch,
+            queue_size=queue_size,
         )
         self._publishers[endpoint.topic] = publisher
         try:
@@ -69,16 +71,16 @@ class Topics:
         Raises:
             RossecError: the master refuses.
         """
-        own = self._context
+        context = self._context
         existing = self._subscribers.setdefault(endpoint.topic, [])
         subscriber = Subscriber(
-            own.name,
+            context.name,
             endpoint,
-            own.access,
-            own.dialer.topic,
+            context.access,
+            context.dialer.topic,
             self._forget,
-            own.filter_key,
-            _unused_memory_scope(own.memory_scope, existing),
+            context.filter_key,
+            _unused_memory_scope(context.memory_scope, existing),
             queue_size=queue_size,
         )
         existing.append(subscriber)
@@ -90,7 +92,7 @@ class Topics:
         return subscriber
 
     def describe(self) -> dict[str, object]:
-        """What the slave API says of topics: each with its type."""
+        """The topics with their types, for the slave API."""
         publications = [[item.topic, item.endpoint.type.name] for item in self.publishers.values()]
         subscriptions = [[item.topic, item.endpoint.type.name] for item in self.subscribers]
         return {"getSubscriptions": subscriptions, "getPublications": publications}
@@ -100,11 +102,11 @@ class Topics:
         self._follow(topic, self._grace.update(topic, uris))
 
     def session_opened(self) -> None:
-        """The master may have been started again, and name fewer publishers than there are."""
+        """The master may have been restarted, and its publisher lists be incomplete."""
         self._grace.session_opened()
 
     def drop_expired_publishers(self) -> None:
-        """Let go of publishers that the master did not name again in time."""
+        """Drop publishers that the master did not list again within the grace period."""
         for topic in self._grace.expired_topics():
             self._follow(topic, self._grace.to_follow(topic))
 
@@ -120,7 +122,7 @@ class Topics:
             yield from subscriber.links
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted, or a grant is new."""
+        """Register everything again: the master was restarted, or there is a new grant."""
         for publisher in tuple(self._publishers.values()):
             with self._context.restoring(publisher.topic):
                 await self._register_publisher(publisher)
@@ -129,17 +131,17 @@ class Topics:
                 await self._register_subscriber(subscriber)
 
     async def close_subscribers(self) -> None:
-        """Drop every connection to a publisher."""
+        """Close every connection to a publisher."""
         for subscriber in self.subscribers:
             await subscriber.close()
 
     async def unregister(self) -> None:
-        """Tell the master that this node publishes no more."""
+        """Unregister the publishers."""
         try:
             for topic in self._publishers:
                 await self._context.call("unregisterPublisher", topic, self._context.uri())
         except (HintedError, OSError, TimeoutError) as error:
-            _log.info("%s: left without unregistering: %s", self._context.name, error)
+            _log.info("%s: closed without unregistering: %s", self._context.name, error)
 
     async def _register_publisher(self, publisher: Publisher) -> None:
         endpoint = publisher.endpoint
@@ -148,17 +150,19 @@ class Topics:
         )
 
     async def _register_subscriber(self, subscriber: Subscriber) -> None:
-        endpoint, own = subscriber.endpoint, self._context.uri()
+        endpoint, uri = subscriber.endpoint, self._context.uri()
         before = subscriber.updates
         uris = await self._context.call(
-            "registerSubscriber", endpoint.topic, endpoint.type.name, own
+            "registerSubscriber", endpoint.topic, endpoint.type.name, uri
         )
-        if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
+        if (
+            isinstance(uris, list) and subscriber.updates == before
+        ):  # an update may have arrived first
             named = [uri for uri in uris if isinstance(uri, str)]
             subscriber.update(self._grace.update(subscriber.topic, named))
 
     async def _forget(self, subscriber: Subscriber) -> None:
-        """A subscriber was closed; the last one of its topic unregisters."""
+        """Remove a closed subscriber; the last one of its topic unregisters."""
         others = self._subscribers.get(subscriber.topic, [])
         if subscriber in others:
             others.remove(subscriber)
@@ -171,10 +175,10 @@ class Topics:
 
 
 def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
-    """Where a further subscriber of a topic remembers: apart from those that live.
+    """The memory of another subscriber of a topic, separate from those of the open ones.
 
-    Each of them gets every message. The next one goes on where one that was closed has stopped.
+    Each of them receives every message. A new one continues with the memory of a closed one.
     """
-    taken = {subscriber.memory_scope for subscriber in existing}
-    places = (memory_scope.child(str(number)) for number in count())
-    return next(place for place in places if place not in taken)
+    used = {subscriber.memory_scope for subscriber in existing}
+    scopes = (memory_scope.child(str(number)) for number in count())
+    return next(scope for scope in scopes if scope not in used)

@@ -44,7 +44,7 @@ def searched_key(method: str, params: Params) -> str | None:
 
 def search_places(caller: str, key: str) -> Iterator[tuple[str, str]]:
     """Where stock looks for `key`, innermost first: names that must exist, with their results."""
-    return names.upwards(caller[:MAX_NAME], key)
+    return names.search_paths(caller[:MAX_NAME], key)
 
 
 def search_result(answer: list[object], found: str) -> list[object] | None:

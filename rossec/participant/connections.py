@@ -69,7 +69,7 @@ class AcceptedConnections:
                 stream.abort("too many connections of one identity")
                 return
             self._streams.add(stream)  # until its socket is closed: one that lingers counts
-            stream.when_lost(partial(self._streams.discard, stream))
+            stream.when_closed(partial(self._streams.discard, stream))
             await handler(stream)
 
         return serve_one

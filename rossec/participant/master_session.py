@@ -209,4 +209,4 @@ def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
 
     Only the answer to the node's own call may do so: it is at most as old as the call.
     """
-    return clock.heard(open_timestamp(timestamp, master.public_key).issued)
+    return clock.correct(open_timestamp(timestamp, master.public_key).issued)

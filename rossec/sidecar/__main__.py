@@ -14,7 +14,7 @@ from typing import Any
 
 from ca.errors import HintedError
 from rossec.channel.suite_selection import post_quantum
-from rossec.discovery.choose import settle_master
+from rossec.discovery.choose import discover_master
 from rossec.environment import own_home
 from rossec.log_limits import LogRateLimit
 from rossec.ros import settings
@@ -58,7 +58,7 @@ def _restore_sigint() -> None:
 
 async def _run(options: dict[str, Any]) -> int:
     limits = raise_limit()
-    before = await settle_master(child.outer_environment(os.environ), options["identity"])
+    before = await discover_master(child.outer_environment(os.environ), options["identity"])
     callers = _callers(options)
     sidecar = Sidecar(
         own_home(before),

@@ -80,14 +80,14 @@ class Ingress:
     def open(self, local: Endpoint) -> int:
         """The network port for `local`; it listens."""
         server = self.ports.get_or_open(local, lambda: self._listen(local))
-        server.wake()
+        server.resume()
         return server.port
 
     def suspend(self, local: Endpoint) -> None:
         """Refuse callers for `local`: the program has ended."""
         server = self.ports.get(local)
         if server is not None:
-            server.rest()
+            server.suspend()
 
     async def close(self) -> None:
         """Close every port."""

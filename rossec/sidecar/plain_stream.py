@@ -27,12 +27,11 @@ class PlainStream:
         self._buffer = memoryview(bytearray(_SMALL))
         self._end = 0
         self._ended = False
-        self._write: Callable[[memoryview], bool] | None = None
-        self._write_error: BaseException | None = None
+        self._write_nowait: Callable[[memoryview], bool] | None = None
+        self._forward_error: BaseException | None = None
         self._waiter: asyncio.Future[None] | None = None
         self._callback: Callable[[], None] | None = None
         self._drained = asyncio.Event()
-        self._lost = asyncio.Event()
         self._transport = Transport(sock, self)
         self._transport.resume_reading()
 
@@ -42,43 +41,42 @@ class PlainStream:
         """The free tail of the buffer."""
         return self._buffer[self._end :]
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         """Forward the bytes, or buffer them; if the buffer is full, pause reading."""
         self._end += count
-        if self._write is not None:
-            self._write_received(self._write)
+        if self._write_nowait is not None:
+            self._write_received(self._write_nowait)
             return
         if self._end == len(self._buffer):
             self._transport.pause_reading()
         self._notify()
 
-    def _write_received(self, write: Callable[[memoryview], bool]) -> None:
+    def _write_received(self, write_nowait: Callable[[memoryview], bool]) -> None:
         view = self._buffer[: self._end]
         self._end = 0
         try:
-            lags = not write(view)
-        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
-            self._write_error, lags = error, True
+            lags = not write_nowait(view)
+        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `forward`
+            self._forward_error, lags = error, True
         if len(view) == len(self._buffer) < _LARGE:
             self._buffer = memoryview(bytearray(_LARGE))
         if lags:
-            self._write = None
+            self._write_nowait = None
             self._transport.pause_reading()
             self._notify()
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         """The program has closed its side."""
         self._ended = True
         self._notify()
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         """Everything written was sent."""
         self._drained.set()
 
-    def lost(self) -> None:
+    def connection_lost(self) -> None:
         """The connection is closed."""
         self._ended = True
-        self._lost.set()
         self._drained.set()
         self._notify()
 
@@ -111,35 +109,35 @@ class PlainStream:
         if full and not self._ended:
             self._transport.resume_reading()
 
-    async def pour(
-        self, write: Callable[[memoryview], bool], drain: Callable[[], Awaitable[None]]
+    async def forward(
+        self, write_nowait: Callable[[memoryview], bool], drain: Callable[[], Awaitable[None]]
     ) -> NoReturn:
-        """Pass received bytes to `write` directly, without a task switch.
+        """Pass received bytes to `write_nowait` directly, without a task switch.
 
-        When `write` returns false, reading pauses until `drain` returns.
+        When `write_nowait` returns false, reading pauses until `drain` returns.
 
         Raises:
-            ChannelClosed: the program has closed its side; or what `write` or `drain` raise.
+            ChannelClosed: the program has closed its side; or what `write_nowait` or `drain` raise.
         """
         try:
             while True:
                 await drain()
                 if self._end > 0 or self._ended:  # what came before, or meanwhile
                     view = await self.take()
-                    write(view)
+                    write_nowait(view)
                     self.taken(view)
                     continue
-                self._write = write
+                self._write_nowait = write_nowait
                 self._transport.resume_reading()
                 await self._until_blocked()
-                if self._write_error is not None:
-                    raise self._write_error
+                if self._forward_error is not None:
+                    raise self._forward_error
         finally:
-            self._write = None
+            self._write_nowait = None
 
     async def _until_blocked(self) -> None:
         """Wait until the receiver lags, or the program closes."""
-        while self._write is not None and not self._ended:
+        while self._write_nowait is not None and not self._ended:
             self._waiter = asyncio.get_running_loop().create_future()
             await self._waiter
 
@@ -171,7 +169,7 @@ class PlainStream:
         self.taken(view)
         return data
 
-    def send_at_once(self, unit: bytes) -> bool:
+    def try_send(self, unit: bytes) -> bool:
         """Send, unless the program lags; returns whether it was sent.
 
         Raises:
@@ -195,7 +193,7 @@ class PlainStream:
         self.taken(view)
         return data
 
-    def push(self, data: Bytes) -> bool:
+    def write_nowait(self, data: Bytes) -> bool:
         """Send `data` now, whether the program lags or not; false: it does, wait for `drain`.
 
         Raises:
@@ -213,7 +211,7 @@ class PlainStream:
             ChannelClosed: the connection is closed.
         """
         for piece in pieces:
-            self.push(piece)
+            self.write_nowait(piece)
         await self.drain()
 
     async def drain(self) -> None:

@@ -18,7 +18,7 @@ from rossec import clock
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import arrived
+from rossec.net.aio.arrivals import next_messages
 from rossec.participant.header_fields import Fields
 from rossec.ros import header
 from rossec.ros.framing import Framing
@@ -84,14 +84,14 @@ async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: byt
     """Forward everything the program sends, until it closes."""
     if first:
         await peer.send(first)
-    await program.pour(peer.push, peer.drain)
+    await program.forward(peer.write_nowait, peer.drain)
 
 
 async def to_program(peer: SecureStream[Identity], program: PlainStream, first: bytes) -> None:
     """Forward everything the peer sends, until it closes."""
     if first:
         await program.send(first)
-    await peer.pour(program.push, program.drain)
+    await peer.forward(program.write_nowait, program.drain)
 
 
 def outgoing(
@@ -141,7 +141,7 @@ async def send_filtered(
         pieces = _filter_messages(guard, messages, peer, now)
         if pieces:
             await sink.send(*pieces)
-        messages = await arrived(source, framing)
+        messages = await next_messages(source, framing)
 
 
 async def send_filtered_nowait(
@@ -159,8 +159,8 @@ async def send_filtered_nowait(
         guard.check(now)
         pieces = [] if peer.lags else _filter_messages(guard, messages, peer.peer.name, now)
         if pieces:
-            peer.push(b"".join(pieces))
-        messages = await arrived(program, framing)
+            peer.write_nowait(b"".join(pieces))
+        messages = await next_messages(program, framing)
 
 
 def _filter_messages(

@@ -31,7 +31,7 @@ def eve(site: Site) -> Site:
 
 
 @pytest.mark.attack("anonymous-tail")
-async def test_the_tail_is_accepted_where_it_is_certified(eve: Site, witness: Witness) -> None:
+async def test_a_certified_suffix_is_accepted(eve: Site, witness: Witness) -> None:
     fields = fields_for("/eve_1", TOPIC, eve.enroll(EVE).grants())
     heard = await knock(witness.topic_port, credentials(eve), fields, at_most=1)
     assert "error" not in heard.fields
@@ -49,7 +49,7 @@ async def test_a_topic_under_another_name(
 
 
 @pytest.mark.attack("anonymous-tail")
-async def test_a_tail_without_a_certified_wildcard(
+async def test_a_suffix_without_a_certified_wildcard(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     site.subscribe(EVE, TOPIC)

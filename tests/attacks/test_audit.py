@@ -45,13 +45,13 @@ def audit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Audit:
     return audit
 
 
-def test_the_whole_is_whole(audit: Audit) -> None:
+def test_an_intact_audit_verifies(audit: Audit) -> None:
     said = audit.shell("audit", "--verify")
     assert (said.code, len(said.err.splitlines())) == (0, 1)
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3])
-def test_a_beginning_that_was_cut_off(audit: Audit, cut: int) -> None:
+def test_an_audit_without_its_beginning(audit: Audit, cut: int) -> None:
     audit.keep(*audit.lines[cut:])
     refused(audit.shell("audit", "--verify"), "the beginning of the audit is missing", "--after")
 
@@ -66,7 +66,7 @@ def test_another_beginning_by_another_key(audit: Audit) -> None:
     refused(audit.shell("audit", "--verify"), "begins with a line of another key", "--key")
 
 
-def test_the_masters_own_line_put_before_what_is_left(audit: Audit) -> None:
+def test_a_line_of_the_master_before_the_remainder(audit: Audit) -> None:
     lines = audit.lines
     audit.keep(lines[0], *lines[2:])
     refused(audit.shell("audit", "--verify"), "before line 2 of the audit something is missing")
@@ -77,7 +77,7 @@ def test_the_masters_own_line_put_before_what_is_left(audit: Audit) -> None:
     refused(audit.shell("audit", "--verify"), "before line 2 of the audit something is missing")
 
 
-def test_rotation_goes_on(audit: Audit) -> None:
+def test_a_rotated_audit_verifies(audit: Audit) -> None:
     older = audit.path.with_name("audit.log.1")
     audit.path.rename(older)
     audit.write("four")
@@ -86,7 +86,7 @@ def test_rotation_goes_on(audit: Audit) -> None:
     assert (whole.code, len(whole.err.splitlines())) == (0, 1)
     alone = audit.shell("audit", "--verify")
     assert alone.code == 0
-    assert f"it goes on from {last}, not among these files" in alone.err
+    assert f"it continues from {last}, not among these files" in alone.err
     noted = audit.shell("audit", "--verify", "--after", last)
     assert (noted.code, len(noted.err.splitlines())) == (0, 1)
     audit.keep(*audit.lines[1:])

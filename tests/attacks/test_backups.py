@@ -93,14 +93,14 @@ def test_a_file_of_another_name(empty: Shell, genuine: Content, name: str) -> No
 
 
 @pytest.mark.parametrize("value", ["text", 5, [b"x"], {"a": b"x"}, None], ids=str)
-def test_a_file_that_is_none(empty: Shell, genuine: Content, value: object) -> None:
+def test_a_file_that_is_not_a_backup(empty: Shell, genuine: Content, value: object) -> None:
     refused(empty, sealed({**genuine, "policy.yaml": value}), "the backup is malformed")
 
 
 @pytest.mark.parametrize(
     "content", [b"", [], "x", {1: b"x"}, {b"x": b"x"}], ids=["bytes", "list", "text", "one", "two"]
 )
-def test_content_that_is_none(empty: Shell, content: object) -> None:
+def test_a_backup_of_invalid_content(empty: Shell, content: object) -> None:
     refused(empty, sealed(content), "backup")
 
 
@@ -165,7 +165,7 @@ def crafted(genuine: Mapping[str, bytes], script: str, tmp_path: Path) -> Conten
 
 
 @pytest.mark.parametrize("script", RECORDS.values(), ids=RECORDS)
-def test_a_record_with_something_that_runs(
+def test_a_record_with_a_trigger(
     empty: Shell, genuine: Content, script: str, tmp_path: Path
 ) -> None:
     refused(empty, sealed(crafted(genuine, script, tmp_path)), "the backup is no authority")
@@ -185,7 +185,7 @@ TRAPS: dict[str, Trap] = {
 
 
 @pytest.mark.parametrize("trap", TRAPS.values(), ids=TRAPS)
-def test_a_link_where_it_is_to_be(
+def test_a_link_at_the_destination(
     empty: Shell, genuine: Content, trap: Trap, tmp_path: Path
 ) -> None:
     elsewhere = tmp_path / "elsewhere"
@@ -200,7 +200,7 @@ def test_a_home_that_others_can_write(empty: Shell, genuine: Content) -> None:
     refused(empty, sealed(genuine), "can be written by others")
 
 
-def test_what_is_restored_is_for_its_owner_alone(empty: Shell, genuine: Content) -> None:
+def test_restored_files_are_private(empty: Shell, genuine: Content) -> None:
     before = os.umask(0)
     try:
         assert restore(empty, sealed({**genuine, "-rf": b"x"})).code == 0

@@ -49,9 +49,7 @@ async def impatient(tmp_path: Path) -> AsyncIterator[Site]:
         b"\x14\x00\x00\x00\x10\x00\x00\x00callerid=/viewer" + POST,
     ],
 )
-async def test_f9_nothing_that_comes_before_the_handshake_is_ever_a_call(
-    site: Site, data: bytes
-) -> None:
+async def test_f9_data_before_the_handshake_is_not_a_call(site: Site, data: bytes) -> None:
     """One parser for it, and what does not parse there is not handed to another."""
     assert site.master is not None
     loop = asyncio.get_running_loop()

@@ -197,5 +197,5 @@ def test_a_picture_of_finder_patterns(tmp_path: Path) -> None:
     picture.write_bytes(finder_patterns(420))
     assert picture.stat().st_size < 40_000
     said = refused(home, "ca", "enroll", "--image", str(picture), "--passphrase-file", str(secret))
-    assert "to read the picture took too long, or failed" in said
+    assert "reading the picture took too long, or failed" in said
     assert "paste the text" in said

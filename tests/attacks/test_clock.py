@@ -36,7 +36,7 @@ LIFE: Final = 60  # seconds of a grant
 UNTIL_STALE: Final = 30 + STALE_GRACE
 
 
-class Hand:
+class ClockControl:
     """Somebody's hand at the host's clock."""
 
     def __init__(self) -> None:
@@ -48,13 +48,13 @@ class Hand:
 
 
 @pytest.fixture
-def hand(monkeypatch: pytest.MonkeyPatch) -> Hand:
-    hand = Hand()
+def hand(monkeypatch: pytest.MonkeyPatch) -> ClockControl:
+    hand = ClockControl()
     monkeypatch.setattr(clock, "HOST", hand.clock)
     return hand
 
 
-async def bereft(site: Site) -> MasterServer:
+async def stop_master(site: Site) -> MasterServer:
     """End the master: nobody confirms anything any more."""
     assert site.master is not None
     await site.master.close()
@@ -62,13 +62,13 @@ async def bereft(site: Site) -> MasterServer:
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_link_of_a_node_ends_with_its_grant(site: Site, hand: Hand) -> None:
+async def test_a_connection_of_a_node_ends_with_its_grant(site: Site, hand: ClockControl) -> None:
     site.publish("/robot", TOPIC, lifetime=LIFE)
     site.subscribe("/viewer", TOPIC)
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
         pose, sight = await robot.publisher(TOPIC, POSE), await viewer.subscriber(TOPIC, POSE)
         await until(lambda: pose.links and sight.links)
-        await bereft(site)
+        await stop_master(site)
         hand.set = -HOUR
         await asyncio.sleep(2)  # it is seen to be set back
         assert sight.links
@@ -78,13 +78,13 @@ async def test_a_link_of_a_node_ends_with_its_grant(site: Site, hand: Hand) -> N
 
 @pytest.mark.attack("clock-set-back")
 async def test_without_a_master_a_node_is_stale_at_once(
-    site: Site, witness: Witness, hand: Hand
+    site: Site, witness: Witness, hand: ClockControl
 ) -> None:
     site.subscribe(EVE, TOPIC)
     fields = fields_for(EVE, TOPIC, [signed(site)])
     assert (await knock(witness.topic_port, credentials(site), fields, 2000)).after
     revocations = witness.robot.revocations
-    await bereft(site)
+    await stop_master(site)
     revocations.check_fresh(clock.now())
     hand.set = -HOUR
     await until(lambda: _is_stale(revocations.check_fresh))
@@ -93,13 +93,15 @@ async def test_without_a_master_a_node_is_stale_at_once(
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_without_a_master_a_link_of_a_node_ends_with_the_news(site: Site, hand: Hand) -> None:
+async def test_without_a_master_a_connection_of_a_node_ends_when_stale(
+    site: Site, hand: ClockControl
+) -> None:
     site.publish("/robot", TOPIC)
     site.subscribe("/viewer", TOPIC)
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
         pose, sight = await robot.publisher(TOPIC, POSE), await viewer.subscriber(TOPIC, POSE)
         await until(lambda: pose.links and sight.links)
-        await bereft(site)
+        await stop_master(site)
         hand.set = -HOUR
         hand.passed = UNTIL_STALE - 20
         await asyncio.sleep(2)
@@ -137,9 +139,11 @@ async def pair(tmp_path: Path) -> AsyncIterator[SidecarPair]:
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_link_of_a_sidecar_ends_with_its_grant(pair: SidecarPair, hand: Hand) -> None:
+async def test_a_connection_of_a_sidecar_ends_with_its_grant(
+    pair: SidecarPair, hand: ClockControl
+) -> None:
     stream, source = await connect(pair)
-    await bereft(pair.site)
+    await stop_master(pair.site)
     hand.set, hand.passed = -HOUR, LIFE + 1
     await wait_closed(stream)
     await wait_closed(source)
@@ -171,7 +175,7 @@ rospy.spin()
 
 @pytest.mark.ros
 @pytest.mark.attack("clock-set-back")
-async def test_a_link_of_rospy_ends_with_its_grant(site: Site, tmp_path: Path) -> None:
+async def test_a_connection_of_rospy_ends_with_its_grant(site: Site, tmp_path: Path) -> None:
     site.publish("/robot", "/words", lifetime=LIFE)
     site.subscribe("/viewer", "/words")
     async with site.node("/robot") as robot:
@@ -179,7 +183,7 @@ async def test_a_link_of_rospy_ends_with_its_grant(site: Site, tmp_path: Path) -
         words.publish(words.create(data="still"))
         async with program(environment(site, tmp_path), HANDLED, told=True) as viewer:
             await viewer.hears("HEARD still")
-            await bereft(site)
+            await stop_master(site)
             await viewer.tell(f"{-HOUR} 0")
             await viewer.hears("the host's clock went back")
             await viewer.tell(f"{-HOUR} {LIFE + 1}")
@@ -188,7 +192,7 @@ async def test_a_link_of_rospy_ends_with_its_grant(site: Site, tmp_path: Path) -
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_master_does_not_revive_what_has_ended(site: Site, hand: Hand) -> None:
+async def test_a_master_does_not_restore_expired_rights(site: Site, hand: ClockControl) -> None:
     right = Right.PARAM_SET
     site.grant(EVE, right, "/eve/p", lifetime=LIFE)
     async with caller(site, EVE, {}) as eve:
@@ -200,10 +204,13 @@ async def test_a_master_does_not_revive_what_has_ended(site: Site, hand: Hand) -
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_whole_site_set_back_goes_on_in_its_own_time(
-    site: Site, hand: Hand, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+async def test_a_whole_site_set_back_continues(
+    site: Site,
+    hand: ClockControl,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Whoever speaks for NTP gains nothing, and does not end what runs."""
+    """A peer that speaks for NTP gains nothing, and does not end what runs."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     async with undisturbed(site) as witness:
         before = clock.now()
@@ -216,8 +223,8 @@ async def test_a_whole_site_set_back_goes_on_in_its_own_time(
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_clock_that_was_wrong_is_put_right_and_the_master_says_so(
-    site: Site, hand: Hand, monkeypatch: pytest.MonkeyPatch
+async def test_a_wrong_clock_may_be_corrected_with_the_master(
+    site: Site, hand: ClockControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The node's host was an hour ahead; the master's was not."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
@@ -233,7 +240,7 @@ async def test_a_clock_that_was_wrong_is_put_right_and_the_master_says_so(
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_old_news_held_back_do_not_put_it_right(site: Site, hand: Hand) -> None:
+async def test_a_delayed_update_does_not_correct_the_clock(site: Site, hand: ClockControl) -> None:
     """A push may have been on the way for as long as somebody liked."""
     signer = site.enroll(MASTER).credentials().signer
     async with site.node("/robot") as robot:

@@ -38,7 +38,7 @@ def certificates(shell: Shell, name: str) -> list[bytes]:
     return [row.der for row in rows if row.name == name]
 
 
-def test_a_label_used_again_is_the_same_identity(shell: Shell) -> None:
+def test_a_reused_label_gives_the_same_identity(shell: Shell) -> None:
     """It vouches for one request for years; there is one answer to that."""
     robot = Robot()
     for _ in range(2):
@@ -96,7 +96,7 @@ ADDRESSES = [
 
 
 @pytest.mark.parametrize("address", ADDRESSES, ids=ascii)
-def test_an_address_that_is_none(shell: Shell, address: str) -> None:
+def test_an_invalid_address(shell: Shell, address: str) -> None:
     later = int(time.time()) + 300
     code = qr.screen_code(b"request", bytes(16), later, address)
     said = shell.unlocked("ca", "enroll", code, "--yes")
@@ -132,7 +132,7 @@ NAMES = [
 
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
-def test_a_name_that_is_none_makes_no_file(shell: Shell, name: str) -> None:
+def test_an_invalid_name_creates_no_file(shell: Shell, name: str) -> None:
     before = sorted(shell.root.parent.rglob("*"))
     for words in (
         ("node", "request", "--", name),

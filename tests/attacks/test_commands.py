@@ -43,7 +43,7 @@ SLAVE_CALLS: Final[list[tuple[str, tuple[object, ...]]]] = [
 
 @pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("victim", ["/robot", "/viewer"])
-async def test_only_the_master_steers_or_examines_a_node(
+async def test_only_the_master_controls_or_queries_a_node(
     site: Site, witness: Witness, victim: str
 ) -> None:
     """N1 to N4, also under the master's name and with every other trick of spelling."""

@@ -33,7 +33,7 @@ GUARDS: Final[list[tuple[type, str]]] = [
 
 @pytest.mark.attack("crashed-check")
 @pytest.mark.parametrize(("where", "name"), GUARDS, ids=[name for _, name in GUARDS])
-async def test_f1_a_guard_that_crashes_lets_nobody_through(
+async def test_f1_a_check_that_crashes_admits_no_caller(
     site: Site, monkeypatch: pytest.MonkeyPatch, where: type, name: str
 ) -> None:
     assert site.master is not None

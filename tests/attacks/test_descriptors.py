@@ -133,7 +133,7 @@ PLACES: Final = [node_topics, node_api, master, sidecar_door]
 
 @pytest.mark.attack("descriptors")
 @pytest.mark.parametrize("place", PLACES)
-async def test_handshakes_that_fail_at_once(site: Site, place: Place) -> None:
+async def test_failed_handshakes_do_not_exhaust_descriptors(site: Site, place: Place) -> None:
     """Four bytes end the handshake; the socket that lingers for its refusal is counted."""
     async with place(site) as (port, protocol), watched() as most:
         async with flood(port, b"\xff\xff\xff\xff"):
@@ -143,7 +143,7 @@ async def test_handshakes_that_fail_at_once(site: Site, place: Place) -> None:
 
 @pytest.mark.attack("descriptors")
 @pytest.mark.parametrize("place", PLACES)
-async def test_silence_from_many_addresses(site: Site, place: Place) -> None:
+async def test_silent_connections_from_many_addresses_are_limited(site: Site, place: Place) -> None:
     """Together they have all places; who has none yet is given one of theirs."""
     sources = [f"127.0.0.{number}" for number in range(2, 8)]
     async with place(site) as (port, protocol), watched() as most:
@@ -153,7 +153,7 @@ async def test_silence_from_many_addresses(site: Site, place: Place) -> None:
 
 
 @pytest.mark.attack("descriptors")
-async def test_an_enrolled_caller_that_never_hangs_up(
+async def test_an_enrolled_caller_that_never_closes_is_limited(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is refused after its identity was proved; the socket that lingers is still its own."""

@@ -16,7 +16,7 @@ T = "std_msgs/String"
 
 
 @pytest.mark.attack("old-permission")
-async def test_d1_an_older_and_wider_grant_cannot_be_put_back(site: Site) -> None:
+async def test_d1_an_older_and_wider_grant_stays_revoked(site: Site) -> None:
     """It was revoked when a narrower one took its place; its file is still there."""
     wide = site.grant(EVE, Right.PUBLISH, "/**")
     narrow = site.grant(EVE, Right.PUBLISH, "/eve/t")
@@ -30,7 +30,7 @@ async def test_d1_an_older_and_wider_grant_cannot_be_put_back(site: Site) -> Non
 
 
 @pytest.mark.attack("old-permission")
-async def test_d1_an_older_delegation_cannot_be_put_back(site: Site) -> None:
+async def test_d1_an_older_delegation_stays_withdrawn(site: Site) -> None:
     """The one that was withdrawn renews nothing, whoever brings it again."""
     assert site.master is not None
     older = site.delegate()
@@ -66,7 +66,7 @@ async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
 
 
 @pytest.mark.attack("outlived-right")
-async def test_d6_an_identity_that_ends_takes_its_connection_along(site: Site) -> None:
+async def test_d6_a_connection_ends_with_its_identity(site: Site) -> None:
     assert site.master is not None
     short = site.enroll("/short", 4)
     client = RpcClient(await dial(site.master.uri, short.credentials()))

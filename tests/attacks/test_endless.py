@@ -117,7 +117,7 @@ async def begin(link: SubscriberConnection, size: int) -> None:
 
 
 @forms
-async def test_no_more_is_held_than_the_type_can_need(
+async def test_buffered_bytes_are_limited_by_the_type(
     site: Site, tmp_path: Path, form: Form
 ) -> None:
     """At once, before any deadline: 20 MB of a unit are sent where a message has 48 bytes."""
@@ -129,7 +129,7 @@ async def test_no_more_is_held_than_the_type_can_need(
 
 @forms
 @pytest.mark.usefixtures("hasty")
-async def test_a_unit_that_never_ends_is_given_up(site: Site, tmp_path: Path, form: Form) -> None:
+async def test_a_unit_that_never_ends_times_out(site: Site, tmp_path: Path, form: Form) -> None:
     async with met(site, tmp_path, form, LONG) as (publisher, link):
         await begin(link, 20 * MEGABYTE)
         await until(lambda: link not in publisher.links)
@@ -137,9 +137,7 @@ async def test_a_unit_that_never_ends_is_given_up(site: Site, tmp_path: Path, fo
 
 @pytest.mark.parametrize("form", [built_in, pytest.param(rospy, marks=pytest.mark.ros)])
 @pytest.mark.usefixtures("hasty")
-async def test_a_message_that_never_ends_is_given_up(
-    site: Site, tmp_path: Path, form: Form
-) -> None:
+async def test_a_message_that_never_ends_times_out(site: Site, tmp_path: Path, form: Form) -> None:
     """Each unit is whole, the message in them is not. Sidecars hand on what has come."""
     async with met(site, tmp_path, form, LONG) as (publisher, link):
         await link.stream.send(struct.pack("<I", 40 * MEGABYTE) + bytes(20 * MEGABYTE))

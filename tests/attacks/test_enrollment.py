@@ -110,7 +110,7 @@ def honest(message: Message) -> Message:
 
 @pytest.mark.attack("read-network")
 @pytest.mark.parametrize("label", [False, True])
-async def test_a_network_that_only_listens(label: bool) -> None:
+async def test_a_passive_network_learns_nothing(label: bool) -> None:
     with WaitingRobot(Robot(), label=label) as robot:
         core = await enrolled_through(robot, honest)
     assert core.state is AuthorityState.ENROLLED
@@ -132,7 +132,7 @@ async def test_a_swapped_request(label: bool) -> None:
 
 
 @pytest.mark.attack("enrollment-middle")
-async def test_a_swapped_authority_has_not_seen_the_screen() -> None:
+async def test_a_swapped_authority_without_the_code_is_refused() -> None:
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
@@ -191,7 +191,7 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
 
 
 @pytest.mark.attack("enrollment-middle")
-async def test_an_answer_kept_back_and_an_offer_made_to_fit() -> None:
+async def test_a_delayed_answer_and_a_chosen_offer() -> None:
     """Label codes are public: Mallory gets the node's answer to the true offer, ends that session,
     and makes the node an offer of her own before she passes the answer on. With digits that depend
     on the offer alone, a million nonces would make hers fit.

@@ -1,6 +1,6 @@
 """What an enrolled node without a right could learn from an answer that differs (N4, N5).
 
-The built-in node's and rospy's are in `test_strangers` and `test_rospy_api`.
+The built-in node's and rospy's are in `test_unauthorized_peers` and `test_rospy_api`.
 """
 
 from collections.abc import AsyncIterator
@@ -53,7 +53,7 @@ async def offered(site: Site, near: Sidecar, topic: object) -> Any:
 
 
 @pytest.mark.attack("existence-oracle")
-async def test_a_sidecar_offers_every_topic_alike(
+async def test_a_sidecar_answers_alike_for_every_topic(
     site: Site, near: Sidecar, robot: Program, witness: Witness
 ) -> None:
     """The program, which would tell, is not asked."""
@@ -80,7 +80,7 @@ async def test_a_header_without_a_grant_is_refused_alike(
 
 
 @pytest.mark.attack("existence-oracle")
-async def test_with_the_right_it_is_told(site: Site, near: Sidecar, robot: Program) -> None:
+async def test_with_the_right_the_answer_differs(site: Site, near: Sidecar, robot: Program) -> None:
     """And the topic that is there is heard: as it must be, else nobody would find the rest."""
     site.subscribe("/ear", THERE)
     site.subscribe("/ear", ABSENT)

@@ -30,7 +30,7 @@ def _is_another(node: Node, before: object) -> bool:
 
 
 @pytest.mark.attack("reset-sessions")
-async def test_whoever_resets_sessions_keeps_nobody_alive(
+async def test_resetting_sessions_does_not_extend_a_registration(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The publisher is no longer registered; its accomplice breaks the viewer's sessions."""
@@ -54,7 +54,7 @@ async def test_whoever_resets_sessions_keeps_nobody_alive(
 
 
 @pytest.mark.attack("reset-sessions")
-async def test_a_publisher_that_is_missing_is_judged_as_ever(
+async def test_a_publisher_that_is_not_named_is_still_authorized(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its right ends while it is followed without being named."""

@@ -1,4 +1,4 @@
-"""Whoever wants the master to be busy with his questions alone: others are answered between.
+"""A peer that wants the master to be busy with his questions alone: others are answered between.
 
 What a turn of the loop costs is counted in calls of functions, not in seconds: a machine under load
 must not change the outcome. A turn lasts 5 ms, in which some ten thousand functions are called.
@@ -78,7 +78,9 @@ FILTERED = {"searchParam", "getParamNames"}
 
 @pytest.mark.attack("frozen-master")
 @pytest.mark.parametrize("held", [None, "/robot/n3/p7"])
-async def test_a_node_with_hardly_a_right_freezes_no_master(full: Site, held: str | None) -> None:
+async def test_a_node_with_few_rights_does_not_block_the_master(
+    full: Site, held: str | None
+) -> None:
     async with (
         caller(full, EVE, {held: LITTLE} if held else {}) as eve,
         caller(full, "/other", {"/other/**": LITTLE}) as other,
@@ -106,7 +108,7 @@ async def answers(other: Caller) -> None:
 
 @pytest.mark.attack("frozen-master")
 async def test_others_are_answered_during_a_long_multicall(full: Site) -> None:
-    """Whoever may ask all this gets his answers; others get theirs between them."""
+    """A peer that may ask all this gets his answers; others get theirs between them."""
     calls = [{"methodName": "getParamNames", "params": [EVE]}]
     async with caller(full, EVE, {"/robot/*/p7": LITTLE}) as eve, caller(full, "/other") as other:
         eve.client._deadline = other.client._deadline = 120  # on a busy machine
@@ -121,7 +123,7 @@ async def test_others_are_answered_during_a_long_multicall(full: Site) -> None:
 
 
 @pytest.mark.attack("frozen-master")
-async def test_an_answer_that_could_not_be_sent_is_not_written(full: Site) -> None:
+async def test_an_answer_over_the_limit_is_not_serialized(full: Site) -> None:
     """Ten megabytes that are refused in the end cost no turn of the loop."""
     async with caller(full, EVE, {"/**": Right.PARAM_GET}) as eve:
         for method, *params in (("getParam", "/"), ("getParamNames",)):
@@ -138,7 +140,9 @@ async def test_an_answer_that_could_not_be_sent_is_not_written(full: Site) -> No
 
 @pytest.mark.attack("frozen-master")
 @pytest.mark.parametrize("pattern", ["/eve/**/x", "/eve/*/x"])
-async def test_a_node_with_a_tree_of_its_own_freezes_no_master(site: Site, pattern: str) -> None:
+async def test_a_node_with_a_parameter_tree_does_not_block_the_master(
+    site: Site, pattern: str
+) -> None:
     """Deep, or asked about with many patterns: every leaf is covered, and none of it at once."""
     beside = {f"/eve/*/x{number}": LITTLE for number in range(50)}
     deep: object = {"x": 1}

@@ -100,7 +100,7 @@ def test_a_home_that_others_can_write(home: Path, words: tuple[str, ...]) -> Non
     ],
     ids=["open above", "another's", "another's above"],
 )
-def test_a_home_in_anothers_hands(home: Path, change: Change, said: str) -> None:
+def test_a_home_of_another_user(home: Path, change: Change, said: str) -> None:
     change(home)
     refused(rossec(home, *COMMANDS["a node"]), said, "rossec: hint: ")
 
@@ -126,7 +126,7 @@ ROBOT = ("nodes", "robot")
         (given("ca", "ca.db"), "the authority", "ca.db belongs to nobody"),
     ],
 )  # fmt: skip
-def test_a_part_of_it_that_somebody_else_can_write(
+def test_a_part_of_the_home_that_others_can_write(
     home: Path, change: Change, words: str, said: str
 ) -> None:
     path = home / "nodes" / "robot" / "grants"
@@ -142,7 +142,7 @@ def test_an_anchor_behind_a_link(home: Path, tmp_path: Path) -> None:
     refused(rossec(home, *COMMANDS["a node"]), "ca.pem is a symbolic link")
 
 
-def test_a_home_behind_a_link_in_a_directory_of_all(home: Path, tmp_path: Path) -> None:
+def test_a_home_behind_a_link_in_a_shared_directory(home: Path, tmp_path: Path) -> None:
     (tmp_path / "all").mkdir()
     (tmp_path / "all").chmod(0o777)
     (tmp_path / "all" / "link").symlink_to(home)
@@ -150,7 +150,7 @@ def test_a_home_behind_a_link_in_a_directory_of_all(home: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("mode", [0o666, 0o777])
-def test_a_configuration_that_somebody_else_can_write(home: Path, mode: int) -> None:
+def test_a_configuration_that_others_can_write(home: Path, mode: int) -> None:
     for name, text in (("master.yaml", "port: 0\n"), ("rossec.toml", "[rospy]\n")):
         (home / name).write_text(text)
         (home / name).chmod(mode)
@@ -167,7 +167,7 @@ def test_a_configuration_that_somebody_else_can_write(home: Path, mode: int) -> 
     refused(done, f"rossec.toml {said}")
 
 
-def test_a_policy_that_somebody_else_can_write(home: Path) -> None:
+def test_a_policy_that_others_can_write(home: Path) -> None:
     policy = home / "ca" / "policy.yaml"
     policy.write_text("rossec: 1\nrobot: r\nrules: []\n")
     assert rossec(home, "grant", "pending").returncode == 0
@@ -176,7 +176,7 @@ def test_a_policy_that_somebody_else_can_write(home: Path) -> None:
         refused(rossec(home, *words), "policy.yaml can be written by others")
 
 
-def test_what_always_worked_still_does(home: Path) -> None:
+def test_safe_homes_are_accepted(home: Path) -> None:
     """In a sticky directory, behind a link of one's own, and with a umask of 002."""
     home.parent.chmod(0o1777)
     for path in (home, *home.rglob("*")):

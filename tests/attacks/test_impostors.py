@@ -12,7 +12,7 @@ from ca.errors import ForeignCertificate, HintedError
 from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissing, GrantNotHeld
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.demo.stranger import Whoever, believe_anyone
+from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, IdentityRefused
 from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import serve_calls
@@ -47,20 +47,20 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
     kind = message_type(POSE)
     lie = header.frame(bytes(kind.serialize(kind.create())))
 
-    async def topic(stream: SecureStream[Whoever]) -> None:
+    async def topic(stream: SecureStream[UnverifiedPeer]) -> None:
         await stream.receive()
         await stream.send(header.encode(fields), lie)
         await stream.wait_ended()
 
-    async def where(method: str, params: tuple[object, ...], peer: Whoever) -> object:
+    async def where(method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:
         return [1, "", ["TCPROS", HOST, door.port]]
 
-    async def slave(stream: SecureStream[Whoever]) -> None:
+    async def slave(stream: SecureStream[UnverifiedPeer]) -> None:
         await serve_calls(stream, where)
 
     async with (
-        serve(topic, HOST, 0, own, believe_anyone) as door,
-        serve(slave, HOST, 0, own, believe_anyone) as api,
+        serve(topic, HOST, 0, own, accept_any) as door,
+        serve(slave, HOST, 0, own, accept_any) as api,
     ):
         yield f"http://{HOST}:{api.port}/"
 
@@ -100,7 +100,7 @@ CASES: Final[list[tuple[str, Make, type[HintedError]]]] = [
 
 @pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize(("make", "kind"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
-async def test_a_publisher_without_the_right_to_publish_is_not_believed(
+async def test_a_publisher_without_the_right_is_refused(
     site: Site, witness: Witness, make: Make, kind: type[HintedError]
 ) -> None:
     async with impostor(credentials(site), answer([make(site)])) as uri:
@@ -108,9 +108,7 @@ async def test_a_publisher_without_the_right_to_publish_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_that_shows_no_grants_at_all_is_not_believed(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_without_grants_is_refused(site: Site, witness: Witness) -> None:
     fields = answer([])
     del fields[FIELD]
     async with impostor(credentials(site), fields) as uri:
@@ -118,7 +116,7 @@ async def test_a_publisher_that_shows_no_grants_at_all_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_that_takes_the_name_of_another_is_not_believed(
+async def test_a_publisher_with_the_name_of_another_is_refused(
     site: Site, witness: Witness
 ) -> None:
     fields = answer(site.enroll("/robot").grants(), callerid="/robot")
@@ -128,7 +126,7 @@ async def test_a_publisher_that_takes_the_name_of_another_is_not_believed(
 
 @pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize("change", [{"topic": "/other"}, {"md5sum": "0" * 32}, {"error": "go"}])
-async def test_a_publisher_that_answers_with_something_else_is_not_believed(
+async def test_a_publisher_with_a_malformed_answer_is_refused(
     site: Site, witness: Witness, change: dict[str, str]
 ) -> None:
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)], **change)) as uri:
@@ -136,9 +134,7 @@ async def test_a_publisher_that_answers_with_something_else_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_of_another_authority_is_not_believed(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_of_another_authority_is_refused(site: Site, witness: Witness) -> None:
     other = Site(site.root.parent / "other", site.anchor.domain)
     fields = answer([signed(other, right=PUBLISH)])
     async with impostor(credentials(other), fields) as uri:
@@ -148,7 +144,7 @@ async def test_a_publisher_of_another_authority_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_with_the_right_is_believed(site: Site, witness: Witness) -> None:
+async def test_a_publisher_with_the_right_is_accepted(site: Site, witness: Witness) -> None:
     """The control: what the others are refused for is their flaw, not their form."""
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)])) as uri:
         both = [witness.robot.uri, uri]

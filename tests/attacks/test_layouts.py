@@ -77,7 +77,7 @@ async def mallory(site: Site, topic: str, **changes: str) -> AsyncIterator[Publi
 
 
 @topics
-async def test_a_built_in_node_believes_its_own_definition(site: Site, topic: str) -> None:
+async def test_a_built_in_node_uses_its_own_definition(site: Site, topic: str) -> None:
     heard: list[bytes] = []
     async with mallory(site, topic) as publisher, site.node("/robot") as robot:
         subscriber = await robot.subscriber(topic, TWIST)
@@ -112,7 +112,7 @@ rospy.spin()
 @pytest.mark.ros
 @topics
 @pytest.mark.parametrize("reads", ["typed", "any"])
-async def test_rospy_believes_the_class_it_reads_by(
+async def test_rospy_uses_the_class_it_reads_with(
     site: Site, tmp_path: Path, topic: str, reads: str
 ) -> None:
     """A program that takes any type is told the definition the guard was built from."""
@@ -134,7 +134,7 @@ OF_ROSBAG: Final = {"type": b"*", "md5sum": b"*"}
 
 @topics
 @pytest.mark.parametrize("fields", [OF_ROSCPP, OF_ROSPY, OF_ROSBAG], ids=["cpp", "py", "any"])
-async def test_a_sidecar_believes_its_program_or_its_host(
+async def test_a_sidecar_uses_the_definition_of_its_program_or_host(
     site: Site, topic: str, fields: Fields
 ) -> None:
     async with (
@@ -170,7 +170,7 @@ async def driven(site: Site, robot: Program, heard: list[bytes]) -> Fields:
     return answer
 
 
-async def test_a_sidecar_knows_a_type_of_ones_own_by_its_package_or_refuses(
+async def test_a_sidecar_reads_a_custom_type_from_its_package_or_refuses(
     site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """roscpp's header does not say what a message is made of."""

@@ -16,10 +16,10 @@ from rossec.participant.access import FIELD
 from rossec.ros import header
 from tests.support.attacker import EVE, HOST
 from tests.support.limited import (
-    ABOUT_A_BORDER,
     HELD,
+    NEAR_A_BOUNDARY,
+    ONE_MESSAGE,
     SELDOM,
-    SELDOM_ONE,
     SERVICE,
     TOPIC,
     lamp,
@@ -31,8 +31,8 @@ from tests.support.witness import until
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_no_connection_begins_a_rate_anew(site: Site) -> None:
-    async with publishing(site, SELDOM_ONE) as eve:
+async def test_a_new_connection_does_not_reset_the_rate(site: Site) -> None:
+    async with publishing(site, ONE_MESSAGE) as eve:
         found = []
         for value in range(8):
             stream = await eve.connect()
@@ -42,9 +42,9 @@ async def test_no_connection_begins_a_rate_anew(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_many_connections_are_one_receiver(site: Site) -> None:
+async def test_many_connections_count_as_one_receiver(site: Site) -> None:
     """They share what is let through: none loses it, and together they get no more."""
-    async with publishing(site, SELDOM_ONE) as eve:
+    async with publishing(site, ONE_MESSAGE) as eve:
         streams = [await eve.connect() for _ in range(10)]
         eve.publisher.publish_bytes(number(0))
         for value in range(1, 11):
@@ -54,10 +54,10 @@ async def test_many_connections_are_one_receiver(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_the_publisher_that_begins_again_has_forgotten_nothing(site: Site) -> None:
+async def test_a_new_publisher_does_not_reset_the_rate(site: Site) -> None:
     found = []
     for _ in range(3):
-        async with publishing(site, SELDOM_ONE) as eve:
+        async with publishing(site, ONE_MESSAGE) as eve:
             stream = await eve.connect()
             eve.publisher.publish_bytes(number(1))
             found += await eve.heard(stream)
@@ -65,10 +65,10 @@ async def test_the_publisher_that_begins_again_has_forgotten_nothing(site: Site)
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_another_grant_of_the_same_right_counts_the_same_messages(site: Site) -> None:
+async def test_another_grant_of_the_same_right_shares_the_rate(site: Site) -> None:
     """The wider one shown on one connection, the narrower on another: as much as the wider."""
     wider = Restriction("std_msgs/Float64", (), HELD.filters, rate=SELDOM * 2)
-    async with publishing(site, SELDOM_ONE) as eve:
+    async with publishing(site, ONE_MESSAGE) as eve:
         first = await eve.connect()
         eve.publisher.publish_bytes(number(0))
         eve.grant = site.subscribe(EVE, TOPIC, wider)
@@ -79,30 +79,30 @@ async def test_another_grant_of_the_same_right_counts_the_same_messages(site: Si
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_no_connection_sets_hysteresis_anew(site: Site) -> None:
+async def test_a_new_connection_does_not_reset_hysteresis(site: Site) -> None:
     """Rounding alone says on which side of 1 m something is; ten looks make a track."""
     async with publishing(site, HELD) as eve:
         found = []
-        for value in ABOUT_A_BORDER:
+        for value in NEAR_A_BOUNDARY:
             stream = await eve.connect()
             eve.publisher.publish_bytes(number(value))
             found += await eve.heard(stream)
-        assert found == [[number(0)]] * len(ABOUT_A_BORDER)
+        assert found == [[number(0)]] * len(NEAR_A_BOUNDARY)
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_latched_message_is_no_second_sample(site: Site) -> None:
-    """Whoever connects again gets what he had: nothing newer, and nothing that tells of it."""
-    async with publishing(site, SELDOM_ONE, latch=True) as eve:
+async def test_a_latched_message_is_not_a_new_sample(site: Site) -> None:
+    """A peer that connects again gets the message it had: nothing newer, and no sign of it."""
+    async with publishing(site, ONE_MESSAGE, latch=True) as eve:
         for value in range(4):
             eve.publisher.publish_bytes(number(value))
             assert await eve.heard(await eve.connect()) == [[number(0)]]
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_calls_by_many_connections(site: Site) -> None:
+async def test_calls_over_many_connections_share_the_rate(site: Site) -> None:
     calls: list[bool] = []
-    site.grant(EVE, Right.CALL, SERVICE, restriction=SELDOM_ONE)
+    site.grant(EVE, Right.CALL, SERVICE, restriction=ONE_MESSAGE)
     grants = encode([*site.enroll(EVE).grants()])
     async with lamp(site, calls) as node:
         for persistent in ("0", "1") * 5:
@@ -123,10 +123,10 @@ async def test_calls_by_many_connections(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_provider_does_not_answer_more_often_than_it_may(site: Site) -> None:
+async def test_a_provider_answers_within_its_rate(site: Site) -> None:
     """Its own right is what is limited, and each call is a connection of its own."""
     calls: list[bool] = []
-    site.grant("/lamp", Right.PROVIDE, SERVICE, restriction=SELDOM_ONE)
+    site.grant("/lamp", Right.PROVIDE, SERVICE, restriction=ONE_MESSAGE)
     site.grant("/viewer", Right.CALL, SERVICE)
     async with lamp(site, calls), site.node("/viewer") as viewer:
         client = viewer.client(SERVICE, "std_srvs/SetBool")
@@ -138,10 +138,10 @@ async def test_a_provider_does_not_answer_more_often_than_it_may(site: Site) -> 
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_key_that_publishes_under_many_names(site: Site) -> None:
+async def test_a_key_that_publishes_under_many_names_has_one_rate(site: Site) -> None:
     """Anonymous nodes share a key; and what one of them says goes to every subscriber here."""
     site.enroll(EVE, wildcard=True)
-    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=SELDOM_ONE)
+    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=ONE_MESSAGE)
     site.subscribe("/viewer", TOPIC)
     site.subscribe("/viewer", "/control")
     site.publish("/robot", "/control")

@@ -48,7 +48,9 @@ def plain(port: int, data: bytes) -> bytes:
 
 
 @pytest.mark.attack("master-recon")
-async def test_m1_whoever_is_not_enrolled_learns_nothing(site: Site, witness: Witness) -> None:
+async def test_m1_a_caller_that_is_not_enrolled_learns_nothing(
+    site: Site, witness: Witness
+) -> None:
     assert site.master is not None
     stranger = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
     answers = set()
@@ -64,7 +66,7 @@ async def test_m1_whoever_is_not_enrolled_learns_nothing(site: Site, witness: Wi
 
 
 @pytest.mark.attack("master-recon")
-async def test_m1_a_node_sees_what_it_is_granted(site: Site, witness: Witness) -> None:
+async def test_m1_a_node_sees_only_what_it_is_granted(site: Site, witness: Witness) -> None:
     async with (
         caller(site, "/robot2", {"/secret/**": PARAMS, "/secret": Right.PROVIDE}) as owner,
         caller(site, EVE) as eve,
@@ -92,7 +94,7 @@ async def test_m1_a_node_sees_what_it_is_granted(site: Site, witness: Witness) -
     ("method", "kind"),
     [("registerPublisher", T), ("registerSubscriber", T), ("registerService", "rosrpc://h:9")],
 )
-async def test_m2_m3_another_name_is_refused_and_its_owner_stays(
+async def test_m2_m3_another_name_is_refused_and_its_owner_stays_registered(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, method: str, kind: str
 ) -> None:
     everything = Right.PUBLISH | Right.SUBSCRIBE | Right.PROVIDE
@@ -107,7 +109,7 @@ async def test_m2_m3_another_name_is_refused_and_its_owner_stays(
 
 
 @pytest.mark.attack("another-name")
-async def test_m4_nobody_unregisters_another(site: Site, witness: Witness) -> None:
+async def test_m4_no_node_unregisters_another(site: Site, witness: Witness) -> None:
     async with (
         caller(site, "/server", {"/add": Right.PROVIDE}) as server,
         caller(site, EVE, {"/**": Right(255) & ~Right.ADMIN}) as eve,
@@ -129,7 +131,7 @@ async def test_m4_nobody_unregisters_another(site: Site, witness: Witness) -> No
 
 
 @pytest.mark.attack("killed-master")
-async def test_m5_the_master_is_not_killed(site: Site, witness: Witness) -> None:
+async def test_m5_the_master_cannot_be_shut_down(site: Site, witness: Witness) -> None:
     assert site.master is not None
     everywhere = Right(255) & ~Right.ADMIN
     async with caller(site, EVE, {"/**": everywhere, "/eve": Right.ADMIN}) as eve:
@@ -144,7 +146,7 @@ SAFETY = "/ns/safety/max_speed"
 
 
 @pytest.mark.attack("confused-rights")
-async def test_m6_a_right_to_some_parameters_is_none_to_their_parents(
+async def test_m6_a_right_to_parameters_does_not_cover_their_parents(
     site: Site, witness: Witness
 ) -> None:
     async with (
@@ -194,7 +196,7 @@ async def test_m6_a_right_to_some_parameters_is_none_to_their_parents(
 
 
 @pytest.mark.attack("ros-time")
-async def test_m7_no_ros_time_keeps_an_expired_right_alive(tmp_path: Path) -> None:
+async def test_m7_ros_time_does_not_extend_a_right(tmp_path: Path) -> None:
     """/use_sim_time and /clock are set to before the end; the host's clock goes on."""
     ahead = 0.0
     site = Site(tmp_path / "site", clock=lambda: time.time() + ahead)
@@ -220,7 +222,7 @@ async def test_m7_no_ros_time_keeps_an_expired_right_alive(tmp_path: Path) -> No
 
 
 @pytest.mark.attack("master-as-tool")
-async def test_m8_the_master_is_no_tool_against_third_parties(
+async def test_m8_the_master_sends_third_parties_one_constant_line(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     """It says to whoever is there one constant line, and nothing that Eve could choose."""
@@ -245,8 +247,8 @@ async def test_m8_the_master_is_no_tool_against_third_parties(
 
 
 @pytest.mark.attack("master-as-tool")
-async def test_m8_nobody_has_the_master_call_everywhere(site: Site, witness: Witness) -> None:
-    """Whoever moves at every call has many addresses called, were there no end to it."""
+async def test_m8_calls_of_the_master_are_limited(site: Site, witness: Witness) -> None:
+    """A peer that moves at every call has many addresses called, were there no end to it."""
     assert site.master is not None
     accepted: set[tuple[str, int]] = set()
     with socket.create_server(("", 0), backlog=512) as silent:
@@ -315,7 +317,7 @@ async def test_f4_each_method_asks_for_its_own_right(site: Site) -> None:
 
 
 @pytest.mark.attack("confused-rights")
-async def test_f5_a_name_is_no_prefix(site: Site) -> None:
+async def test_f5_a_name_does_not_cover_longer_names(site: Site) -> None:
     async with caller(site, EVE, {"/chatter": Right.PUBLISH, "/p": PARAMS}) as eve:
         assert (await eve("registerPublisher", "/chatter", T, eve.uri))[0] == 1
         for name in ("/chatterX", "/chatter/x", "/chatte", "/"):

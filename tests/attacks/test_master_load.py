@@ -1,4 +1,4 @@
-"""Whoever wants the master busy, slow or full (M9-M11): others are served, and nothing piles up.
+"""Peers that exhaust the master (M9-M11): others are served, and every queue is bounded.
 
 The deadlines are short here, so that the tests need not wait; what is tested is that they exist.
 """
@@ -81,7 +81,7 @@ def close_wait(number: int) -> list[str]:
 
 
 @pytest.mark.attack("master-load")
-async def test_m9_fifty_dead_and_one_slow_node_delay_nobody(site: Site) -> None:
+async def test_m9_dead_and_slow_nodes_delay_no_other(site: Site) -> None:
     """Ports that accept and never answer, ports where nobody listens, and one that never reads."""
     async with contextlib.AsyncExitStack() as stack:
         silent = stack.enter_context(socket.create_server((HOST, 0), backlog=64))
@@ -199,7 +199,7 @@ async def test_m10_xml_is_bounded(narrow: Site, body: bytes, said: bytes) -> Non
 
 
 @pytest.mark.attack("master-load")
-async def test_m10_a_multicall_is_no_way_around(site: Site) -> None:
+async def test_m10_calls_in_a_multicall_are_authorized(site: Site) -> None:
     async with caller(site, EVE, {"/p": Right.PARAM_SET}) as eve:
 
         async def multicall(*calls: tuple[object, ...]) -> Any:
@@ -226,7 +226,7 @@ async def test_m10_a_multicall_is_no_way_around(site: Site) -> None:
 
 
 @pytest.mark.attack("master-load")
-async def test_m10_no_value_spoils_the_parameters(site: Site) -> None:
+async def test_m10_unsendable_values_are_refused(site: Site) -> None:
     """What XML-RPC's extensions bring and no answer can carry is not taken."""
     assert site.master is not None
     values = (
@@ -248,7 +248,7 @@ async def test_m10_no_value_spoils_the_parameters(site: Site) -> None:
 
 
 @pytest.mark.attack("master-load")
-async def test_m10_a_multicall_is_no_lever(site: Site) -> None:
+async def test_m10_the_answer_of_a_multicall_is_bounded(site: Site) -> None:
     """A thousand short questions for one long parameter: a gigabyte, if they were answered."""
     async with (
         caller(site, EVE, {"/p": Right.PARAM_SET | Right.PARAM_GET}) as eve,
@@ -270,7 +270,7 @@ async def test_m10_a_multicall_is_no_lever(site: Site) -> None:
 
 
 @pytest.mark.attack("half-open")
-async def test_m11_whoever_dawdles_is_cut_off(narrow: Site) -> None:
+async def test_m11_slow_connections_time_out(narrow: Site) -> None:
     """Silent, byte by byte in clear, half a call in the channel, and nothing at all after one."""
     loop = asyncio.get_running_loop()
 
@@ -305,7 +305,7 @@ async def test_m11_whoever_dawdles_is_cut_off(narrow: Site) -> None:
 
 
 @pytest.mark.attack("master-load")
-async def test_m11_one_identity_has_its_share_and_others_have_theirs(narrow: Site) -> None:
+async def test_m11_connections_are_limited_per_identity(narrow: Site) -> None:
     assert narrow.master is not None
     greedy = [RpcClient(await dial(narrow.master.uri, credentials(narrow))) for _ in range(4)]
     for client in greedy:
@@ -323,7 +323,7 @@ async def test_m11_one_identity_has_its_share_and_others_have_theirs(narrow: Sit
 
 
 @pytest.mark.attack("half-open")
-async def test_m11_what_the_peer_has_closed_does_not_stay(narrow: Site) -> None:
+async def test_m11_connections_the_peer_closed_are_released(narrow: Site) -> None:
     """No CLOSE_WAIT pile-up (ros_comm#610): before, in and after the handshake."""
     assert narrow.master is not None
     for number in range(30):

@@ -49,7 +49,7 @@ def holds_none(tap: Tap, *secrets: bytes) -> None:
 
 
 @pytest.mark.attack("read-network")
-async def test_f8_a_listener_hears_neither_names_nor_grants(site: Site, witness: Witness) -> None:
+async def test_f8_an_observer_sees_neither_names_nor_grants(site: Site, witness: Witness) -> None:
     assert site.master is not None
     grant = signed(site)
     async with tapped(site.master.port) as (tap, port):
@@ -65,7 +65,7 @@ async def test_f8_a_listener_hears_neither_names_nor_grants(site: Site, witness:
 
 
 @pytest.mark.attack("foreign-authority")
-async def test_f8_who_has_no_identity_here_hears_nothing_but_a_refusal(
+async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
     site: Site, witness: Witness
 ) -> None:
     """A stranger may go through the whole handshake with certificates of its own."""

@@ -27,7 +27,7 @@ def test_f11_an_empty_configuration_opens_nothing() -> None:
 
 
 @pytest.mark.attack("open-by-mistake")
-async def test_f11_a_node_that_was_given_nothing_may_nothing(site: Site, witness: Witness) -> None:
+async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witness) -> None:
     """Every method, with arguments that would do something: no effect, and nothing shown."""
     assert site.master is not None
     assert site.master._answers is not None
@@ -104,7 +104,9 @@ BROKEN: Final[dict[str, Callable[[Path], Any]]] = {
 
 @pytest.mark.attack("open-by-mistake")
 @pytest.mark.parametrize("flaw", BROKEN)
-def test_f12_a_master_that_cannot_know_does_not_start(shell: Shell, taken: int, flaw: str) -> None:
+def test_f12_a_master_with_damaged_files_does_not_start(
+    shell: Shell, taken: int, flaw: str
+) -> None:
     refused(shell("master", "--port", str(taken)), "address already in use", "already?")
     BROKEN[flaw](shell.node(MASTER))
     said = shell("master", "--port", str(taken))
@@ -124,7 +126,7 @@ def test_f12_a_master_that_cannot_know_does_not_start(shell: Shell, taken: int, 
         ("ROS_MASTER_URI", "https://localhost:11311"),
     ],
 )
-def test_f13_a_misspelt_mode_is_no_mode(
+def test_f13_a_misspelt_variable_is_refused(
     shell: Shell, taken: int, variable: str, value: str
 ) -> None:
     shell.environ[variable] = value
@@ -139,7 +141,7 @@ def test_f13_a_misspelt_mode_is_no_mode(
     "text",
     ["audit: ture", "admin: on", "limits: {idle_second: 5}", "limits: {body: -1}", "log: JSON"],
 )
-def test_f13_a_misspelt_setting_is_no_setting(shell: Shell, text: str) -> None:
+def test_f13_a_misspelt_setting_is_refused(shell: Shell, text: str) -> None:
     config = shell.root / "master.yaml"
     config.write_text(text)
     said = shell("master", "--config", str(config), "--port", str(free_port()))

@@ -60,7 +60,7 @@ def run(shell: Shell, words: tuple[str, ...], out: Path) -> str:
 
 
 @pytest.mark.parametrize("words", OUTPUTS.values(), ids=OUTPUTS)
-def test_a_link_is_neither_followed_nor_taken_away(
+def test_a_link_is_neither_followed_nor_replaced(
     shell: Shell, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     victim, out = tmp_path / "victim", tmp_path / "out"
@@ -84,7 +84,7 @@ def test_a_pipe_stays_a_pipe(shell: Shell, tmp_path: Path, words: tuple[str, ...
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe", "another's"])
-def test_a_log_in_a_directory_of_all(tmp_path: Path, kind: str) -> None:
+def test_a_log_in_a_shared_directory(tmp_path: Path, kind: str) -> None:
     """/tmp/complaints, made before the master does, by somebody who wants to read it."""
     shared, log = tmp_path / "shared", tmp_path / "shared" / "complaints"
     shared.mkdir()

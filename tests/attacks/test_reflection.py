@@ -115,14 +115,14 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
         yield f"http://{HOST}:{server.port}/"
 
 
-async def test_an_entitled_publisher_sends_the_node_to_itself(site: Site, robot: Node) -> None:
+async def test_an_authorized_publisher_names_the_nodes_own_port(site: Site, robot: Node) -> None:
     heard = await robot.subscriber(TOPIC, STRING)
     async with publisher_that_points(site, robot.topic_endpoint()[1]) as uri:
         error = await refused(heard, uri)
     assert str(error).endswith("sends this node to itself")
 
 
-async def test_an_entitled_publisher_points_at_a_redirect(site: Site, robot: Node) -> None:
+async def test_an_authorized_publisher_names_a_redirecting_port(site: Site, robot: Node) -> None:
     heard = await robot.subscriber(TOPIC, STRING)
     async with (
         redirecting(robot.topic_endpoint()[1]) as port,
@@ -160,7 +160,7 @@ async def test_a_program_behind_a_sidecar(site: Site) -> None:
         assert all(method != "requestTopic" for method, _ in robot.calls)
 
 
-async def test_a_program_behind_a_sidecar_is_sent_to_itself(site: Site) -> None:
+async def test_a_program_behind_a_sidecar_gets_its_own_port(site: Site) -> None:
     site.publish(NAME, TOPIC)
     site.subscribe(NAME, TOPIC)
     async with sidecar(site) as near, Program(NAME, near) as robot:

@@ -7,12 +7,12 @@ import pytest
 from grants.model import Right
 from rossec.errors import ServiceFailed
 from tests.support.attacker import EVE
-from tests.support.limited import HELD, SELDOM_ONE, SERVICE, lamp, number
+from tests.support.limited import HELD, ONE_MESSAGE, SERVICE, lamp, number
 from tests.support.site import Site
 from tests.support.witness import until
 
 
-def said_of_eve(caplog: pytest.LogCaptureFixture) -> list[str]:
+def logged_about_eve(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [
         text
         for text in caplog.messages
@@ -21,7 +21,7 @@ def said_of_eve(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @pytest.mark.attack("disk-filled-by-refusals")
-async def test_malformed_messages_at_wire_speed(
+async def test_malformed_messages_are_logged_once_a_minute(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Her right is restricted, so each of them is looked at."""
@@ -35,13 +35,15 @@ async def test_malformed_messages_at_wire_speed(
             publisher.publish_bytes(bytes(1 + value % 7))
         publisher.publish_bytes(number(2))
         await until(lambda: heard.received == 1)
-    assert 1 <= len(said_of_eve(caplog)) < 5, "one in a minute"
+    assert 1 <= len(logged_about_eve(caplog)) < 5, "one in a minute"
 
 
 @pytest.mark.attack("disk-filled-by-refusals")
-async def test_a_caller_over_its_rate(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_caller_over_its_rate_is_logged_once_a_minute(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
     calls: list[bool] = []
-    site.grant(EVE, Right.CALL, SERVICE, restriction=SELDOM_ONE)
+    site.grant(EVE, Right.CALL, SERVICE, restriction=ONE_MESSAGE)
     async with lamp(site, calls), site.node(EVE) as eve:
         client = eve.client(SERVICE, "std_srvs/SetBool", persistent=True)
         for _ in range(50):
@@ -49,4 +51,4 @@ async def test_a_caller_over_its_rate(site: Site, caplog: pytest.LogCaptureFixtu
                 await client(data=True)
         await client.close()
     assert calls == [True]
-    assert 1 <= len(said_of_eve(caplog)) < 5, "one in a minute"
+    assert 1 <= len(logged_about_eve(caplog)) < 5, "one in a minute"

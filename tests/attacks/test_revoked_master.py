@@ -1,7 +1,6 @@
-"""Whoever was the master, or makes one below an intermediate of his, and is known to be revoked.
+"""A master that is revoked, or whose intermediate is, and that nodes are redirected to.
 
-His certificate still verifies, and connections are redirected to him. He says that the list held is
-the newest, so that no other one is missed, or that it is earlier than it is.
+Its certificate still verifies. It confirms an old list as the newest, or reports an earlier time.
 """
 
 import secrets
@@ -28,7 +27,7 @@ from rossec.net.rpc.client import serve_calls
 from rossec.node import Node
 from rossec.participant import master_session
 from rossec.participant.slave_api import MASTER
-from tests.attacks.test_clock import HOUR, Hand, bereft, hand
+from tests.attacks.test_clock import HOUR, ClockControl, hand, stop_master
 from tests.attacks.test_intermediates import bring
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -55,7 +54,7 @@ def below(site: Site, tmp_path: Path) -> NodeHome:
     return home
 
 
-class Told:
+class Notifications:
     """What the node was told, how often."""
 
     times = 0
@@ -64,10 +63,10 @@ class Told:
 @asynccontextmanager
 async def instead_of_the_master(
     site: Site, home: NodeHome, news: Callable[[], list[bytes]]
-) -> AsyncIterator[Told]:
+) -> AsyncIterator[Notifications]:
     """The real one is out of reach, and this one answers at its address."""
-    port = (await bereft(site)).port
-    told = Told()
+    port = (await stop_master(site)).port
+    told = Notifications()
 
     def answer(method: str, params: tuple[object, ...], _: object) -> list[object]:
         if method != "rossec.revocationsSince":
@@ -101,7 +100,7 @@ def stamped(home: NodeHome, node: Node, issued: int) -> bytes:
 
 @pytest.mark.attack("revoked-master")
 async def test_a_master_below_a_revoked_intermediate_confirms_nothing(
-    site: Site, below: NodeHome, hand: Hand
+    site: Site, below: NodeHome, hand: ClockControl
 ) -> None:
     [intermediate] = below.identity(site.now()).issuers
     site.enroll("/robot")
@@ -119,8 +118,8 @@ async def test_a_master_below_a_revoked_intermediate_confirms_nothing(
 
 
 @pytest.mark.attack("revoked-master")
-async def test_a_revoked_master_does_not_say_what_time_it_is(
-    site: Site, below: NodeHome, hand: Hand, monkeypatch: pytest.MonkeyPatch
+async def test_a_revoked_master_does_not_correct_the_clock(
+    site: Site, below: NodeHome, hand: ClockControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a list that is refused for another reason, and a hand at the host's clock."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)

@@ -54,7 +54,7 @@ Knower = Callable[[Site, Path], AbstractAsyncContextManager[None]]
 @pytest.mark.parametrize(
     "knower", [built_in, in_sidecar, pytest.param(in_rospy, marks=pytest.mark.ros)]
 )
-async def test_a_master_set_back_is_told_by_whoever_knows_better(
+async def test_a_master_set_back_gets_the_newer_list_from_nodes(
     tmp_path: Path,
     knower: Knower,
     monkeypatch: pytest.MonkeyPatch,

@@ -47,7 +47,7 @@ STEERING = {
 @pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("method", STEERING)
 @pytest.mark.parametrize("caller", [EVE, MASTER])
-async def test_only_the_master_steers(victim: Victim, method: str, caller: str) -> None:
+async def test_only_the_master_controls_a_node(victim: Victim, method: str, caller: str) -> None:
     """N1, N2, N3: the certificate counts, not what the caller calls itself."""
     code, status, _ = await ask(victim, method, caller, *STEERING[method])
     assert code == -1
@@ -56,7 +56,7 @@ async def test_only_the_master_steers(victim: Victim, method: str, caller: str) 
 
 @pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize("uris", [[], ["{evil}"]])
-async def test_nobody_is_led_to_a_false_publisher(victim: Victim, uris: list[str]) -> None:
+async def test_a_false_publisher_update_is_refused(victim: Victim, uris: list[str]) -> None:
     """N2: not even a connection is made."""
     with socket.create_server((HOST, 0)) as evil:
         evil.setblocking(False)
@@ -75,7 +75,9 @@ RECON = (
 
 @pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize("method", RECON)
-async def test_a_stranger_learns_nothing_of_the_node(victim: Victim, method: str) -> None:
+async def test_a_peer_without_a_grant_learns_nothing_of_the_node(
+    victim: Victim, method: str
+) -> None:
     """N4."""
     try:
         answer = await ask(victim, method, EVE)
@@ -88,14 +90,16 @@ async def test_a_stranger_learns_nothing_of_the_node(victim: Victim, method: str
 
 
 @pytest.mark.attack("existence-oracle")
-async def test_where_a_topic_is_does_not_tell_whether_it_is(victim: Victim) -> None:
+async def test_request_topic_does_not_tell_whether_a_topic_exists(victim: Victim) -> None:
     """N5: the grant is checked where the topic is, before a byte of it."""
     there = await ask(victim, "requestTopic", EVE, STATE, [["TCPROS"]])
     absent = await ask(victim, "requestTopic", EVE, "/robot/none", [["TCPROS"]])
     assert there == absent == [1, "ready", ["TCPROS", HOST, victim.port]]
 
 
-async def entitled(victim: Victim, name: str, right: Right, method: str, *params: object) -> Any:
+async def answer_with_grant(
+    victim: Victim, name: str, right: Right, method: str, *params: object
+) -> Any:
     """What `name` is answered who has shown a grant for `right` on the robot."""
     grant = victim.site.grant(name, right, "/robot")
     client = RpcClient(await dial(victim.uri, credentials(victim.site, name)))
@@ -107,34 +111,38 @@ async def entitled(victim: Victim, name: str, right: Right, method: str, *params
 
 
 @pytest.mark.attack("steered-node")
-async def test_an_operator_may_ask(victim: Victim) -> None:
+async def test_an_operator_may_query_the_node(victim: Victim) -> None:
     """What `rosnode info` and `rosnode ping` need."""
     process = victim.program.process
-    assert await entitled(victim, "/operator", Right.GRAPH, "getPid") == [1, "", process.pid]
-    code, _, topics = await entitled(victim, "/operator", Right.GRAPH, "getPublications")
+    assert await answer_with_grant(victim, "/operator", Right.GRAPH, "getPid") == [
+        1,
+        "",
+        process.pid,
+    ]
+    code, _, topics = await answer_with_grant(victim, "/operator", Right.GRAPH, "getPublications")
     assert code == 1
     assert [STATE, "std_msgs/String"] in topics
     for method in ("getBusInfo", "getBusStats", "getSubscriptions", "getMasterUri"):
-        assert (await entitled(victim, "/operator", Right.GRAPH, method))[0] == 1
-    assert (await entitled(victim, "/operator", Right.GRAPH, "getName"))[2] == "/robot"
-    assert (await entitled(victim, "/operator", Right.GRAPH, "getUri"))[2] == victim.uri
+        assert (await answer_with_grant(victim, "/operator", Right.GRAPH, method))[0] == 1
+    assert (await answer_with_grant(victim, "/operator", Right.GRAPH, "getName"))[2] == "/robot"
+    assert (await answer_with_grant(victim, "/operator", Right.GRAPH, "getUri"))[2] == victim.uri
 
 
 @pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("method", STEERING)
-async def test_no_grant_entitles_to_steer(victim: Victim, method: str) -> None:
+async def test_no_grant_allows_to_control_a_node(victim: Victim, method: str) -> None:
     """Not to see the graph, not to administer; but an administrator may end it."""
     rights = [Right.GRAPH] if method == "shutdown" else [Right.GRAPH, Right.ADMIN]
     for right in rights:
         name = f"/{right.label}_only"
-        answer = await entitled(victim, name, right, method, *STEERING[method])
+        answer = await answer_with_grant(victim, name, right, method, *STEERING[method])
         assert answer[0] == -1
         assert answer[1].startswith("rossec: ")
     await victim.goes_on(3)
 
 
 @pytest.mark.attack("steered-node")
-async def test_grants_count_for_what_they_say_and_whom_and_once(victim: Victim) -> None:
+async def test_grants_count_for_their_right_holder_and_connection(victim: Victim) -> None:
     site = victim.site
     eve = credentials(site)
     stolen = site.grant("/operator", Right.GRAPH, "/robot")
@@ -148,14 +156,14 @@ async def test_grants_count_for_what_they_say_and_whom_and_once(victim: Victim) 
         assert answer[0] == -1, shown
         await client.close()
     # What one connection has shown counts for no other.
-    await entitled(victim, "/operator", Right.GRAPH, "getPid")
+    await answer_with_grant(victim, "/operator", Right.GRAPH, "getPid")
     later = await call(victim.uri, credentials(site, "/operator"), "getPid", "/operator")
     assert isinstance(later, list)
     assert later[:2] == [-1, "rossec: getPid is for the master alone"]
 
 
 @pytest.mark.attack("udpros")
-async def test_udpros_is_not_spoken(victim: Victim) -> None:
+async def test_udpros_is_not_offered(victim: Victim) -> None:
     """N10: there is no transport that is silently plain."""
     udp = ["UDPROS", "x", HOST, 5555, 1500]
     assert (await ask(victim, "requestTopic", EVE, STATE, [udp]))[:2] == [
@@ -188,7 +196,7 @@ async def test_malformed_calls_are_refused(
 
 
 @pytest.mark.attack("node-load")
-async def test_one_identity_cannot_take_every_thread(victim: Victim) -> None:
+async def test_connections_to_the_api_are_limited_per_identity(victim: Victim) -> None:
     """N8: beyond the cap of one identity the others get through."""
     eve = credentials(victim.site)
     streams = [await dial(victim.uri, eve) for _ in range(70)]
@@ -205,7 +213,7 @@ async def test_one_identity_cannot_take_every_thread(victim: Victim) -> None:
 
 
 @pytest.mark.attack("outlived-right")
-async def test_a_revoked_identity_is_told_nothing(victim: Victim) -> None:
+async def test_a_revoked_identity_learns_nothing(victim: Victim) -> None:
     """D2: not even where a topic is, over a connection made after its revocation."""
     site = victim.site
     traitor = credentials(site, "/traitor")
@@ -231,5 +239,5 @@ async def test_a_revoked_identity_is_told_nothing(victim: Victim) -> None:
 async def test_an_administrator_ends_the_node(victim: Victim) -> None:
     """What `rosnode kill` needs; the last thing that happens here."""
     with contextlib.suppress(ChannelError):  # as stock: it may end before it has answered
-        await entitled(victim, "/admin", Right.ADMIN, "shutdown", "enough")
+        await answer_with_grant(victim, "/admin", Right.ADMIN, "shutdown", "enough")
     await until(lambda: "ENDED" in victim.said)

@@ -15,7 +15,7 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
 from rossec.channel.opening import REFUSAL, tcpros_refusal
-from rossec.demo.stranger import believe_anyone
+from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.inprocess.live_connections import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, connect, serve
@@ -74,13 +74,13 @@ def expect_refusal(answer: Heard, *words: str) -> None:
 
 @pytest.mark.attack("no-grant")
 @pytest.mark.parametrize("grants", [None, [], [b"nonsense"]], ids=["none", "empty", "nonsense"])
-async def test_without_a_grant_not_a_byte(victim: Victim, grants: list[bytes] | None) -> None:
+async def test_without_a_grant_no_data_is_sent(victim: Victim, grants: list[bytes] | None) -> None:
     """N5."""
     expect_refusal(await heard(victim, fields_for(EVE, STATE, grants)))
 
 
 @pytest.mark.attack("unit-before-right")
-async def test_no_stranger_makes_it_keep_more_than_a_header(victim: Victim) -> None:
+async def test_units_before_authorization_are_limited_to_a_header(victim: Victim) -> None:
     """A unit is put together before anybody looks at it."""
     own, verify = credentials(victim.site), victim.site.anchor.verify
     await expect_no_room(await connect(HOST, victim.port, own, verify), 300_000)
@@ -90,9 +90,7 @@ async def test_no_stranger_makes_it_keep_more_than_a_header(victim: Victim) -> N
 
 @pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize("changes", [{}, {"md5sum": "0" * 32}, {"probe": "1"}])
-async def test_what_exists_looks_like_what_does_not(
-    victim: Victim, changes: dict[str, str]
-) -> None:
+async def test_refusals_do_not_tell_what_exists(victim: Victim, changes: dict[str, str]) -> None:
     """N6: no publication, no service, no type can be told from the refusal."""
     for names, make in (((STATE, NOWHERE), fields_for), ((SERVICE, NOWHERE), for_service)):
         texts = set()
@@ -114,7 +112,7 @@ async def test_a_name_that_is_not_the_certified_one(victim: Victim) -> None:
 
 
 @pytest.mark.attack("no-grant")
-async def test_a_right_to_one_thing_is_none_to_another(victim: Victim) -> None:
+async def test_a_right_covers_nothing_else(victim: Victim) -> None:
     site = victim.site
     grants = [
         site.grant("/neighbour", Right.SUBSCRIBE, COMMAND),
@@ -129,7 +127,7 @@ async def test_a_right_to_one_thing_is_none_to_another(victim: Victim) -> None:
 
 
 @pytest.mark.attack("unit-before-right")
-async def test_a_header_without_end_costs_nothing(victim: Victim) -> None:
+async def test_a_header_without_end_uses_no_memory(victim: Victim) -> None:
     """N7: a length near a gigabyte, before the handshake and after it."""
     before = memory(victim)
     for length in (10**9, 0xFFFFFFFF):
@@ -160,7 +158,7 @@ def exchange(port: int, data: bytes) -> bytes:
 
 async def raw(victim: Victim, data: bytes) -> bytes:
     """Send `data` as Eve inside the channel; all that comes back."""
-    stream = await connect(HOST, victim.port, credentials(victim.site), believe_anyone)
+    stream = await connect(HOST, victim.port, credentials(victim.site), accept_any)
     answer = b""
     with contextlib.suppress(ChannelError):
         await stream.send(data)
@@ -171,7 +169,9 @@ async def raw(victim: Victim, data: bytes) -> bytes:
 
 @pytest.mark.attack("half-open")
 @pytest.mark.parametrize("port", [lambda victim: victim.port, slave_port], ids=["topics", "api"])
-async def test_the_silent_hold_nobody_up(victim: Victim, port: Callable[[Victim], int]) -> None:
+async def test_silent_connections_block_no_other(
+    victim: Victim, port: Callable[[Victim], int]
+) -> None:
     """N8: stock rospy stands still after the first; here a newcomer is served meanwhile."""
     count = 2 * HalfOpen().per_address
     with contextlib.ExitStack() as stack:
@@ -249,7 +249,7 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
 
 @pytest.mark.attack("outlived-right")
 @pytest.mark.parametrize("what", ["grant", "key"])
-async def test_revoking_cuts_this_connection_and_no_other(victim: Victim, what: str) -> None:
+async def test_a_revocation_closes_only_its_connection(victim: Victim, what: str) -> None:
     site, name = victim.site, f"/visitor_{what}"
     grant = site.subscribe(name, STATE)
     async with site.node(name) as visitor:
@@ -265,7 +265,7 @@ async def test_revoking_cuts_this_connection_and_no_other(victim: Victim, what: 
 
 
 @pytest.mark.attack("outlived-right")
-async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
+async def test_a_connection_is_closed_when_its_grant_expires(victim: Victim) -> None:
     site = victim.site
     site.subscribe("/guest", STATE, lifetime=4)
     async with site.node("/guest") as guest:
@@ -277,7 +277,7 @@ async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
 
 
 @pytest.mark.attack("node-load")
-async def test_one_identity_holds_only_so_many_connections(victim: Victim) -> None:
+async def test_connections_are_limited_per_identity(victim: Victim) -> None:
     """N8: also where it is entitled; the others get through, and its key ends all of them (D2)."""
     site, name = victim.site, "/many"
     grants = [site.grant(name, Right.CALL, SERVICE)]

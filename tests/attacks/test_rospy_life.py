@@ -99,7 +99,7 @@ async def pair(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[
 
 
 @pytest.mark.attack("forked-child")
-async def test_a_forked_child_has_nothing_to_send_with(pair: tuple[Program, Program]) -> None:
+async def test_a_forked_child_cannot_send(pair: tuple[Program, Program]) -> None:
     """Else two messages would go out under one nonce."""
     robot, viewer = pair
     while not all(
@@ -113,7 +113,7 @@ async def test_a_forked_child_has_nothing_to_send_with(pair: tuple[Program, Prog
 
 
 @pytest.mark.attack("tampered-records")
-async def test_connections_without_a_word_renew_their_keys(pair: tuple[Program, Program]) -> None:
+async def test_idle_connections_renew_their_keys(pair: tuple[Program, Program]) -> None:
     """Nobody publishes and nobody calls, for many periods of renewal: nothing is connected anew."""
     robot, viewer = pair
     await viewer.tell("call")
@@ -155,7 +155,7 @@ rospy.spin()
 
 
 @pytest.mark.attack("outlived-right")
-async def test_what_a_revoked_publisher_sent_before_is_not_heard_after(tmp_path: Path) -> None:
+async def test_queued_messages_of_a_revoked_publisher_are_discarded(tmp_path: Path) -> None:
     """D2: the callback is slow, so thousands of messages wait when the list arrives."""
     async with Site(tmp_path / "site").running() as site:
         grant = site.publish("/chatterer", "/chatterer/words")
@@ -188,7 +188,7 @@ rospy.spin()
 
 
 @pytest.mark.attack("node-load")
-async def test_a_publisher_that_was_besieged_is_found_afterwards(
+async def test_a_flooded_publisher_is_connected_afterwards(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """N8: its half-open places are taken when a subscriber comes, which tries again."""

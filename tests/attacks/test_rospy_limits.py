@@ -82,12 +82,12 @@ class Target:
         await stream.send(header.encode(fields))
         return stream
 
-    async def subscribe(self, topic: str) -> "Ear":
+    async def subscribe(self, topic: str) -> "Receiver":
         fields = fields_for(EVE, topic, self.site.enroll(EVE).grants())
-        return Ear(await self.connect(fields))
+        return Receiver(await self.connect(fields))
 
 
-class Ear:
+class Receiver:
     """What one connection has heard."""
 
     def __init__(self, stream: SecureStream[Any]) -> None:
@@ -134,7 +134,7 @@ async def target(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Targ
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_many_connections_get_what_one_does(target: Target) -> None:
+async def test_many_connections_count_as_one_receiver(target: Target) -> None:
     ears = [await target.subscribe(COUNT)]
     once = await ears[0].first()
     ears += [await target.subscribe(COUNT) for _ in range(10)]
@@ -143,7 +143,7 @@ async def test_many_connections_get_what_one_does(target: Target) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_no_connection_sets_hysteresis_anew(target: Target) -> None:
+async def test_a_new_connection_does_not_reset_hysteresis(target: Target) -> None:
     """The robot trembles about a border, 0.9 and 1.1: rounding alone would show both cells."""
     seen: set[tuple[float]] = set()
     for _ in range(12):
@@ -155,8 +155,8 @@ async def test_no_connection_sets_hysteresis_anew(target: Target) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_latched_message_is_no_second_sample(target: Target) -> None:
-    """Whoever comes back is shown what he had, whatever was published since."""
+async def test_a_latched_message_is_not_a_new_sample(target: Target) -> None:
+    """A peer that comes back is shown what he had, whatever was published since."""
     once = await (await target.subscribe(PLAN)).first()
     for _ in range(4):
         ear = await target.subscribe(PLAN)
@@ -165,7 +165,7 @@ async def test_a_latched_message_is_no_second_sample(target: Target) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_calls_by_many_connections(target: Target) -> None:
+async def test_calls_over_many_connections_share_the_rate(target: Target) -> None:
     answers = []
     grants = encode([*target.site.enroll(EVE).grants()])
     for persistent in ("0", "1") * 3:
@@ -183,7 +183,7 @@ async def test_calls_by_many_connections(target: Target) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_key_that_publishes_under_many_names(target: Target) -> None:
+async def test_a_key_that_publishes_under_many_names_has_one_rate(target: Target) -> None:
     """Four anonymous nodes of one key; the robot obeys once."""
     async with contextlib.AsyncExitStack() as stack:
         for place in range(4):

@@ -77,28 +77,28 @@ class Wire:
         return True
 
 
-def meddle_tampered(one: bytes, two: bytes) -> bytes:
+def tampered(one: bytes, two: bytes) -> bytes:
     return one[:-1] + bytes([one[-1] ^ 1]) + two
 
 
-def meddle_replayed(one: bytes, _: bytes) -> bytes:
+def replayed(one: bytes, _: bytes) -> bytes:
     return one + one
 
 
-def meddle_reordered(one: bytes, two: bytes) -> bytes:
+def reordered(one: bytes, two: bytes) -> bytes:
     return two + one
 
 
-def meddle_header(one: bytes, two: bytes) -> bytes:
+def changed_header(one: bytes, two: bytes) -> bytes:
     return bytes([one[0] ^ 0x10]) + one[1:] + two
 
 
 @pytest.mark.attack("tampered-records")
 @pytest.mark.parametrize(
     ("meddle", "called"),
-    [(meddle_tampered, 0), (meddle_replayed, 1), (meddle_reordered, 0), (meddle_header, 0)],
+    [(tampered, 0), (replayed, 1), (reordered, 0), (changed_header, 0)],
 )
-async def test_records_that_are_not_the_peers_end_the_connection(
+async def test_tampered_records_end_the_connection(
     victim: Victim, meddle: Callable[[bytes, bytes], bytes], called: int
 ) -> None:
     """N11: on a service, where what arrives would be acted upon."""
@@ -120,7 +120,7 @@ async def test_records_that_are_not_the_peers_end_the_connection(
 
 
 @pytest.mark.attack("tampered-records")
-async def test_a_record_cut_short_delivers_nothing(victim: Victim) -> None:
+async def test_a_truncated_record_delivers_nothing(victim: Victim) -> None:
     """N11: truncation; the half of a request is no request."""
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")

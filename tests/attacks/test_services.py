@@ -14,7 +14,7 @@ import pytest
 from ca.encoding import encode
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
-from rossec.demo.stranger import believe_anyone
+from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.node import Node
@@ -72,7 +72,7 @@ def port_of(node: Node) -> int:
 
 @pytest.mark.attack("service-no-grant")
 @pytest.mark.parametrize("probe", [{}, {"probe": "1"}], ids=["call", "probe"])
-async def test_a_caller_without_a_right_is_told_nothing(
+async def test_a_caller_without_a_right_learns_nothing(
     site: Site, lamp: Node, caplog: pytest.LogCaptureFixture, probe: dict[str, str]
 ) -> None:
     """The answers for a service that exists and one that does not differ in its name alone."""
@@ -86,7 +86,7 @@ async def test_a_caller_without_a_right_is_told_nothing(
 
 
 @pytest.mark.attack("service-no-grant")
-async def test_other_rights_do_not_help(
+async def test_other_rights_do_not_allow_a_call(
     site: Site, lamp: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
     for right in Right:
@@ -98,7 +98,7 @@ async def test_other_rights_do_not_help(
 
 
 @pytest.mark.attack("service-no-grant")
-async def test_the_entitled_and_only_they_learn_what_is_there(site: Site, lamp: Node) -> None:
+async def test_only_authorized_callers_learn_what_exists(site: Site, lamp: Node) -> None:
     grants = [may_call(site, "/lamp/*")]
     heard = await knock(port_of(lamp), credentials(site), asking(grants, probe="1"))
     assert heard.fields["type"] == BOOL.encode()
@@ -117,7 +117,7 @@ async def open_call(
     site: Site, lamp: Node, grant: bytes | None = None, **changes: str
 ) -> AsyncIterator[SecureStream[Any]]:
     """Eve's connection after the headers."""
-    stream = await connect(HOST, port_of(lamp), credentials(site), believe_anyone)
+    stream = await connect(HOST, port_of(lamp), credentials(site), accept_any)
     try:
         await stream.send(header.encode(asking([grant or may_call(site)], **changes)))
         async with asyncio.timeout(30):
@@ -137,7 +137,7 @@ async def ended(stream: SecureStream[Any]) -> bytes:
 
 
 @pytest.mark.attack("service-no-grant")
-async def test_the_control(site: Site, lamp: Node) -> None:
+async def test_an_authorized_call_succeeds(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp) as stream:
         await stream.send(REQUEST)
         assert await ended(stream) == b"\1\5\0\0\0\1\0\0\0\0"
@@ -165,7 +165,7 @@ async def test_requests_out_of_turn_end_the_connection(site: Site, lamp: Node, d
 
 @pytest.mark.attack("service-occupied")
 @pytest.mark.parametrize("persistent", ["0", "1"])
-async def test_a_request_that_never_ends(
+async def test_a_request_that_never_ends_times_out(
     site: Site, lamp: Node, persistent: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(provider, "REQUEST_DEADLINE", 0.1)
@@ -176,7 +176,7 @@ async def test_a_request_that_never_ends(
 
 
 @pytest.mark.attack("service-occupied")
-async def test_nonsense_for_a_request_is_refused_and_no_more(site: Site, lamp: Node) -> None:
+async def test_a_malformed_request_fails_only_its_call(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="true") as stream:
         for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", header.frame(bytes(300_000))):
             await stream.send(nonsense)
@@ -191,7 +191,7 @@ async def test_nonsense_for_a_request_is_refused_and_no_more(site: Site, lamp: N
 
 
 @pytest.mark.attack("outlived-right")
-async def test_a_call_under_way_ends_with_its_grant(site: Site, lamp: Node) -> None:
+async def test_a_call_in_progress_ends_with_its_grant(site: Site, lamp: Node) -> None:
     """Revoked between the request and the response: the response does not leave."""
     begun, go_on = asyncio.Event(), asyncio.Event()
 
@@ -212,7 +212,7 @@ async def test_a_call_under_way_ends_with_its_grant(site: Site, lamp: Node) -> N
 
 
 @pytest.mark.attack("service-occupied")
-async def test_one_caller_cannot_take_all_turns(site: Site, lamp: Node) -> None:
+async def test_one_caller_cannot_use_every_worker(site: Site, lamp: Node) -> None:
     held = asyncio.Semaphore(0)
 
     async def wait(request: Any) -> dict[str, object]:
@@ -262,7 +262,7 @@ async def impostor(
         await stream.send(reply)
         await stream.wait_ended()
 
-    server: SecureServer[Any] = serve(play, HOST, 0, credentials(site), believe_anyone)
+    server: SecureServer[Any] = serve(play, HOST, 0, credentials(site), accept_any)
 
     async def lookup(_: str) -> str:
         return f"rosrpc://{HOST}:{server.port}"
@@ -293,7 +293,7 @@ def answering(site: Site, grants: list[bytes], **changes: bytes) -> dict[str, by
 
 
 @pytest.mark.attack("service-no-grant")
-async def test_a_provider_without_the_right_is_not_asked(site: Site, hall: Node) -> None:
+async def test_a_provider_without_the_right_gets_no_request(site: Site, hall: Node) -> None:
     for grants in ([], [may_call(site)], [signed(site, right=Right.PROVIDE, pattern="/lamp/no")]):
         heard: list[bytes] = []
         async with impostor(site, hall, answering(site, grants), heard):
@@ -305,7 +305,9 @@ async def test_a_provider_without_the_right_is_not_asked(site: Site, hall: Node)
 
 
 @pytest.mark.attack("service-no-grant")
-async def test_a_provider_under_another_name_or_type_is_not_asked(site: Site, hall: Node) -> None:
+async def test_a_provider_under_another_name_or_type_gets_no_request(
+    site: Site, hall: Node
+) -> None:
     right = [signed(site, right=Right.PROVIDE, pattern=SERVICE)]
     for changes in ({"callerid": b"/lamp"}, {"md5sum": b"0" * 32}, {"error": b"no\x1b[2J"}):
         heard: list[bytes] = []
@@ -328,9 +330,7 @@ async def test_a_provider_under_another_name_or_type_is_not_asked(site: Site, ha
     ],
     ids=["mark", "too long", "no response", "a tail", "a failure"],
 )
-async def test_an_entitled_provider_that_answers_nonsense(
-    site: Site, hall: Node, reply: bytes
-) -> None:
+async def test_a_malformed_response_fails_the_call(site: Site, hall: Node, reply: bytes) -> None:
     right = [signed(site, right=Right.PROVIDE, pattern=SERVICE)]
     heard: list[bytes] = []
     async with impostor(site, hall, answering(site, right), heard, reply):

@@ -127,7 +127,7 @@ def probed(port: int, probe: bytes) -> bytes:
 
 
 @pytest.mark.attack("scanned-sidecar")
-async def test_a_scan_of_everything_it_opens_learns_nothing(site: Site, near: Sidecar) -> None:
+async def test_a_scan_of_open_ports_learns_nothing(site: Site, near: Sidecar) -> None:
     """L8: ports to the network answer only with the refusal meant for plain peers."""
     before = listening()
     async with Program("/robot", near) as robot:
@@ -144,7 +144,7 @@ async def test_a_scan_of_everything_it_opens_learns_nothing(site: Site, near: Si
 
 
 @pytest.mark.attack("program-port")
-async def test_who_takes_a_programs_port_is_not_taken_for_it(
+async def test_another_process_on_a_programs_port_is_refused(
     site: Site, near: Sidecar, robot: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The program ends between the look at who listens and the connection."""
@@ -171,7 +171,7 @@ async def test_who_takes_a_programs_port_is_not_taken_for_it(
             assert sock.recv(100) == b"", "it hears nothing"
 
 
-def knocking(ports: Collection[int], times: int, stack: contextlib.ExitStack) -> None:
+def silent_connections(ports: Collection[int], times: int, stack: contextlib.ExitStack) -> None:
     """Connect and say nothing, as often as it goes."""
     for port in ports:
         for _ in range(times):
@@ -180,7 +180,7 @@ def knocking(ports: Collection[int], times: int, stack: contextlib.ExitStack) ->
 
 
 @pytest.mark.attack("sidecar-exhausted")
-async def test_strangers_at_many_doors_cost_no_more_than_at_one(
+async def test_half_open_connections_are_limited_across_ports(
     near: Sidecar, robot: Program
 ) -> None:
     """N8: ten doors would be more descriptors than a process has, and its programs need some."""
@@ -191,7 +191,7 @@ async def test_strangers_at_many_doors_cost_no_more_than_at_one(
     cap = HalfOpen().per_address
     with contextlib.ExitStack() as stack:
         ports = [server.port for server in servers]
-        await asyncio.to_thread(knocking, ports, cap // 2, stack)
+        await asyncio.to_thread(silent_connections, ports, cap // 2, stack)
         await until(lambda: sum(server.connections for server in servers) == cap)
         assert len(servers) * (cap // 2) > cap
         assert await robot.ask(near.uri, "getPid") is not None
@@ -222,7 +222,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
 
 
 @pytest.mark.attack("confused-deputy")
-async def test_the_sidecar_lends_nobody_its_rights(site: Site, near: Sidecar) -> None:
+async def test_a_program_has_only_the_rights_of_its_agent(site: Site, near: Sidecar) -> None:
     """L7: who asks through a sidecar asks as itself, and is refused as itself."""
     site.enroll("/weak")
     async with Program("/weak", near) as weak:
@@ -240,7 +240,7 @@ async def test_the_sidecar_lends_nobody_its_rights(site: Site, near: Sidecar) ->
 
 
 @pytest.mark.attack("crashed-check")
-async def test_a_failing_guard_closes_the_connection(
+async def test_a_failing_check_closes_the_connection(
     site: Site, near: Sidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A mistake of ours ends the connection; nothing passes."""

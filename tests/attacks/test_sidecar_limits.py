@@ -20,10 +20,10 @@ from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.limited import (
-    ABOUT_A_BORDER,
     HELD,
+    NEAR_A_BOUNDARY,
+    ONE_MESSAGE,
     SELDOM,
-    SELDOM_ONE,
     TOPIC,
     messages,
     number,
@@ -87,8 +87,8 @@ class Behind:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_begins_no_rate_anew(site: Site) -> None:
-    site.subscribe(EVE, TOPIC, SELDOM_ONE)
+async def test_a_new_connection_to_a_sidecar_does_not_reset_the_rate(site: Site) -> None:
+    site.subscribe(EVE, TOPIC, ONE_MESSAGE)
     async with program(site) as eve:
         found = []
         for text in ("one", "two", "six", "ten"):
@@ -99,9 +99,9 @@ async def test_a_sidecar_begins_no_rate_anew(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_lets_copies_through_on_every_connection(site: Site) -> None:
+async def test_a_sidecar_forwards_copies_on_every_connection(site: Site) -> None:
     """The program sends one to each: a second connection of the same key must not lose it."""
-    site.subscribe(EVE, TOPIC, SELDOM_ONE)
+    site.subscribe(EVE, TOPIC, ONE_MESSAGE)
     async with program(site) as eve:
         streams = [await eve.connect() for _ in range(5)]
         for text in ("one", "two", "one"):
@@ -111,19 +111,19 @@ async def test_a_sidecar_lets_copies_through_on_every_connection(site: Site) -> 
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_sets_no_hysteresis_anew(site: Site) -> None:
+async def test_a_new_connection_to_a_sidecar_does_not_reset_hysteresis(site: Site) -> None:
     site.subscribe(EVE, TOPIC, HELD)
     async with program(site, Number) as eve:
         found = []
-        for value in ABOUT_A_BORDER:
+        for value in NEAR_A_BOUNDARY:
             stream = await eve.connect()
             await eve.robot.connections[-1].send(header.frame(number(value)))
             found += await eve.heard(stream)
-        assert found == [[number(0)]] * len(ABOUT_A_BORDER)
+        assert found == [[number(0)]] * len(NEAR_A_BOUNDARY)
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_behind_a_sidecar_new_names_are_no_new_receivers(site: Site) -> None:
+async def test_new_program_names_behind_a_sidecar_do_not_reset_limits(site: Site) -> None:
     """`rostopic pub` has one in each run: each would keep a memory for good, till there is no room.
 
     Programs that live at the same time each have their own: what one sends says nothing of another.
@@ -147,9 +147,9 @@ async def test_behind_a_sidecar_new_names_are_no_new_receivers(site: Site) -> No
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_shows_a_newcomer_what_its_key_has_seen(site: Site) -> None:
+async def test_a_sidecar_sends_a_new_connection_what_its_key_received(site: Site) -> None:
     """A latching program sends its newest to whoever connects."""
-    site.subscribe(EVE, TOPIC, SELDOM_ONE)
+    site.subscribe(EVE, TOPIC, ONE_MESSAGE)
     async with program(site) as eve:
         eve.robot.latching = True
         for text in ("one", "two", "six"):
@@ -159,10 +159,10 @@ async def test_a_sidecar_shows_a_newcomer_what_its_key_has_seen(site: Site) -> N
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_believes_a_publisher_no_more_for_another_connection(site: Site) -> None:
+async def test_a_new_connection_does_not_reset_a_publishers_rate(site: Site) -> None:
     """Programs that live at a time are a receiver each, in whatever order they come back."""
     site.subscribe("/robot", TOPIC)
-    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=SELDOM_ONE)
+    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=ONE_MESSAGE)
     found = []
     async with sidecar(site) as near, Program("/robot", near) as one:
         async with site.node(EVE) as node:
@@ -209,7 +209,7 @@ async def places(stream: SecureStream[Identity], frames: FrameReader, count: int
 
 
 @pytest.mark.attack("slow-to-set-hysteresis-anew")
-async def test_a_connection_that_is_not_read_brings_back_no_old_place(site: Site) -> None:
+async def test_an_unread_connection_does_not_reset_hysteresis(site: Site) -> None:
     """What was far away once, and is judged late, would let the next place be rounded anew."""
     rules = filter_rules({"pose.position.x": {"round": {"step": 2.0, "hysteresis": 0.5}}})
     site.subscribe(EVE, TOPIC, Restriction("geometry_msgs/PoseStamped", (), rules))

@@ -60,7 +60,7 @@ def door_of(near: Sidecar) -> SecureServer[Identity]:
 
 
 @pytest.mark.attack("two-readings")
-async def test_a_right_to_call_reads_no_topic(site: Site, near: Sidecar) -> None:
+async def test_a_right_to_call_gives_no_topic(site: Site, near: Sidecar) -> None:
     """One header with a service for the guard and a topic for the program behind it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
@@ -108,7 +108,7 @@ UNSEEN = xmlrpc.dump_response([1, "", PLAIN]).replace(b"</methodResponse>", b"</
 
 @pytest.mark.attack("address-outside")
 @pytest.mark.parametrize("answer", [[2, "", PLAIN], [True, "", PLAIN], Encoded(UNSEEN)])
-async def test_no_peer_names_a_place_outside_the_channel(
+async def test_addresses_outside_the_channel_are_refused(
     site: Site, near: Sidecar, answer: object
 ) -> None:
     """rospy takes any positive code for success, lenient parsers read what ours refuses."""
@@ -124,7 +124,7 @@ async def test_no_peer_names_a_place_outside_the_channel(
 
 
 @pytest.mark.attack("steered-program")
-async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Sidecar) -> None:
+async def test_only_the_master_sends_revocation_updates(site: Site, near: Sidecar) -> None:
     """The list is the authority's, but who may vouch that it is the newest becomes the master."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
@@ -145,7 +145,7 @@ async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Side
 
 
 @pytest.mark.attack("sidecar-exhausted")
-async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Sidecar) -> None:
+async def test_a_subscriber_that_sends_data_gets_nothing(site: Site, near: Sidecar) -> None:
     """With its header or after it."""
     site.subscribe("/mallory", "/word")
     grants: list[Value] = [*site.enroll("/mallory").grants()]
@@ -170,7 +170,7 @@ async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Side
 
 
 @pytest.mark.attack("outlived-right")
-async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
+async def test_a_revoked_peer_is_not_called_over_an_old_connection(
     site: Site, near: Sidecar
 ) -> None:
     async with liar(site, [1, "", 4711]) as uri, Program("/robot", near) as robot:
@@ -189,7 +189,7 @@ async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
 
 
 @pytest.mark.attack("unit-before-right")
-async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near: Sidecar) -> None:
+async def test_units_before_authorization_are_limited_to_a_call(site: Site, near: Sidecar) -> None:
     """A unit is put together before anybody looks at it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")

@@ -1,7 +1,7 @@
 """Two operators at one authority at the same moment: no revocation may be lost between them.
 
-Whoever knows when an operator signs only has to make another one sign too (see R13 of attacks.md):
-what was recorded and stands in no list lets a thief's key go on.
+An attacker that knows when one operator signs makes another one sign too (R13 of attacks.md): a
+revocation that is recorded but in no list leaves a stolen key valid.
 """
 
 import asyncio
@@ -95,7 +95,7 @@ def listed(home: AuthorityHome) -> frozenset[bytes]:
 @pytest.mark.attack("two-signers")
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("before", [0, MAX_ENTRIES - SIGNERS], ids=["list", "becomes a tree"])
-def test_operators_at_once_lose_no_revocation(
+def test_simultaneous_operators_lose_no_revocation(
     home: AuthorityHome, operators: list[subprocess.Popen[str]], before: int
 ) -> None:
     with closing(home.store()) as store:
@@ -150,7 +150,7 @@ def nobody(*_: object, **__: object) -> str:
 
 
 @pytest.mark.attack("two-signers")
-async def test_a_revocation_that_was_lost_before_is_made_good(
+async def test_a_lost_revocation_is_listed_later(
     shell: Shell, master: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("getpass.getpass", nobody)

@@ -109,9 +109,7 @@ async def test_the_hash_of_another_node(site: Site, witness: Witness) -> None:
     assert memory(witness.robot).find(reference(viewers))[0] == viewers
 
 
-async def test_a_certificate_without_its_key_is_not_remembered(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_certificate_without_its_key_is_not_cached(site: Site, witness: Witness) -> None:
     """Sent by value, and refused: the hash still leads nowhere."""
     own, other = credentials(site), site.enroll("/other").credentials()
     await refused(witness, own, other.id_cred, other.certificate)
@@ -151,7 +149,7 @@ async def test_two_certificates_of_one_hash(
         assert isinstance(answer, OwnCredentialUnknown)
 
 
-async def test_who_shares_its_hash_is_met_all_the_same(
+async def test_a_node_that_shares_its_hash_is_reached(
     site: Site, witness: Witness, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Refused because the robot found somebody else's certificate: it calls again, by value."""
@@ -173,7 +171,9 @@ async def reached(
     await stream.wait_ended()
 
 
-async def test_who_answers_names_the_certificate_of_another(site: Site, witness: Witness) -> None:
+async def test_a_responder_that_names_the_certificate_of_another(
+    site: Site, witness: Witness
+) -> None:
     """Eve stands where the robot was met, and names its certificate, which her caller knows."""
     robot, eve = site.enroll("/robot").credentials(), credentials(site)
     own, remembered = site.enroll("/caller").credentials(), KnownCertificates()

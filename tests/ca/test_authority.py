@@ -158,5 +158,5 @@ def test_a_wildcard_tail_on_the_approvers_word_alone() -> None:
 @pytest.mark.parametrize("name", ["/master", "/ca"])
 def test_no_wildcard_tail_for_those_whom_all_trust(name: str) -> None:
     csr = build_request(new_signer(), "home", name)
-    with pytest.raises(NameRefused, match=f"{name} is one node"):
+    with pytest.raises(NameRefused, match=f"{name} is a single node"):
         SITE.authority.issue(csr, now=NOW, serial=5, wildcard=True)

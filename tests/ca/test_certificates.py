@@ -120,9 +120,9 @@ def test_the_authority_has_its_time_too() -> None:
     ("extensions", "message"),
     [
         (leaf_extensions("spiffe://lab/a"), "is for trust domain 'lab', not 'home'"),
-        (leaf_extensions("spiffe://home/a/"), "the certificate's name is none: '/a/' is not"),
-        (leaf_extensions("spiffe://home"), "the certificate's name is none: '' is not"),
-        (leaf_extensions("https://home/a"), "the certificate's name is none: 'https://home/a'"),
+        (leaf_extensions("spiffe://home/a/"), "the certificate's name is invalid: '/a/' is not"),
+        (leaf_extensions("spiffe://home"), "the certificate's name is invalid: '' is not"),
+        (leaf_extensions("https://home/a"), "the certificate's name is invalid: 'https://home/a'"),
         ([*leaf_extensions()[:2], (uris(), True)], "has 0 names where exactly one"),
     ],
 )
@@ -235,7 +235,7 @@ def test_an_identity_without_one_covers_its_name() -> None:
 
 @pytest.mark.parametrize("name", ["/master", "/ca"])
 def test_no_tail_for_the_master_and_the_authority(name: str) -> None:
-    with pytest.raises(CertificateRefused, match=f"{name} is one node"):
+    with pytest.raises(CertificateRefused, match=f"{name} is a single node"):
         SITE.anchor.verify([with_tail(f"spiffe://home{name}")], NOW)
 
 

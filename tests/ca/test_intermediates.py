@@ -154,8 +154,8 @@ def test_the_draft_itself_is_good() -> None:
         ([CA, USAGE, (uris("spiffe://home/a"), False)], "the authority's name is invalid"),
         ([CA, USAGE, (uris("https://home"), False)], "is not a SPIFFE trust domain"),
         ([CA, USAGE], "0 names where exactly one"),
-        ([CA, USAGE, HOME], "does not say whether it may renew or enroll"),
-        ([CA, USAGE, HOME, (BOTH, False)], "does not say whether it may renew or enroll"),
+        ([CA, USAGE, HOME], "has no policy to renew or enroll"),
+        ([CA, USAGE, HOME, (BOTH, False)], "has no policy to renew or enroll"),
         ([CA, USAGE, HOME, (ENROLL, True)], "unknown critical extension"),
     ],
 )
@@ -201,9 +201,9 @@ def test_its_key_and_its_time() -> None:
 def test_requests_for_one() -> None:
     request = build_intermediate_request(HOST, "home")
     assert check_intermediate_request(request, "home") == HOST.public_key
-    with pytest.raises(RequestRefused, match="no request for an intermediate of 'lab'"):
+    with pytest.raises(RequestRefused, match="not a request for an intermediate of 'lab'"):
         check_intermediate_request(request, "lab")
-    with pytest.raises(RequestRefused, match="no request for an intermediate of 'home'"):
+    with pytest.raises(RequestRefused, match="not a request for an intermediate of 'home'"):
         check_intermediate_request(build_request(HOST, "home", "/a"), "home")
     with pytest.raises(NameRefused):
         build_intermediate_request(HOST, "Not a domain")

@@ -144,6 +144,6 @@ def test_the_master_and_the_authority_are_covered_by_nobody_else(name: str) -> N
 def test_reserved_names_have_no_tail() -> None:
     assert check_wildcard("/rviz") == "/rviz"
     for reserved in RESERVED:
-        with pytest.raises(NameRefused, match=f"{reserved} is one node") as caught:
+        with pytest.raises(NameRefused, match=f"{reserved} is a single node") as caught:
             check_wildcard(reserved)
         assert caught.value.hint

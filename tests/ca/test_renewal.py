@@ -166,7 +166,7 @@ def test_neither_it_nor_its_intermediate_may_be_revoked(which: int) -> None:
 
 
 def test_only_its_own_name() -> None:
-    with pytest.raises(RenewalRefused, match="/robot asks for the identity of /master"):
+    with pytest.raises(RenewalRefused, match="/robot requests the identity of /master"):
         asked(build_request(NEW, "home", "/master"))
     with pytest.raises(RequestRefused, match="trust domain 'lab'"):
         asked(build_request(NEW, "lab", "/robot"))
@@ -204,19 +204,21 @@ def test_closed_fields(payload: Value) -> None:
 
 
 def test_a_chain_is_of_certificates() -> None:
-    refused(PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not of certificates")
+    refused(
+        PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not a list of certificates"
+    )
 
 
 def test_only_statements_of_this_kind() -> None:
     payload: Value = {6: DUE, -70021: CSR, -70022: [LEAF]}
-    refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is no renewal")
-    refused(b"", "this is no renewal")
-    refused(bytes(MAX_RENEWAL + 1), "this is no renewal")
+    refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is not a renewal")
+    refused(b"", "this is not a renewal")
+    refused(bytes(MAX_RENEWAL + 1), "this is not a renewal")
 
 
 def test_fed_with_a_tail_and_cut() -> None:
     data = sign_renewal(OLD, (LEAF,), CSR, DUE)
-    refused(data + b"\0", "this is no renewal")
+    refused(data + b"\0", "this is not a renewal")
     for end in range(0, len(data), 7):
         with pytest.raises(RenewalRefused):
             open_renewal(data[:end], SITE.anchor, DUE, nothing_is_revoked)

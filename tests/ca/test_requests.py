@@ -149,8 +149,8 @@ COMMON_NAME = [x509.NameAttribute(NameOID.COMMON_NAME, "robot")]
             crafted((x509.SubjectAlternativeName([x509.DNSName("camera")]), True)),
             "asks for 1 names where exactly one URI",
         ),
-        (crafted((uris("https://home/a"), True)), "asks for a name that is none: .*no.*SPIFFE ID"),
-        (crafted((uris("spiffe://home/a/"), True)), "asks for a name that is none: '/a/' is not"),
+        (crafted((uris("https://home/a"), True)), "asks for an invalid name: .*no.*SPIFFE ID"),
+        (crafted((uris("spiffe://home/a/"), True)), "asks for an invalid name: '/a/' is not"),
         (crafted((uris("spiffe://lab/a"), True)), "for trust domain 'lab', this authority is 'ho"),
     ],
 )
@@ -183,5 +183,5 @@ def test_allowing_a_tail_allows_nothing_else() -> None:
 
 
 def test_no_request_for_the_masters_tail() -> None:
-    with pytest.raises(NameRefused, match="/master is one node"):
+    with pytest.raises(NameRefused, match="/master is a single node"):
         build_request(new_signer(), "home", "/master", wildcard=True)

@@ -53,7 +53,7 @@ test_msgs/Point at
 LAYOUT = parse("test_msgs/Everything", EVERYTHING)
 
 
-def chance(seed: int) -> random.Random:
+def seeded_random(seed: int) -> random.Random:
     return random.Random(seed)
 
 
@@ -76,28 +76,28 @@ def serialized(message: Any) -> bytes:
     return buffer.getvalue()
 
 
-def random_value(kind: str, dice: random.Random) -> Any:
+def random_value(kind: str, rng: random.Random) -> Any:
     """A random value of a built-in type of genpy."""
     import genpy
 
     if kind in ("float32", "float64"):
-        value = dice.choice([dice.uniform(-100, 100), dice.choice(SPECIAL)])
+        value = rng.choice([rng.uniform(-100, 100), rng.choice(SPECIAL)])
         small = kind == "float32" and abs(value) > 3e38 and value not in SPECIAL[:3]
         return 1.5 if small else value
     if kind == "string":
-        return "".join(dice.choice("aß语🤖 \n") for _ in range(dice.randrange(6)))
+        return "".join(rng.choice("aß语🤖 \n") for _ in range(rng.randrange(6)))
     if kind == "time":
-        return genpy.Time(dice.getrandbits(32), dice.randrange(10**9))
+        return genpy.Time(rng.getrandbits(32), rng.randrange(10**9))
     if kind == "duration":
-        return genpy.Duration(dice.getrandbits(32) - (1 << 31), dice.randrange(10**9))
+        return genpy.Duration(rng.getrandbits(32) - (1 << 31), rng.randrange(10**9))
     if kind == "bool":
-        return dice.random() < 0.5
+        return rng.random() < 0.5
     bits = {"char": 8, "byte": 8}.get(kind) or int(kind.lstrip("uint"))
     signed = not kind.startswith("u") and kind != "char"
-    return dice.getrandbits(bits) - ((1 << bits - 1) if signed else 0)
+    return rng.getrandbits(bits) - ((1 << bits - 1) if signed else 0)
 
 
-def fill(message: Any, dice: random.Random) -> Any:
+def fill(message: Any, rng: random.Random) -> Any:
     """Fill a genpy message with random values, in place."""
     roslib, genmsg = map(importlib.import_module, ("roslib.message", "genmsg.msgs"))
     for name, kind in zip(message.__slots__, message._slot_types, strict=True):
@@ -105,14 +105,14 @@ def fill(message: Any, dice: random.Random) -> Any:
 
         def one(base: str = base) -> Any:
             if genmsg.is_builtin(base):
-                return random_value(base, dice)
+                return random_value(base, rng)
             made = roslib.get_message_class(base)
-            return fill(made(), dice)
+            return fill(made(), rng)
 
         if not is_array:
             setattr(message, name, one())
             continue
-        count = dice.randrange(5) if length is None else length
+        count = rng.randrange(5) if length is None else length
         values = [one() for _ in range(count)]
         setattr(message, name, bytes(values) if base in ("uint8", "char") else values)
     return message

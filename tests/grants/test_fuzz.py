@@ -1,4 +1,4 @@
-"""Noise into every decoder of grants: our errors or a result, nothing else."""
+"""Random input to every decoder of grants: a result or an error of `grants`."""
 
 from contextlib import suppress
 
@@ -30,7 +30,7 @@ conditions = st.lists(tokens, max_size=20).map(" ".join) | st.text(max_size=60)
 
 @settings(max_examples=500)
 @given(definitions, st.binary(max_size=80))
-def test_definitions_and_messages(text: str, message: bytes) -> None:
+def test_random_definitions_and_messages(text: str, message: bytes) -> None:
     with suppress(DefinitionRefused, MessageRefused, FilterRefused):
         shape = parse("t/T", text)
         rules = [FilterRule(name, "clear") for name, _ in shape.root.fields]
@@ -40,7 +40,7 @@ def test_definitions_and_messages(text: str, message: bytes) -> None:
 
 @settings(max_examples=300)
 @given(st.integers(0, len(EVERYTHING)), st.sampled_from(WORDS), st.integers(0, 5))
-def test_damaged_definitions(at: int, word: str, cut: int) -> None:
+def test_damaged_definitions_are_parsed_or_refused(at: int, word: str, cut: int) -> None:
     with suppress(DefinitionRefused):
         found = parse("test_msgs/Everything", EVERYTHING[:at] + word + EVERYTHING[at + cut :])
         assert isinstance(found, Layout)
@@ -48,6 +48,6 @@ def test_damaged_definitions(at: int, word: str, cut: int) -> None:
 
 @settings(max_examples=500)
 @given(conditions, st.binary(max_size=200), st.integers(-(1 << 62), 1 << 62))
-def test_conditions(text: str, message: bytes, now: int) -> None:
+def test_random_conditions(text: str, message: bytes, now: int) -> None:
     with suppress(ConditionRefused):
         assert compile_condition(LAYOUT, text)(message, now) in (True, False)

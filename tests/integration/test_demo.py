@@ -219,7 +219,7 @@ def test_a_directory_that_exists_is_not_touched(tmp_path: Path) -> None:
 
 
 def test_a_step_that_fails_ends_the_demo_with_its_reason(tmp_path: Path) -> None:
-    """The doctor is killed between two steps: the story may not go on as if nothing were."""
+    """The doctor is killed between two steps: the demo must not continue."""
     with subprocess.Popen(
         [ROSSEC, "demo", "--keep", str(tmp_path / "kept")],
         env=environment(PYTHONUNBUFFERED="1"),
@@ -227,8 +227,8 @@ def test_a_step_that_fails_ends_the_demo_with_its_reason(tmp_path: Path) -> None
     ) as demo:  # fmt: skip
         assert demo.stdout is not None
         for line in demo.stdout:
-            if " a stranger " in line:
-                os.kill(child_of(demo.pid, "rossec.demo.watcher", "/doctor"), signal.SIGKILL)
+            if " another authority " in line:
+                os.kill(child_of(demo.pid, "rossec.demo.subscriber", "/doctor"), signal.SIGKILL)
         _, complaints = demo.communicate(timeout=30)
         assert demo.returncode == 1
         assert complaints.startswith("rossec: error: doctor: an image did not happen")

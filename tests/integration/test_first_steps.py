@@ -303,7 +303,7 @@ def test_a_grant_with_a_slip(home: Home, error: str, hint: str, words: tuple[str
 @pytest.mark.parametrize("text", ["7", "7days", "d", "-1d", "0d", "1.5h", "1y"])
 def test_a_duration_that_is_none(home: Home, text: str) -> None:
     words = home.secret(*SIGN, "--publish", "/x", "--for", text)
-    home.slips(2, "is no duration", "grant sign --help", *words)
+    home.slips(2, "is not a duration", "grant sign --help", *words)
 
 
 @pytest.mark.parametrize("beginning", ["", "zz", "00"])

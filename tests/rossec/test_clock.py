@@ -97,21 +97,21 @@ def test_another_clock_corrects_one_that_was_wrong(host: Host, off: int) -> None
     host.passes(1)
     host.shows -= 3600
     assert host.clock.time() == BEGIN + 3601
-    assert host.clock.heard(int(BEGIN) + 1 + off)
+    assert host.clock.correct(int(BEGIN) + 1 + off)
     assert host.clock.time() == BEGIN + 1
-    assert not host.clock.heard(int(BEGIN) + 1), "nothing is to be corrected"
+    assert not host.clock.correct(int(BEGIN) + 1), "nothing is to be corrected"
 
 
 def test_another_clock_that_agrees_with_neither_changes_nothing(host: Host) -> None:
     host.shows -= 3600
     for moment in (BEGIN, BEGIN - 3600 + SKEW + 1, BEGIN - 3600 - SKEW - 1, 0):
-        assert not host.clock.heard(int(moment))
+        assert not host.clock.correct(int(moment))
         assert host.clock.time() == BEGIN
 
 
 def test_another_clock_does_not_set_one_that_was_not_set_back(host: Host) -> None:
     for off in (-SKEW, 0, SKEW):
-        assert not host.clock.heard(int(BEGIN) + off)
+        assert not host.clock.correct(int(BEGIN) + off)
         assert host.clock.time() == BEGIN
 
 
@@ -122,7 +122,7 @@ def test_each_part_of_a_process_is_told_once(host: Host, monkeypatch: pytest.Mon
     host.shows -= 3600
     assert (clock.time(), clock.now()) == (BEGIN, int(BEGIN))
     assert [one.any_new(), one.any_new(), other.any_new()] == [True, False, True]
-    assert clock.heard(int(BEGIN) - 3600)
+    assert clock.correct(int(BEGIN) - 3600)
     assert clock.now() == int(BEGIN) - 3600
 
 

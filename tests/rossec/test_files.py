@@ -48,12 +48,12 @@ def test_a_finished_directory_takes_its_place_and_no_other(tmp_path: Path) -> No
     for name in ("begun", "again"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "x").write_text(name)
-    files.settle(tmp_path / "begun", tmp_path / "done")
+    files.commit_directory(tmp_path / "begun", tmp_path / "done")
     with pytest.raises(ConfigurationError, match="done exists and is not overwritten"):
-        files.settle(tmp_path / "again", tmp_path / "done")
+        files.commit_directory(tmp_path / "again", tmp_path / "done")
     assert (tmp_path / "done" / "x").read_text() == "begun"
     with pytest.raises(FileNotFoundError):
-        files.settle(tmp_path / "again", tmp_path / "missing" / "done")
+        files.commit_directory(tmp_path / "again", tmp_path / "missing" / "done")
 
 
 def test_a_new_file_is_private_and_never_overwritten(tmp_path: Path) -> None:
@@ -112,15 +112,15 @@ def test_reading_is_bounded(tmp_path: Path) -> None:
 
 def test_a_file_is_held_by_one_until_it_lets_go(tmp_path: Path) -> None:
     busy = ConfigurationError("busy")
-    held = files.hold(tmp_path / "lock", busy)
+    held = files.lock_file(tmp_path / "lock", busy)
     with pytest.raises(ConfigurationError, match="busy"):
-        files.hold(tmp_path / "lock", busy)
+        files.lock_file(tmp_path / "lock", busy)
     os.close(held)
-    os.close(files.hold(tmp_path / "lock", busy))
+    os.close(files.lock_file(tmp_path / "lock", busy))
     assert stat.S_IMODE((tmp_path / "lock").stat().st_mode) == 0o600
     (tmp_path / "link").symlink_to(tmp_path / "lock")
     with pytest.raises(OSError, match="symbolic"):
-        files.hold(tmp_path / "link", busy)
+        files.lock_file(tmp_path / "link", busy)
 
 
 def test_what_is_no_plain_file_is_not_replaced(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from ca.keys.signer import Signer
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.demo.stranger import Whoever, believe_anyone
+from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
@@ -58,7 +58,7 @@ async def knock(
     port: int, credentials: Credentials, fields: Mapping[str, str | bytes], at_most: int = 1 << 20
 ) -> Heard:
     """Send a connection header to a topic port and take everything that comes until the end."""
-    stream = await connect(HOST, port, credentials, believe_anyone)
+    stream = await connect(HOST, port, credentials, accept_any)
     data = b""
     try:
         await stream.send(header.encode(fields))
@@ -73,10 +73,10 @@ async def knock(
     return Heard(header.decode(data[4:end]), data[end:])
 
 
-async def dial(uri: str, credentials: Credentials) -> SecureStream[Whoever]:
+async def dial(uri: str, credentials: Credentials) -> SecureStream[UnverifiedPeer]:
     """A secure connection to the XML-RPC port in `uri`."""
     port = int(uri.rstrip("/").rpartition(":")[2])
-    return await connect(HOST, port, credentials, believe_anyone, opening=WireProtocol.HTTP)
+    return await connect(HOST, port, credentials, accept_any, opening=WireProtocol.HTTP)
 
 
 async def call(uri: str, credentials: Credentials, method: str, *params: object) -> object:

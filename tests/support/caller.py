@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from grants.model import Right
-from rossec.demo.stranger import Whoever
+from rossec.demo.intruder import UnverifiedPeer
 from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from tests.support.attacker import HOST, credentials, dial
@@ -37,7 +37,9 @@ class Caller:
         """The status text of a call that must be refused, with its default value."""
         return refusal(await self(method, *params))
 
-    async def dispatch(self, method: str, params: tuple[object, ...], peer: Whoever) -> object:
+    async def dispatch(
+        self, method: str, params: tuple[object, ...], peer: UnverifiedPeer
+    ) -> object:
         self.told.append((method, *params[1:]))
         return [1, "", 0]
 

@@ -21,11 +21,11 @@ from tests.support.witness import until
 TOPIC: Final = "/robot/where"
 SERVICE: Final = "/lamp/on"
 SELDOM: Final = 0.001  # a second
-SELDOM_ONE: Final = Restriction(rate=SELDOM)
+ONE_MESSAGE: Final = Restriction(rate=SELDOM)
 HELD: Final = Restriction(
     "std_msgs/Float64", (), filter_rules({"data": {"round": {"step": 2.0, "hysteresis": 0.5}}})
 )
-ABOUT_A_BORDER: Final = (0.9, 1.1, 0.95, 1.2, 1.05)
+NEAR_A_BOUNDARY: Final = (0.9, 1.1, 0.95, 1.2, 1.05)
 
 
 class Eve:

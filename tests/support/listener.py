@@ -53,7 +53,7 @@ class SecureListener(Generic[PeerT]):
             now=clock.now(),
             **self._options,
         )
-        return SecureSocket(sock, core, place.settle), where
+        return SecureSocket(sock, core, place.release), where
 
     def fileno(self) -> int:
         """The descriptor to wait on."""

@@ -17,7 +17,7 @@ class Sock:
         self.unsent = False
         self.service_filter: Any = None
 
-    def send_now(self, data: bytes) -> bool:
+    def try_send(self, data: bytes) -> bool:
         if self.at_once:
             self.send_unit(data)
         return self.at_once

@@ -41,7 +41,7 @@ class MemoryStream:
             raise MemoryClosed("closed")
         return unit
 
-    def send_at_once(self, unit: bytes) -> bool:
+    def try_send(self, unit: bytes) -> bool:
         if not self.lagging:
             self.put(unit)
         return not self.lagging

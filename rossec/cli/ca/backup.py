@@ -25,11 +25,11 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
     """Write the authority into the new file FILE, encrypted under its passphrase.
 
-    A key in a token stays there: its backup is the token's business, and the PIN seals this file.
+    A key in a token is not in the backup; the PIN encrypts this file.
     """
     home = AuthorityHome.at(environment.home)
     secret = passphrase.read(passphrase_file, environment.variables)
-    home.unlock(secret).store.close()  # a backup that the key does not fit is none
+    home.unlock(secret).store.close()  # a backup that its key does not open is invalid
     files.create(file, backups.back_up(home, secret))
     say(f"backup of {home.domain}: {file}")
     say(f"fingerprint {fingerprint(home.anchor())}")
@@ -63,7 +63,7 @@ def restore(
 ) -> None:
     """Prove the backup FILE and put its authority back.
 
-    Nothing is overwritten, and nothing newer is lost, unless it is said: --over, --forget.
+    Nothing is overwritten, and nothing newer is lost, unless --over or --forget allows it.
     """
     data = files.read(file, MAX_BACKUP, ConfigurationError(f"there is no {file}"))
     listed = None if newest is None else _read(newest, MAX_LIST)
@@ -87,6 +87,3 @@ def restore(
 
 def _read(path: Path, limit: int) -> bytes:
     return files.read(path, limit, ConfigurationError(f"there is no {path}"))
-
-
-COMMANDS = (backup, restore)

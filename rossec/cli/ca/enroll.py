@@ -1,4 +1,4 @@
-"""`rossec ca enroll`: read a node's code, see who asks, and give it an identity."""
+"""`rossec ca enroll`: read a node's code, show its request, and sign its identity."""
 
 import asyncio
 import secrets
@@ -19,10 +19,16 @@ from ca.requests import MAX_REQUEST
 from ca.store.lifecycle import RequestRow, RequestState
 from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.cli.ca.requests import introduce, tell_of_replaced
-from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, agrees, now, pass_environment, reraise_interrupt
-from rossec.cli.shared.delivery import remind
+from rossec.cli.ca.requests import publish_if_revoked, show_request
+from rossec.cli.shared import options, passphrase, signing_options
+from rossec.cli.shared.context import (
+    Environment,
+    ask_yes_no,
+    now,
+    pass_environment,
+    reraise_interrupt,
+)
+from rossec.cli.shared.delivery import remind_to_publish
 from rossec.enrollment import address
 from rossec.enrollment.authority import deliver, fetch
 from rossec.enrollment.scan import code_in_file
@@ -30,7 +36,7 @@ from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
 Destination = tuple[str, int]
-_DENIED: Final = "no, at the authority"
+_DENIED: Final = "denied at the authority"
 
 
 @click.command()
@@ -46,12 +52,14 @@ _DENIED: Final = "no, at the authority"
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="no code: this request, whose fingerprint you have compared",
 )
-@click.option("--address", "told", help="where the node waits, for a label: host, or host:port")
-@options.identity_lifetime
-@options.replace_key()
-@options.anonymous
+@click.option(
+    "--address", "given_address", help="where the node waits, for a label: host, or host:port"
+)
+@signing_options.identity_lifetime
+@signing_options.replace_key()
+@signing_options.anonymous
 @click.option("--later", is_flag=True, help="only record who asks; decide with: rossec ca approve")
-@options.master_to_tell
+@options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
 @pass_environment
@@ -60,7 +68,7 @@ def enroll(
     code: str | None,
     image: Path | None,
     csr_file: Path | None,
-    told: str | None,
+    given_address: str | None,
     lifetime: int,
     replaced: str | None,
     anonymous: bool,
@@ -71,26 +79,26 @@ def enroll(
 ) -> None:
     """Enroll the node that shows CODE: scanned from a picture, or pasted (in single quotes).
 
-    Without any of them you are asked for the text.
+    Without any of these options the command asks for the text.
 
-    Shows who asks and what the policy holds ready for that name, asks you, signs, and hands over
-    the identity. Then both sides show six digits: go to the node and confirm there if they are the
+    Shows the request and what the policy grants that name, asks you, signs, and delivers the
+    identity. Then both sides show six digits: go to the node and confirm there if they are the
     same. With --csr and no --address the identity is written beside the request, to be carried.
 
     Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
-    is enrolled, or the master was out of reach; 130 interrupted.
+    is enrolled, or the master was unreachable; 130 interrupted.
     """
     home = AuthorityHome.at(environment.home)
-    found = _code(code, image, csr_file)
-    where = _where(found, told, csr_file)
+    found = _read_code(code, image, csr_file)
+    destination = _destination(found, given_address, csr_file)
     core = AuthorityEnrollment(found, home.domain, wildcard=anonymous)
-    _compare(core, csr_file, where)
-    row = _recorded(home, core, _source(found, csr_file, where))
-    introduce(environment, row, home, wildcard=core.request.wildcard)
+    _fetch_request(core, csr_file, destination)
+    row = _record_request(home, core, _source(found, csr_file, destination))
+    show_request(environment, row, home, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
-    if row.state is RequestState.PENDING and not agrees("give this name to this key?", yes=yes):
+    if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
         home.store().requests.deny(row.digest, now(), _DENIED)
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
@@ -100,22 +108,22 @@ def enroll(
         row.der, now(), lifetime,
         replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
     )  # fmt: skip
-    if where is None:
-        _write(csr_file, bundle)
+    if destination is None:
+        _write_identity(csr_file, bundle)
     else:
         try:
-            _hand_over(core, bundle, where)
+            _deliver_identity(core, bundle, destination)
         except HintedError:
-            remind(authority.store, number)
+            remind_to_publish(authority.store, number)
             raise
         say(f"enrolled {row.name}")
-    tell_of_replaced(environment, authority, revoked, number, master_uri)
+    publish_if_revoked(environment, authority, revoked, number, master_uri)
 
 
-def _code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
-    """Exactly one source; with none, a person at a terminal is asked."""
+def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
+    """The code from exactly one source; with none, ask at the terminal."""
     if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
-        code = _ask()
+        code = _prompt_for_code()
     match (code, image, csr_file):
         case (str(), None, None):
             found = qr.parse(code)
@@ -129,8 +137,8 @@ def _code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Cod
     return found
 
 
-def _ask() -> str:
-    """Pasted here, the text needs no quotes; a shell would take its blanks and dollars apart."""
+def _prompt_for_code() -> str:
+    """Text pasted here needs no quotes, unlike in a shell."""
     try:
         typed: str = click.prompt("the text below the code", err=True)
     except click.Abort as abort:
@@ -139,10 +147,12 @@ def _ask() -> str:
     return typed
 
 
-def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Destination | None:
-    """Where the node waits; None: it does not, files are carried."""
-    if told is not None or code.address:
-        return address.split(told or code.address)
+def _destination(
+    code: qr.Code, given_address: str | None, csr_file: Path | None
+) -> Destination | None:
+    """Where the node waits; None if files are copied by hand."""
+    if given_address is not None or code.address:
+        return address.split(given_address or code.address)
     if csr_file is not None:
         return None
     raise ConfigurationError(
@@ -150,16 +160,18 @@ def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Destinatio
     )
 
 
-def _compare(core: AuthorityEnrollment, csr_file: Path | None, where: Destination | None) -> None:
+def _fetch_request(
+    core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None
+) -> None:
     if csr_file is not None:
         core.receive(write(Delivery(_read(csr_file))), now())
         return
-    assert where is not None  # noqa: S101 - a code without an address was refused
-    asyncio.run(fetch(core, *where, now))
+    assert destination is not None  # noqa: S101 - a code without an address was refused
+    asyncio.run(fetch(core, *destination, now))
 
 
-def _recorded(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> RequestRow:
-    """The request in the record: pending, or what was said about it before."""
+def _record_request(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> RequestRow:
+    """The request in the record: pending, or already answered."""
     store = home.store()
     try:
         answered = store.identities.issued_for(core.request.digest)
@@ -174,13 +186,13 @@ def _recorded(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> Re
         store.close()
 
 
-def _source(code: qr.Code, csr_file: Path | None, where: Destination | None) -> str:
+def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:
     kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
-    return kind if where is None else f"{kind} at {address.join(*where)}"
+    return kind if destination is None else f"{kind} at {address.join(*destination)}"
 
 
-def _hand_over(core: AuthorityEnrollment, bundle: bytes, where: Destination) -> None:
-    """Offer the identity, and wait for the person at the node."""
+def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Destination) -> None:
+    """Offer the identity, and wait for the confirmation at the node."""
     *chain, root = from_pem(bundle)
     offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
 
@@ -188,11 +200,11 @@ def _hand_over(core: AuthorityEnrollment, bundle: bytes, where: Destination) -> 
         say(f"digits {group_digits(digits)}")
         say("the same at the node? then confirm there; if not, stop here and there")
 
-    asyncio.run(deliver(core, offer, *where, now, show))
+    asyncio.run(deliver(core, offer, *destination, now, show))
 
 
-def _write(csr_file: Path | None, bundle: bytes) -> None:
-    assert csr_file is not None  # noqa: S101 - nowhere to call means that there is a file
+def _write_identity(csr_file: Path | None, bundle: bytes) -> None:
+    assert csr_file is not None  # noqa: S101 - without an address there is a file
     name = "node.pem" if csr_file.name == "node.csr" else f"{csr_file.stem}.pem"
     target = csr_file.with_name(name)
     files.replace(target, bundle, 0o644)
@@ -202,6 +214,3 @@ def _write(csr_file: Path | None, bundle: bytes) -> None:
 def _read(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(MAX_REQUEST + 1)
-
-
-COMMANDS = (enroll,)

@@ -1,4 +1,4 @@
-"""`rossec ca list | show | renew`: the identities of the authority, and their successors."""
+"""`rossec ca list | show | renew`: the identities of the authority, and their renewal."""
 
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,8 @@ from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.renewals import renew_by_name, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import remind
+from rossec.cli.shared.context import Duration, Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.terminal import say, say_json
 
@@ -24,9 +24,9 @@ def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
     with store.read_transaction():
         rows, revoked = store.certificates(), store.revoked_entries()
         in_force = store.identities.with_valid_issuer(rows)
-    alive = {row.serial for row in in_force if row.thumbprint not in revoked}
-    newest = {row.name: row.serial for row in rows if row.serial in alive}
-    return [(row, _state(row, at, newest, row.serial not in alive)) for row in rows]
+    valid = {row.serial for row in in_force if row.thumbprint not in revoked}
+    newest = {row.name: row.serial for row in rows if row.serial in valid}
+    return [(row, _state(row, at, newest, row.serial not in valid)) for row in rows]
 
 
 def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) -> str:
@@ -38,7 +38,7 @@ def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) 
 
 
 def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
-    """One identity for programs."""
+    """One identity as JSON."""
     return {
         "name": row.name,
         "state": state,
@@ -51,10 +51,10 @@ def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
 
 
 def line(row: CertificateRow, state: str) -> str:
-    """One identity for people."""
+    """One identity as a line of text."""
     name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
     until, key = (
-        f"until {moment(row.not_after)}",
+        f"until {format_time(row.not_after)}",
         f"fingerprint {format_fingerprint(row.thumbprint)}",
     )
     return "  ".join([name, until, key, *[state] * (state != "valid")])
@@ -116,7 +116,7 @@ def renew(
 ) -> None:
     """Renew the identity of NAME for the key it has; /ca is the authority's own node.
 
-    The new one is written to a file to install on the node, but for /ca, where it is installed.
+    The new one is written to a file to install on the node; that of /ca is installed here.
     """
     home = AuthorityHome.at(environment.home)
     if name.startswith(INTERMEDIATE):
@@ -126,14 +126,11 @@ def renew(
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     number = authority.store.next_number()
     if name == OWN_NODE:
-        say(f"renewed {name} until {moment(renew_own_node(authority, now()))}")
+        say(f"renewed {name} until {format_time(renew_own_node(authority, now()))}")
     else:
         bundle = renew_by_name(authority, name, now(), lifetime)
         target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
         files.replace(target, bundle, 0o644)
         say(f"renewed {name}: {target}")
         say(f"next, on its machine: rossec node install {target}")
-    remind(authority.store, number)
-
-
-COMMANDS = (list_, show, renew)
+    remind_to_publish(authority.store, number)

@@ -1,4 +1,4 @@
-"""`rossec ca intermediate`: a host that signs nodes for a season, below an offline root."""
+"""`rossec ca intermediate`: a host that signs nodes for a limited time, below an offline root."""
 
 from pathlib import Path
 
@@ -12,8 +12,15 @@ from rossec.authority import intermediate_home
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.renewals import sign_intermediate
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, confirm, moment, now, pass_environment
-from rossec.cli.shared.delivery import remind
+from rossec.cli.shared.context import (
+    Duration,
+    Environment,
+    confirm,
+    format_time,
+    now,
+    pass_environment,
+)
+from rossec.cli.shared.delivery import remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
@@ -21,12 +28,7 @@ _MAX_FILE = 16 * 1024
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 
-@click.group()
-def intermediate() -> None:
-    """Let a host sign nodes for a season, while the root stays offline."""
-
-
-@intermediate.command()
+@click.command()
 @click.argument("domain")
 @passphrase.option
 @pass_environment
@@ -40,7 +42,7 @@ def request(environment: Environment, domain: str, passphrase_file: Path | None)
     say(f"next, at the root: rossec ca intermediate sign {path} --may renew")
 
 
-@intermediate.command()
+@click.command()
 @click.argument("request", type=_FILE)
 @click.option(
     "--may", required=True, type=click.Choice(["renew", "enroll"]),
@@ -61,12 +63,12 @@ def sign(
     yes: bool,
     passphrase_file: Path | None,
 ) -> None:
-    """At the root: sign REQUEST of a host, and say what it may do."""
+    """At the root: sign REQUEST of a host, and set what it may do."""
     home = AuthorityHome.at(environment.home)
     data = files.read(request, _MAX_FILE, ConfigurationError(f"there is no {request}"))
     key = check_intermediate_request(data, home.domain)
     powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
-    say(f"an intermediate of {home.domain} that may {powers} until {moment(now() + lifetime)}")
+    say(f"an intermediate of {home.domain} that may {powers} until {format_time(now() + lifetime)}")
     say(f"  fingerprint {format_fingerprint(thumbprint(key))}")
     confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
@@ -77,21 +79,18 @@ def sign(
     target = request.with_suffix(".pem")
     files.replace(target, bundle, 0o644)
     say(f"signed {name}: {target}")
-    say(f"to take it back, with all it signed: rossec ca revoke {name}")
-    remind(authority.store, number)
+    say(f"to revoke it, with all it signed: rossec ca revoke {name}")
+    remind_to_publish(authority.store, number)
 
 
-@intermediate.command()
+@click.command()
 @click.argument("bundle", type=_FILE)
 @passphrase.option
 @pass_environment
 def install(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
-    """On the host: take over BUNDLE, what the root signed."""
+    """On the host: install BUNDLE, which the root signed."""
     data = files.read(bundle, _MAX_FILE, ConfigurationError(f"there is no {bundle}"))
     secret = passphrase.read(passphrase_file, environment.variables)
     found = intermediate_home.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
-    say(f"this host may {powers} until {moment(found.not_after)}")
-
-
-COMMANDS = (intermediate,)
+    say(f"this host may {powers} until {format_time(found.not_after)}")

@@ -1,4 +1,4 @@
-"""`rossec ca log`: what the authority did, whether that is all of it, and proofs for others."""
+"""`rossec ca log`: what the authority did, whether the log is complete, and proofs for others."""
 
 import base64
 from pathlib import Path
@@ -10,33 +10,26 @@ from ca.store.log_entries import LogEntry, leaf, open_head
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import remind
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, printable, say, say_json
 
 _MAX_HEAD = 4096
 
 
-@click.group(invoke_without_command=True)
-@click.option("--last", type=click.IntRange(1), help="only the newest so many entries")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
-@click.pass_context
-def log(context: click.Context, last: int | None, in_json: bool) -> None:
-    """Show everything the authority did, oldest first."""
-    if context.invoked_subcommand is not None:
-        return
-    home = AuthorityHome.at(context.find_object(Environment).home)  # type: ignore[union-attr]
-    entries = home.store().log.entries()[-(last or 0) :]
+def show(environment: Environment, last: int | None, *, in_json: bool) -> None:
+    """Show the newest `last` entries, by default all."""
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
     if in_json:
         say_json([_as_json(entry) for entry in entries])
         return
     for entry in entries:
-        words = [str(entry.number), moment(entry.at), entry.what, entry.subject, entry.detail]
+        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
         say(printable("  ".join(filter(None, words))))
 
 
-@log.command()
+@click.command()
 @click.option(
     "--head", "heads", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="a signed head kept elsewhere (rossec ca log head)",
@@ -57,14 +50,14 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
         return
     say(f"{size} entries, all as they were written")
     if newest.size:
-        say(f"the first {newest.size} are signed, {moment(newest.issued)}")
+        say(f"the first {newest.size} are signed, {format_time(newest.issued)}")
     else:
         say("none of them is signed: next, rossec ca log head")
     if not heads:
-        note("a head kept elsewhere shows more: this file's owner could have rewritten all of it")
+        note("a head kept elsewhere proves more: the owner of this file could rewrite all of it")
 
 
-@log.command()
+@click.command()
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
 @passphrase.option
 @pass_environment
@@ -75,7 +68,7 @@ def head(environment: Environment, out: Path | None, passphrase_file: Path | Non
     number = authority.store.next_number()
     authority.refresh_list(now())
     data = authority.sign_head(now())
-    remind(authority.store, number)
+    remind_to_publish(authority.store, number)
     size = open_head(data, home.own_key()).size
     if out is None:
         say(base64.b64encode(data).decode())
@@ -84,7 +77,7 @@ def head(environment: Environment, out: Path | None, passphrase_file: Path | Non
     say(f"head of {size} entries: {out}")
 
 
-@log.command()
+@click.command()
 @click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
 @click.option(
     "--since", type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -122,6 +115,3 @@ def _as_json(entry: LogEntry) -> dict[str, Any]:
 def _read(path: Path) -> bytes:
     missing = ConfigurationError(f"there is no {path}")
     return files.read(path, _MAX_HEAD, missing)
-
-
-COMMANDS = (log,)

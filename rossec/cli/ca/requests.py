@@ -1,6 +1,5 @@
-"""`rossec ca requests | approve | deny`: who asks for an identity, and what was answered."""
+"""`rossec ca requests | approve | deny`: requests for an identity, and their answers."""
 
-import asyncio
 from pathlib import Path
 from typing import Final
 
@@ -15,10 +14,10 @@ from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.authority.signing import SigningAuthority
-from rossec.cli.ca.group import warn_of_tail
-from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import deliver, remind
+from rossec.cli.ca.sign import warn_of_wildcard
+from rossec.cli.shared import options, passphrase, signing_options
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import publish_list, remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say, say_json
 
@@ -30,7 +29,7 @@ _SHORT: Final = 8
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @pass_environment
 def requests(environment: Environment, everything: bool, as_json: bool) -> None:
-    """Show who asks for an identity and has no answer yet."""
+    """Show the requests for an identity that have no answer yet."""
     home = AuthorityHome.at(environment.home)
     store = home.store()
     store.requests.collect(now())
@@ -40,18 +39,18 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         return
     for row in rows:
         say(f"{_short(row)}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {moment(row.expires)}")
+        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
     if not rows:
-        say("nobody asks for anything")
+        say("no open requests")
 
 
 @click.command()
 @click.argument("request_id")
-@options.identity_lifetime
-@options.replace_key()
-@options.anonymous
+@signing_options.identity_lifetime
+@signing_options.replace_key()
+@signing_options.anonymous
 @click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
-@options.master_to_tell
+@options.master_uri
 @passphrase.option
 @pass_environment
 def approve(
@@ -64,13 +63,13 @@ def approve(
     master_uri: str | None,
     passphrase_file: Path | None,
 ) -> None:
-    """Say yes to the request REQUEST_ID (or its beginning), and sign its identity.
+    """Approve the request REQUEST_ID (or its beginning), and sign its identity.
 
-    It is written to --out, to be carried; or `rossec ca enroll` hands it over without asking again.
+    It is written to --out, to be copied; or `rossec ca enroll` delivers it without asking again.
     """
     home = AuthorityHome.at(environment.home)
     row = home.store().requests.get(_digest(request_id))
-    introduce(environment, row, home, wildcard=anonymous)
+    show_request(environment, row, home, wildcard=anonymous)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
     bundle = authority.issue(
@@ -80,7 +79,7 @@ def approve(
     if out is not None:
         files.create(out, bundle, 0o644)
         say(f"signed: {out}; at the node: rossec node install {out.name}")
-    tell_of_replaced(environment, authority, revoked, number, master_uri)
+    publish_if_revoked(environment, authority, revoked, number, master_uri)
 
 
 @click.command()
@@ -88,60 +87,58 @@ def approve(
 @click.option("--reason", default="", help="why, for the record")
 @pass_environment
 def deny(environment: Environment, request_id: str, reason: str) -> None:
-    """Say no to the request REQUEST_ID (or its beginning)."""
+    """Deny the request REQUEST_ID (or its beginning)."""
     store = AuthorityHome.at(environment.home).store()
     row = store.requests.deny(_digest(request_id), now(), reason)
     say(f"denied {row.name}")
 
 
-def introduce(
+def show_request(
     environment: Environment, row: RequestRow, home: AuthorityHome, *, wildcard: bool
 ) -> None:
-    """Everything a person should know before giving a name to a key."""
+    """Show all that matters before a name is given to a key."""
     say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
     say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
     say(f"  from {printable(row.source)}")
     if wildcard:
-        warn_of_tail(row.name)
-    say(f"  {_standing(home.store(), row)}")
-    for line in _prospects(environment, row):
+        warn_of_wildcard(row.name)
+    say(f"  {_enrollment_status(home.store(), row)}")
+    for line in _policy_lines(environment, row):
         say(f"  {line}")
 
 
-def tell_of_replaced(
+def publish_if_revoked(
     environment: Environment,
     authority: SigningAuthority,
     revoked: frozenset[bytes],
     number: tuple[int, int],
     master_uri: str | None,
 ) -> None:
-    """Carry the list to the master when a key was replaced since it held `revoked`."""
+    """Deliver the list if a replaced key was revoked: `revoked` are the entries before."""
     if authority.store.revoked_entries() == revoked:
-        remind(authority.store, number)
+        remind_to_publish(authority.store, number)
         return
     say("the replaced key is revoked")
-    asyncio.run(deliver(environment, master_uri))
-    say("the master has the new list")
+    publish_list(environment, master_uri)
 
 
-def _standing(store: Store, row: RequestRow) -> str:
-    """Whether the name is known here: the one thing that must not be overlooked."""
+def _enrollment_status(store: Store, row: RequestRow) -> str:
+    """Whether the name is enrolled already, and with which key."""
     known = store.identities.valid(row.name, now())
     if any(each.thumbprint != row.thumbprint for each in known):
-        return (
-            f"WARNING: {row.name} is enrolled with ANOTHER KEY until {moment(known[-1].not_after)}"
-        )
+        until = format_time(known[-1].not_after)
+        return f"WARNING: {row.name} is enrolled with ANOTHER KEY until {until}"
     if known:
-        return f"{row.name} is enrolled with this key until {moment(known[-1].not_after)}"
+        return f"{row.name} is enrolled with this key until {format_time(known[-1].not_after)}"
     if row.state is not RequestState.PENDING:
-        return f"the request was {row.state} {moment(row.changed)}"
+        return f"the request was {row.state} {format_time(row.changed)}"
     return f"{row.name} is new here"
 
 
-def _prospects(environment: Environment, row: RequestRow) -> list[str]:
+def _policy_lines(environment: Environment, row: RequestRow) -> list[str]:
     path = place(environment.home, None)
     if not path.exists():
-        return ["there is no policy: it gets nothing by itself"]
+        return ["there is no policy: it is granted nothing"]
     policy = PolicyFile.read(path, own=True).policy
     lines = projected_grants(policy, Subject(row.name, row.thumbprint))
     if not lines:
@@ -163,15 +160,14 @@ def _summary(row: RequestRow) -> dict[str, object]:
 
 
 def _digest(text: str) -> bytes:
-    """The beginning of a digest; an odd digit too many is left out of the search."""
+    """The beginning of a digest; an odd last digit is ignored."""
     try:
         return bytes.fromhex(text[: len(text) // 2 * 2])
     except ValueError:
-        raise ConfigurationError(f"{text!a} is no request", "see: rossec ca requests") from None
+        raise ConfigurationError(
+            f"{text!a} is not a request id", "see: rossec ca requests"
+        ) from None
 
 
 def _short(row: RequestRow) -> str:
     return row.digest.hex()[:_SHORT]
-
-
-COMMANDS = (requests, approve, deny)

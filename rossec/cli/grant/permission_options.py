@@ -1,4 +1,4 @@
-"""What `rossec grant sign` is asked to give, as permissions: rights, conditions and filters."""
+"""The options of `rossec grant sign` as permissions: rights, conditions and filters."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -51,7 +51,7 @@ def rules(
     """The filters, by field.
 
     Raises:
-        ConfigurationError: a parameter that cannot be read.
+        ConfigurationError: an invalid parameter.
     """
     rules: dict[str, dict[str, object]] = {path: {"clear": True} for path in clear}
     rules |= {path: {"round": {"step": step}} for path, step in map(_rounding, rounds)}
@@ -67,7 +67,7 @@ def restrictions(
     rate: float | None,
     preset_name: str | None,
 ) -> list[Restriction]:
-    """Build the restrictions and try them on the message type: mistakes show here, not later."""
+    """Build the restrictions and compile them for the message type: mistakes show here."""
     if not filters and not when and rate is None and preset_name is None:
         return []
     if type_name is None:
@@ -95,7 +95,7 @@ def permissions(
     """The permissions of the grant.
 
     Raises:
-        ConfigurationError: none, or restrictions of nothing.
+        ConfigurationError: no right is given, or no right that can be restricted.
     """
     made: list[Permission] = []
     for right, patterns in wanted.items():
@@ -128,7 +128,7 @@ def _clamping(text: str) -> tuple[str, float, float]:
 
 
 def _number(text: str) -> float:
-    """Whole where it is written so: fields of whole numbers take no other."""
+    """An integer where it is written so: integer fields accept no float."""
     try:
         return int(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""`rossec grant request | decide | pending | approve | deny`: nodes ask, and get an answer."""
+"""`rossec grant request | decide | pending | approve | deny`: nodes request grants."""
 
 import secrets
 from collections.abc import Callable, Iterator, Sequence
@@ -28,8 +28,9 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.handing_over import hand_over
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
+from rossec.cli.shared.grant_delivery import deliver_grant
+from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import note, printable, say, say_json
@@ -55,7 +56,7 @@ def request(
     """Ask for rights as NODE, on its machine.
 
     The request is signed with the node's key. Carry it to the authority as a file; when the
-    authority is in the same ROSSEC_HOME, it lands in its inbox by itself.
+    authority is in the same ROSSEC_HOME, it is put into its inbox.
     """
     home = NodeHome.find(environment.home, node)
     requested = tuple(
@@ -77,7 +78,7 @@ def request(
         say(f"written to {out}; at the authority: rossec grant decide {out}")
     elif (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, asked, data)
-        say("laid into the authority's inbox; there: rossec grant decide")
+        say("put into the authority's inbox; there: rossec grant decide")
     else:
         raise ConfigurationError("the authority is elsewhere", "give --out FILE, and carry it")
 
@@ -101,23 +102,23 @@ def decide(
 ) -> None:
     """Let the policy decide the requests in REQUEST_FILES and in the inbox.
 
-    What it allows is signed; what it wants asked waits for `rossec grant pending`.
+    What it allows is signed; what it leaves to you is shown by `rossec grant pending`.
     """
-    file = options.read_policy(environment, policy_path, signs=True)
-    with _desk(environment, file) as desk:
+    file = read_policy(environment, policy_path, signs=True)
+    with _queue(environment, file) as queue:
         for path in request_files:
-            desk.add_request(requests.read_request(path))
-        _collect(desk)
-        questions = desk.pending()
-        allowed = [item for item in questions if item.verdict.effect is Effect.ALLOW]
+            queue.add_request(requests.read_request(path))
+        _collect(queue)
+        pending_approvals = queue.pending()
+        allowed = [item for item in pending_approvals if item.verdict.effect is Effect.ALLOW]
         if allowed:
             authority = AuthorityHome.at(environment.home).unlock(
                 passphrase.read(passphrase_file, environment.variables)
             )
-            for data in _signed(desk, authority, allowed, lambda verdict: verdict, "policy"):
+            for data in _signed(queue, authority, allowed, lambda verdict: verdict, "policy"):
                 _deliver(environment, data, out_dir)
-        waiting = len(questions) - len(allowed)
-        denied = f", {desk.denied_automatically} denied" if desk.denied_automatically else ""
+        waiting = len(pending_approvals) - len(allowed)
+        denied = f", {queue.denied_automatically} denied" if queue.denied_automatically else ""
         say(f"{len(allowed)} allowed, {waiting} for you{denied}: see `rossec grant pending`")
 
 
@@ -126,18 +127,18 @@ def decide(
 @options.policy
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
-    """Show what nodes ask for and the policy leaves to you. No answer in time is a no."""
-    file = options.read_policy(environment, policy_path, signs=True)
-    with _desk(environment, file) as desk:
-        _collect(desk)
-        asked = [item for item in desk.pending() if item.verdict.effect is Effect.PROMPT]
+    """Show what nodes ask for and the policy leaves to you. No answer in time denies it."""
+    file = read_policy(environment, policy_path, signs=True)
+    with _queue(environment, file) as queue:
+        _collect(queue)
+        asked = [item for item in queue.pending() if item.verdict.effect is Effect.PROMPT]
         if as_json:
             say_json([_summary(item) for item in asked])
             return
         for item in asked:
             _show(item, file)
         if not asked:
-            say("nobody asks for anything")
+            say("no open requests")
 
 
 @click.command()
@@ -157,18 +158,18 @@ def approve(
     policy_path: Path | None,
     passphrase_file: Path | None,
 ) -> None:
-    """Say yes to the request REQUEST_ID (or its beginning): precisely, unless said otherwise.
+    """Approve the request REQUEST_ID (or its beginning), as it is or restricted.
 
-    --approximate gives it through a filter of the policy or a preset, --today until midnight.
+    --approximate adds a filter of the policy or a preset, --today ends it at midnight.
     """
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     change = _change(file, coarse, only_today)
-    with _desk(environment, file) as desk:
-        chosen = _chosen(desk, request_id)
+    with _queue(environment, file) as queue:
+        chosen = _chosen(queue, request_id)
         authority = AuthorityHome.at(environment.home).unlock(
             passphrase.read(passphrase_file, environment.variables)
         )
-        for data in _signed(desk, authority, chosen, change, "a person"):
+        for data in _signed(queue, authority, chosen, change, "a person"):
             _deliver(environment, data, out_dir)
 
 
@@ -177,38 +178,38 @@ def approve(
 @options.policy
 @pass_environment
 def deny(environment: Environment, request_id: str, policy_path: Path | None) -> None:
-    """Say no to the request REQUEST_ID (or the beginning of it)."""
-    with _desk(environment, options.read_policy(environment, policy_path, signs=True)) as desk:
-        for item in _chosen(desk, request_id):
-            desk.deny(item, "a person")
+    """Deny the request REQUEST_ID (or the beginning of it)."""
+    with _queue(environment, read_policy(environment, policy_path, signs=True)) as queue:
+        for item in _chosen(queue, request_id):
+            queue.deny(item, "a person")
             say(f"denied {item.stored.request.node} {item.stored.requested}")
 
 
 @contextmanager
-def _desk(environment: Environment, file: PolicyFile) -> Iterator[ApprovalQueue]:
-    desk = ApprovalQueue(AuthorityHome.at(environment.home), file, now())
+def _queue(environment: Environment, file: PolicyFile) -> Iterator[ApprovalQueue]:
+    queue = ApprovalQueue(AuthorityHome.at(environment.home), file, now())
     try:
-        yield desk
+        yield queue
     finally:
-        desk.close()
+        queue.close()
 
 
-def _collect(desk: ApprovalQueue) -> None:
-    for trouble in desk.read_inbox():
-        note(printable(f"a request was dropped: {trouble}"))
+def _collect(queue: ApprovalQueue) -> None:
+    for error in queue.read_inbox():
+        note(printable(f"a request was dropped: {error}"))
 
 
-def _chosen(desk: ApprovalQueue, beginning: str) -> list[PendingApproval]:
-    _collect(desk)
+def _chosen(queue: ApprovalQueue, beginning: str) -> list[PendingApproval]:
+    _collect(queue)
     found = [
         item
-        for item in desk.pending()
+        for item in queue.pending()
         if item.verdict.effect is Effect.PROMPT
         and item.stored.request.id.hex().startswith(beginning.lower())
     ]
     if len({item.stored.request.id for item in found}) != 1 or not beginning:
         count = "several requests begin" if found else "no open request begins"
-        hint = "see: rossec grant pending; no answer in time was a no"
+        hint = "see: rossec grant pending; without an answer in time it was denied"
         raise ConfigurationError(f"{count} with {beginning!r}", hint)
     return found
 
@@ -240,15 +241,15 @@ def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
 
 
 def _signed(
-    desk: ApprovalQueue,
+    queue: ApprovalQueue,
     authority: SigningAuthority,
     chosen: Sequence[PendingApproval],
     change: VerdictChange,
     reason: str,
 ) -> Iterator[bytes]:
-    for draft, data in desk.sign(authority, chosen, change, reason):
+    for draft, data in queue.sign(authority, chosen, change, reason):
         say(f"grant {document.grant_id(data).hex()} for {draft.subject} until "
-            f"{moment(draft.expires)}")  # fmt: skip
+            f"{format_time(draft.expires)}")  # fmt: skip
         for permission in draft.permissions:
             say(f"  may {permission.rights.label} {permission.pattern}")
             for line in permission.restriction.lines() if permission.restriction else ():
@@ -261,7 +262,7 @@ def _deliver(environment: Environment, data: bytes, out_dir: Path | None) -> Non
     if out_dir is not None:
         out_dir.mkdir(parents=True, exist_ok=True)
         out = out_dir / f"{document.grant_id(data).hex()}.grant"
-    hand_over(environment, document.peek(data).subject, data, out)
+    deliver_grant(environment, document.peek(data).subject, data, out)
 
 
 def _show(item: PendingApproval, file: PolicyFile) -> None:
@@ -273,7 +274,7 @@ def _show(item: PendingApproval, file: PolicyFile) -> None:
     for line in restriction_lines(item.verdict):
         say(f"  {line}")
     until = asked.at + file.policy.defaults.prompt_timeout
-    say(f"  no, unless you answer by {moment(until)}")
+    say(f"  denied, unless you answer by {format_time(until)}")
     say(f"  rossec grant approve {asked.short_id} [--approximate FILTER] [--today], or deny")
 
 
@@ -288,6 +289,3 @@ def _summary(item: PendingApproval) -> dict[str, object]:
         "asked": asked.at,
         "restrictions": restriction_lines(item.verdict),
     }
-
-
-COMMANDS = (request, decide, pending, approve, deny)

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ca.keys.publickey import thumbprint
-from rossec.cli.shared.context import Environment, moment, pass_environment
+from rossec.cli.shared.context import Environment, format_time, pass_environment
 from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome
@@ -15,7 +15,7 @@ from rossec.ros.names import MASTER
 from rossec.terminal import note, printable, say
 
 AUDIT = "audit.log"
-_MOST_DAMAGED = 10_000  # lines; what has more is no audit
+_MOST_DAMAGED = 10_000  # lines; a file with more is not an audit
 _MOST_SHOWN = 20
 
 
@@ -43,43 +43,43 @@ def audit(
     paths = files or (NodeHome.of(environment.home, MASTER).path / AUDIT,)
     entries: list[audits.Entry] = []
     for path in paths:
-        found, damaged = _of(path, 1 if verified else _MOST_DAMAGED)
+        found, damaged = _read_entries(path, 1 if verified else _MOST_DAMAGED)
         if damaged and verified:
             raise ConfigurationError(f"line {damaged[0]} of {path} is damaged", "compare a backup")
-        _tell(path, damaged)
+        _note_damage(path, damaged)
         entries += found
     last = audits.verify(entries, after) if verified else ""
     if verified and entries:
-        known = _key(environment) if key is None else _hex(key)
+        known = _master_key(environment) if key is None else _parse_thumbprint(key)
         if remark := check_beginning(entries[0], known, after):
             note(remark)
     for entry in entries:
         if since is None or entry["at"] >= since:
-            say(audits.encode(entry) if as_json else _for_people(entry))
+            say(audits.encode(entry) if as_json else _format_entry(entry))
     if verified:
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 
-def _key(environment: Environment) -> bytes | None:
+def _master_key(environment: Environment) -> bytes | None:
     """The thumbprint of the master's own key, where this is its host."""
     home = NodeHome.of(environment.home, MASTER)
     return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
 
 
-def _hex(text: str) -> bytes:
+def _parse_thumbprint(text: str) -> bytes:
     try:
         return bytes.fromhex(text)
     except ValueError:
-        raise ConfigurationError(f"{text!a} is no thumbprint", "64 hexadecimal digits") from None
+        raise ConfigurationError(f"{text!a} is not a thumbprint", "64 hexadecimal digits") from None
 
 
-def _of(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
+def _read_entries(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
     missing = ConfigurationError(f"there is no {path}", "has the master run here?")
     with open_text(path, missing) as file:
         return audits.salvage(lines(file, audits.LINE_LIMIT + 2), most)
 
 
-def _tell(path: Path, damaged: list[int]) -> None:
+def _note_damage(path: Path, damaged: list[int]) -> None:
     if len(damaged) == _MOST_DAMAGED:
         raise ConfigurationError(
             f"{len(damaged)} of the first {damaged[-1]} lines of {path} are damaged",
@@ -91,10 +91,10 @@ def _tell(path: Path, damaged: list[int]) -> None:
         note(f"{more} more lines of {path} are damaged and not shown")
 
 
-def _for_people(entry: audits.Entry) -> str:
+def _format_entry(entry: audits.Entry) -> str:
     notes = (
         ("left_out", "lines like it before it were left out"),
         ("cut_short", "bytes before it were cut short"),
     )
     more = "".join(f" ({entry[key]} {text})" for key, text in notes if key in entry)
-    return printable(f"{moment(int(entry['at']))}  {entry['text']}{more}")
+    return printable(f"{format_time(int(entry['at']))}  {entry['text']}{more}")

@@ -1,4 +1,4 @@
-"""`rossec master delegate`: what the authority lets the master do in its stead: renew grants."""
+"""`rossec master delegate`: let the master renew grants in place of the authority."""
 
 import asyncio
 from pathlib import Path
@@ -7,8 +7,10 @@ from typing import Final
 import click
 
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
+from rossec.authority.home import AuthorityHome
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
+from rossec.cli.shared.context import Duration, Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import deliver_statement, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
 from rossec.terminal import say
@@ -54,30 +56,25 @@ def delegate(
             f"a ticket of {ticket} s ends before a node can be sure to have the next one",
             f"give {MIN_TICKET}s or more: it asks after two thirds, the rest is for asking again",
         )
-    # Not carried by a running master, which has this command beside it.
-    from rossec.authority.home import AuthorityHome  # noqa: PLC0415 - not carried by a running master
-    from rossec.cli.shared.delivery import carry, deliver, remind  # noqa: PLC0415 - not carried by a running master
-
     home = AuthorityHome.at(environment.home)
     store = home.store()
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     if withdraw:
         listed, count = authority.revoke_delegations("withdrawn", now())
         say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
-        asyncio.run(deliver(environment, master_uri))
-        say("the master has the new list")
+        publish_list(environment, master_uri)
         return
     number = authority.store.next_number()
     data = authority.issue_delegation(
         store.valid_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
     )
     opened = open_delegation(data, authority.signer.public_key)
-    say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")
+    until = format_time(opened.expires)
+    say(f"{MASTER} may renew grants until {until} (delegation {opened.id.hex()})")
     hint = _HINT.format(home.path / "delegations")
-    given = carry(environment, master_uri, "rossec.updateDelegation", (data,), "it", hint)
+    given = deliver_statement(
+        environment, master_uri, "rossec.updateDelegation", (data,), "it", hint
+    )
     asyncio.run(given)
     say("the master has the delegation")
-    remind(authority.store, number)
-
-
-COMMANDS: Final = (delegate,)
+    remind_to_publish(authority.store, number)

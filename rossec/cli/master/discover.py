@@ -26,7 +26,7 @@ def discover(environment: Environment, identity: str | None, seconds: float, as_
     """Look for the masters of this trust domain, the best link first.
 
     Listens four seconds more than the first takes. What is lost is counted by the numbers of the
-    announcements, and by the silence since the last: who has died loses more and more.
+    announcements, and by the time since the last: the loss of a dead master grows.
 
     `ROS_MASTER_URI=discover:` makes `rossec run` and `rossec sidecar` take the first one.
     """

@@ -1,8 +1,8 @@
-"""`rossec doctor`: is a node set up so that it will work, and what of it is still open?
+"""`rossec doctor`: check whether a node is set up correctly, and what of it is unprotected.
 
 Each check is one line, `ok` or `not ok` with what to do; the command fails when one is not ok. What
-is revoked is not ok, wherever on this machine that is known: a master need not run for it. What may
-stay plain is said loudly, and does not count as a failure: somebody wanted it so.
+is revoked is not ok, wherever on this machine that is known, without a running master. Plain
+connections that are allowed get a line of their own and are no failure: they were configured.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ from grants import document
 from grants.model import Grant
 from rossec import files
 from rossec.cli.node.known_revocations import known_revocations
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.options import file_of, read
@@ -39,19 +39,19 @@ def doctor(environment: Environment, name: str, offline: bool) -> None:
     """Check the set-up of NODE on this machine: identity, grants, master, what is plain."""
     home = NodeHome.find(environment.home, name)
     checks = [_identity, _grants] if offline else [_identity, _grants, _master]
-    bad = 0
+    failed = 0
     for check in checks:
         try:
             for line in check(environment, home):
                 say(f"ok      {printable(line)}")
         except HintedError as error:
-            bad += 1
+            failed += 1
             say(f"not ok  {printable(str(error))}")
             say(f"        {printable(error.hint)}")
     for entry in _plain(environment):
         say(f"PLAIN   {printable(entry)} is neither encrypted nor checked: allow_plain names it")
-    if bad:
-        raise ConfigurationError(f"{bad} of {len(checks)} checks failed", "see above")
+    if failed:
+        raise ConfigurationError(f"{failed} of {len(checks)} checks failed", "see above")
 
 
 def _identity(environment: Environment, home: NodeHome) -> Iterator[str]:
@@ -64,7 +64,7 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[str]:
                 f"the {which}key of {identity.name} is revoked, says {revoked[key]}",
                 f"move {home.path} away and enroll it anew: rossec node request {identity.name}",
             )
-    yield f"{identity.name} of {identity.domain} until {moment(identity.not_after)}"
+    yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
     if identity.not_after - now() < life * _SOON:
         raise ConfigurationError("the identity ends soon, and was not renewed", "renew it in time")
@@ -81,7 +81,7 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
             refused.append(error)
             continue
         for permission in grant.permissions:
-            until = moment(grant.expires)
+            until = format_time(grant.expires)
             yield f"may {permission.rights.label} {permission.pattern} until {until}"
     if not held:
         raise ConfigurationError("no grants: it may do nothing", f"rossec grant sign {home.name}")

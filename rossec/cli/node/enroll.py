@@ -15,7 +15,7 @@ from rossec import files
 from rossec.authority.home import format_fingerprint
 from rossec.cli.node.enroll_screen import EnrollmentScreen, authority_lines
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
-from rossec.cli.shared.context import confirm as ask_person
+from rossec.cli.shared.context import confirm as ask_confirmation
 from rossec.enrollment import address, control
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -48,11 +48,11 @@ def enroll(
     png: Path | None,
     svg: Path | None,
 ) -> None:
-    """Enroll the node NAME: show its code, wait for the authority, and for your word.
+    """Enroll the node NAME: show its code, wait for the authority, and for your confirmation.
 
     The code holds for five minutes and one use. When the authority has answered, both sides show
     six digits: confirm here, or with `rossec node confirm`, only if they are the same. With --label
-    the printed label is enough, and only the digits keep an impostor out.
+    the printed label is enough, and only the digits protect against an impostor.
 
     Exit codes: 0 enrolled, 1 refused or too late, 2 wrong usage, 130 interrupted.
     """
@@ -94,7 +94,7 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
         given = waiting["digits"]
         for line in authority_lines(waiting):
             say(line)
-        ask_person("does the authority show the same digits?", yes=yes)
+        ask_confirmation("does the authority show the same digits?", yes=yes)
     if _DIGITS.fullmatch(given) is None:
         raise ConfigurationError(
             "the authority shows six digits", f"rossec node confirm {name} 123 456"
@@ -123,14 +123,11 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
 
 
 def _own_address(environment: Environment) -> str:
-    """ROS_IP or ROS_HOSTNAME, else where others probably reach this host."""
-    told = settings.read((), environment.variables, default_name="/rossec").address
-    if told is not None:
-        return told
+    """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
+    configured = settings.read((), environment.variables, default_name="/rossec").address
+    if configured is not None:
+        return configured
     first, *others = address.own_addresses()
     if others:
         note(f"other addresses of this host, for --address: {', '.join(others)}")
     return first
-
-
-COMMANDS = (enroll, confirm, labels)

@@ -1,4 +1,4 @@
-"""What a person sees and says while `rossec node enroll` runs."""
+"""The terminal of `rossec node enroll`: its code, its messages, and the confirmation."""
 
 import asyncio
 import os
@@ -26,11 +26,11 @@ from rossec.terminal import note, printable, say
 
 _CLEAR: Final = "\r\x1b[K"
 _MAX_LINE: Final = 256
-_MAX_COMPLAINTS: Final = 10  # whoever reaches the port could fill the screen
+_MAX_REFUSALS: Final = 10  # any peer that reaches the port could fill the screen
 
 
 class EnrollmentScreen:
-    """One run of `rossec node enroll`: the waiting node, its screen and its person."""
+    """One run of `rossec node enroll`: the waiting node, its screen and its operator."""
 
     def __init__(
         self,
@@ -45,8 +45,8 @@ class EnrollmentScreen:
         self._core = core
         self._label = label
         self._png, self._svg = png, svg
-        self._complaints = 0
-        self._node = WaitingNode(core, now, self._complain)
+        self._refusals = 0
+        self._node = WaitingNode(core, now, self._show_refusal)
 
     async def run(self, host: str, port: int) -> None:
         """Show the code, and return when the node is enrolled.
@@ -56,7 +56,7 @@ class EnrollmentScreen:
         """
         stopped = EnrollmentOver("the enrollment was stopped")
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._node.stop, stopped)
-        listener = await control.serve(self._home.path, self._answer)
+        listener = await control.serve(self._home.path, self._handle_control)
         try:
             async with self._node:
                 await self._node.listen(host if is_loopback(host) else None, port)
@@ -69,12 +69,12 @@ class EnrollmentScreen:
     async def _wait(self) -> None:
         try:
             await self._node.until(NodeState.PENDING, NodeState.ENROLLED, every=self._countdown)
-            self._line()
-            with self._person():
+            self._clear_line()
+            with self._confirmation():
                 await self._node.until(NodeState.ENROLLED, every=lambda _: None)
         finally:
             self._node.stop(EnrollmentOver("the node has stopped waiting"))
-            self._line()
+            self._clear_line()
         say(f"{self._home.name} is enrolled in {self._core.request.domain}")
 
     def _show(self, host: str) -> None:
@@ -96,44 +96,44 @@ class EnrollmentScreen:
             sys.stderr.write(f"{_CLEAR}{minutes}:{seconds:02} left ")
             sys.stderr.flush()
 
-    def _line(self) -> None:
+    def _clear_line(self) -> None:
         if is_live():
             sys.stderr.write(_CLEAR)
 
-    def _complain(self, what: str) -> None:
-        self._complaints += 1
-        if self._complaints <= _MAX_COMPLAINTS:
-            self._line()
+    def _show_refusal(self, what: str) -> None:
+        self._refusals += 1
+        if self._refusals <= _MAX_REFUSALS:
+            self._clear_line()
             note(f"refused {what}")
-        if self._complaints == _MAX_COMPLAINTS:
-            note("further callers are refused without a word")
+        if self._refusals == _MAX_REFUSALS:
+            note("further refusals are not shown")
 
     @contextmanager
-    def _person(self) -> Iterator[None]:
-        """An offer waits: say whose, and hear the answer, if there is somebody at this terminal."""
+    def _confirmation(self) -> Iterator[None]:
+        """An offer is pending: show it, and read the answer if stdin is a terminal."""
         for line in authority_lines(self._pending()):
             say(line)
         if not sys.stdin.isatty():
             say(f"the same at the authority? then: rossec node confirm {self._home.name} DIGITS")
             yield
             return
-        # What was typed before the digits were there is no answer to them.
+        # Input typed before the digits were shown is not an answer.
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
         sys.stderr.write("does the authority show the same digits? [y/N]: ")
         sys.stderr.flush()
         loop, stdin = asyncio.get_running_loop(), sys.stdin.fileno()
-        loop.add_reader(stdin, self._typed, stdin)
+        loop.add_reader(stdin, self._read_answer, stdin)
         try:
             yield
         finally:
             loop.remove_reader(stdin)
 
-    def _typed(self, stdin: int) -> None:
+    def _read_answer(self, stdin: int) -> None:
         answer = os.read(stdin, _MAX_LINE).decode(errors="replace").strip().lower()
         if answer not in {"y", "yes"}:
             self._node.stop(EnrollmentOver("the digits were not confirmed", "nothing was accepted"))
             return
-        with suppress(HintedError):  # the session hears it from the node
+        with suppress(HintedError):  # the session gets the error from the node
             self._node.confirm(self._core.pending.digits, self._activate)
 
     def _pending(self) -> control.Answer:
@@ -145,7 +145,7 @@ class EnrollmentScreen:
             "authority": fingerprint(anchor),
         }
 
-    def _answer(self, request: control.Answer) -> control.Answer:
+    def _handle_control(self, request: control.Answer) -> control.Answer:
         """To `rossec node confirm`."""
         if request.get("do") == "confirm":
             self._node.confirm(str(request.get("digits")), self._activate)
@@ -158,12 +158,12 @@ class EnrollmentScreen:
 
 
 def is_live() -> bool:
-    """Whether somebody sees a line that changes."""
+    """Whether stderr is a terminal, which can show a countdown."""
     return sys.stderr.isatty()
 
 
 def authority_lines(pending: control.Answer) -> list[str]:
-    """Who offers an identity, and what to compare."""
+    """The authority of the offer, and the digits to compare."""
     return [
         f"authority of {printable(pending['domain'])}, fingerprint {pending['authority']}",
         f"digits {group_digits(pending['digits'])}",

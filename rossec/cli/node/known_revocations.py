@@ -1,8 +1,8 @@
-"""What this machine knows to be revoked, for those who ask without a master: `rossec doctor`.
+"""What this machine knows to be revoked, without a running master: for `rossec doctor`.
 
 The record of an authority that lives here, and the signed lists that lie in the homes of a node, of
-the master and of the authority. A list is believed when the node's own authority signed it. What is
-revoked stays so: of several lists each entry counts, and none says that a thing is *not* revoked.
+the master and of the authority. A list is accepted when the node's own authority signed it. What is
+revoked stays revoked: of several lists every entry counts.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from rossec.ros.names import MASTER
 
 
 def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
-    """Each entry that is revoked, with who says so."""
+    """Each entry that is revoked, with the source that lists it."""
     anchor, found = node.anchor(), dict[bytes, str]()
     for place in (node, NodeHome.of(home, MASTER)):
         for entry in _listed(place, anchor):
@@ -34,7 +34,7 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
     data = place.load_revocations()
     if data is None:
         return
-    with suppress(RevocationRefused):  # of another authority: it says nothing of this node
+    with suppress(RevocationRefused):  # a list of another authority does not concern this node
         statement = open_statement(data, anchor.public_key)
         if isinstance(statement, RevocationList):
             yield from statement.entries

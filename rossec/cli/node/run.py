@@ -1,4 +1,4 @@
-"""`rossec run`: secure a program that knows nothing of rossec."""
+"""`rossec run`: secure a program that was not written for rossec."""
 
 import json
 import os
@@ -28,10 +28,12 @@ def run(
 
     Without --as each node uses the identity that is enrolled for its name. Ends as COMMAND does.
     """
-    become(environment, context, identity=identity, each=each or identity is None, command=command)
+    exec_sidecar(
+        environment, context, identity=identity, each=each or identity is None, command=command
+    )
 
 
-def become(
+def exec_sidecar(
     environment: Environment,
     context: click.Context,
     *,

@@ -1,10 +1,10 @@
-"""`rossec sidecar`: secure the programs of a host that know nothing of rossec."""
+"""`rossec sidecar`: secure the programs of a host that were not written for rossec."""
 
 import pwd
 
 import click
 
-from rossec.cli.node.run import become
+from rossec.cli.node.run import exec_sidecar
 from rossec.cli.shared.context import Environment, pass_environment
 
 _LAST_USER = (1 << 32) - 2  # the last number means "no user"
@@ -24,7 +24,7 @@ def sidecar(
     users: tuple[str, ...],
 ) -> None:
     """Serve the ROS programs of this host: each node with the identity enrolled for its name."""
-    become(
+    exec_sidecar(
         environment, context, identity=identity, each=True, port=port,
         users=[_user_id(name) for name in users],
     )  # fmt: skip

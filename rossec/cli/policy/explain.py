@@ -1,4 +1,4 @@
-"""`rossec explain`: may this node do that, by which rule, and what would change the answer."""
+"""`rossec explain`: whether a node may do something, by which rule, and what would change that."""
 
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from rossec.authority.policyfile import layout_of
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, render
+from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
 from rossec.participant.message_types import MessageType, message_type
 from rossec.terminal import note, say, say_json
@@ -46,8 +47,8 @@ def explain(
     as_json: bool,
     policy_path: Path | None,
 ) -> None:
-    """Say whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why."""
-    read = options.read_policy(environment, policy_path)
+    """Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why."""
+    read = read_policy(environment, policy_path)
     decider = read.decider
     asked = _right(right)
     verdict = decider.decide(subject_of(environment, node), asked, name)
@@ -96,7 +97,7 @@ def subject_of(environment: Environment, node: str) -> Subject:
 
 
 def changes(kind: str, before: bytes, after: bytes) -> list[str]:
-    """What is different for the receiver, `field: before -> after`."""
+    """The fields changed for the receiver, `field: before -> after`."""
     shown = [_fields(message_type(kind), data) for data in (before, after)]
     return [
         f"{path}: {_short(value)} -> {_short(shown[1].get(path, '(gone)'))}"
@@ -106,7 +107,7 @@ def changes(kind: str, before: bytes, after: bytes) -> list[str]:
 
 
 def _fields(kind: MessageType, data: bytes) -> dict[str, str]:
-    """Field paths and values, read off the lines `rossec topic echo` prints."""
+    """Field paths and values, parsed from the lines `rossec topic echo` prints."""
     found: dict[str, str] = {}
     path: list[str] = []
     for line in render(kind.deserialize(data)).splitlines():

@@ -1,238 +1,71 @@
-"""`rossec policy`: check a policy, get advice on it, and let it be written from what runs."""
+"""The groups `rossec policy` and `rossec privacy`."""
 
-import asyncio
-import contextlib
-import time
-from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import click
 
-from grants.errors import PolicyRefused
-from grants.policy.editing import NewRule, add_rules, empty, free_id
-from grants.policy.learn import MAX_LINE, Observation, from_graph, from_log
-from grants.policy.learn import learn as learn_from
-from grants.policy.lint import Finding
-from grants.policy.lint import lint as advise
-from grants.policy.mistakes import Mistake, suggest
-from grants.policy.read import mistakes_in
-from grants.policy.sros2 import MAX_SIZE, import_sros2
-from rossec import files
-from rossec.authority.home import AuthorityHome
-from rossec.authority.policyfile import PolicyFile, layout_of, parse_policy, place
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.master import master_as, master_at
-from rossec.errors import ConfigurationError
-from rossec.home import NodeHome
-from rossec.terminal import fail, note, say, say_json
+from rossec.cli.shared.context import Environment
+from rossec.cli.shared.lazy import LazyGroup
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+_POLICY: Final = {
+    "check": (
+        "policy.check:check",
+        "Check the policy in FILE: its form, its words, and every condition and filter in it.",
+    ),
+    "import-sros2": (
+        "policy.import_sros2:import_",
+        "Turn the SROS2 policy in XML into one of rossec.",
+    ),
+    "learn": (
+        "policy.learn:learn",
+        "Add rules for what runs and no rule decides: exact names, marked for review.",
+    ),
+    "lint": (
+        "policy.check:lint",
+        "Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks.",
+    ),
+    "review": (
+        "policy.learn:review",
+        "Go through a complain log, and answer for each line no rule decides.",
+    ),
+}
+
+_PRIVACY: Final = {
+    "opt-out": (
+        "policy.opt_out:opt_out",
+        "Show the topic NAME to no node; or, when NAME is a node, show that node no topic.",
+    ),
+}
 
 
-@click.group()
+@click.group(cls=LazyGroup, table=_POLICY)
 def policy() -> None:
     """Write what is allowed, and check it."""
 
 
-@policy.command()
-@click.argument("file", required=False, type=_FILE)
-@_JSON
-@pass_environment
-def check(environment: Environment, file: Path | None, as_json: bool) -> None:
-    """Check the policy in FILE: its form, its words, and every condition and filter in it."""
-    path = place(environment.home, file)
-    try:
-        read = PolicyFile.read(path)
-    except PolicyRefused as error:
-        _complain(mistakes_in(error), as_json=as_json)
-        raise PolicyRefused(f"{path} is not a policy", "correct it, and check again") from None
-    if as_json:
-        say_json([])
-    else:
-        say(f"{path} is right: {len(read.policy.rules)} rules")
-
-
-@policy.command()
-@click.argument("file", required=False, type=_FILE)
-@_JSON
-@pass_environment
-def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
-    """Say what the policy in FILE allows unwisely, such as a hidden value that still leaks."""
-    read = PolicyFile.read(place(environment.home, file))
-    found = advise(read.policy, layout_of)
-    if as_json:
-        say_json([vars(item) for item in found])
-        return
-    for item in found:
-        say(_advice(read.path, item))
-    say(f"{len(found)} remarks" if found else "nothing to remark")
-
-
-@policy.command()
-@click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
-@click.option("--from-log", "log", type=_FILE, help="from this complain log")
-@click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
+@click.group(cls=LazyGroup, table=_PRIVACY, invoke_without_command=True)
+@click.option("--node", help="only what this node sees")
+@click.option("--field", help="only fields with this in their path")
+@click.option("--held", is_flag=True, help="what is granted now, instead of what the policy allows")
+@click.option("--html", type=click.Path(path_type=Path), help="write a page to this file")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @options.policy
-@pass_environment
-def learn(
-    environment: Environment,
+@click.pass_context
+def privacy(
+    context: click.Context,
     node: str | None,
-    log: Path | None,
-    out: Path | None,
+    field: str | None,
+    held: bool,
+    html: Path | None,
+    as_json: bool,
     policy_path: Path | None,
 ) -> None:
-    """Add rules for what runs and no rule decides: exact names, marked for review.
-
-    NODE needs a grant with the right graph. Callers of services and readers of parameters do not
-    show in the graph, only in a complain log.
-    """
-    if node is None and log is None:
-        raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
-    seen = _read_log(log) if log is not None else []
-    if node is not None:
-        seen += _certified(environment, asyncio.run(_look(environment, node)))
-    read = _existing(place(environment.home, policy_path))
-    text, rules = learn_from(read.text, read.decider, seen, _day())
-    if out is None:
-        read.replace(text)
-    else:
-        parse_policy(text, str(out))
-        files.replace(out, text.encode(), 0o644)
-    for rule in rules:
-        say(f"learned {rule.id}: {_rights(rule)}")
-    say(f"{len(rules)} rules in {out or read.path}; next: rossec policy review")
-
-
-@policy.command()
-@click.option("--from-log", "log", type=_FILE, required=True, help="what to go through")
-@options.policy
-@pass_environment
-def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
-    """Go through a complain log, and answer for each line no rule decides."""
-    read = _existing(place(environment.home, policy_path))
-    for item in _read_log(log):
-        verdict = _undecided(read, item)
-        if verdict:
-            read = _ask(read, item)
-    say(f"{len(read.policy.rules)} rules in {read.path}")
-
-
-@policy.command("import-sros2")
-@click.argument("xml", type=_FILE)
-@click.option("--out", type=click.Path(path_type=Path), help="write the policy to this new file")
-def import_(xml: Path, out: Path | None) -> None:
-    """Turn the SROS2 policy in XML into one of rossec. What does not fit is said."""
-    data = files.read(xml, 4 * MAX_SIZE, ConfigurationError(f"there is no {xml}"))
-    text, notes = import_sros2(data.decode(errors="replace"))
-    parse_policy(text, str(xml))
-    for line in notes:
-        note(f"left out: {line}")
-    if out is None:
-        say(text.rstrip())
+    """Show every field of every topic: which node sees it, how, why and until when."""
+    if context.invoked_subcommand is not None:
         return
-    files.create(out, text.encode(), 0o644)
-    say(f"written to {out}")
+    from rossec.cli.policy.privacy_report import show  # noqa: PLC0415 - imported when it runs
 
-
-def _complain(found: tuple[Mistake, ...], *, as_json: bool) -> None:
-    if as_json:
-        say_json([vars(item) for item in found])
-        return
-    for item in found:
-        fail(str(item), item.hint)
-
-
-def _advice(path: Path, item: Finding) -> str:
-    return f"{path}:{item.line}: {item.message}\n  {item.hint}"
-
-
-def _existing(path: Path) -> PolicyFile:
-    """The policy, or a new one that denies everything; not written yet."""
-    if path.exists():
-        return PolicyFile.read(path)
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"there is no {path.parent}", "give --policy FILE")
-    text = empty()
-    return PolicyFile(path, text, parse_policy(text, str(path)))
-
-
-def _read_log(path: Path) -> list[Observation]:
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return from_log(files.lines(file, MAX_LINE + 2))
-
-
-async def _look(environment: Environment, node: str) -> list[Observation]:
-    """The graph, as `node` may see it."""
-    home = NodeHome.of(environment.home, node)
-    async with master_as(environment, home, master_at(environment)) as client:
-        await client.ask("rossec.presentGrants", home.name, home.grants())
-        state = await client.ask("getSystemState", home.name)
-        types = await client.ask("getTopicTypes", home.name)
-    return [item for item in from_graph(state, types) if item.node != home.name]
-
-
-def _certified(environment: Environment, seen: list[Observation]) -> list[Observation]:
-    """What was seen, under the names rules are for: those of certificates, where they are known."""
-    if not (environment.home / "ca" / "ca.pem").exists():
-        return seen
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        named = (replace(item, node=store.certified_name(item.node, now())) for item in seen)
-        return list(dict.fromkeys(named))
-
-
-def _undecided(read: PolicyFile, item: Observation) -> bool:
-    _, rules = learn_from(read.text, read.decider, [item], _day())
-    return bool(rules)
-
-
-_CHOICES = {
-    "a": "allow",
-    "c": "allow coarsely",
-    "g": "allow beside it too",
-    "d": "deny",
-    "s": "skip",
-}
-
-
-def _ask(read: PolicyFile, item: Observation) -> PolicyFile:
-    say(f"{item.node} wants to {item.right.label} {item.name}")
-    question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
-    answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
-    if answer == "s":
-        return read
-    rule = _answered(read, item, answer)
-    return read.replace(add_rules(read.text, [rule]))
-
-
-def _answered(read: PolicyFile, item: Observation, answer: str) -> NewRule:
-    name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
-    chosen = _filter(read) if answer == "c" else None
-    effect = "deny" if answer == "d" else "allow"
-    wish = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
-    return NewRule(
-        free_id((rule.id for rule in read.policy.rules), wish[:70]),
-        f"reviewed {_day()}",
-        item.node,
-        effect,
-        {item.right.label: [name]},
-        {item.name: item.type} if item.type not in ("", "*") else {},
-        chosen,
-    )
-
-
-def _filter(read: PolicyFile) -> str:
-    name: str = click.prompt("through which filter of the policy?", err=True)
-    if name not in read.policy.filters:
-        hint = suggest(name, read.policy.filters)
-        raise ConfigurationError(f"no filter {name!r} in {read.path}", hint)
-    return name
-
-
-def _rights(rule: NewRule) -> str:
-    return "; ".join(f"{label} {', '.join(names)}" for label, names in rule.rights.items())
-
-
-def _day() -> str:
-    return time.strftime("%Y-%m-%d", time.gmtime(now()))
+    read = (context.ensure_object(Environment), policy_path)
+    show(*read, node=node, field=field, held=held, html=html, as_json=as_json)

@@ -21,13 +21,13 @@ from grants.policy.model import Policy, Subject
 from grants.policy.trial import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place
 from rossec.cli.policy.explain import changes, subject_of
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError, MessageError
 from rossec.terminal import note, printable, say, say_json
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-# What the reader of bags raises when a byte is wrong; it looks at few of them beforehand.
+# What the reader of bags raises for wrong bytes, few of which it checks first.
 _BROKEN = (
     ReaderError, OSError, EOFError, ValueError, LookupError, struct.error, TypeError,
     AttributeError, AssertionError, RuntimeError, ArithmeticError, MemoryError,
@@ -84,14 +84,14 @@ def simulate(
     for (topic, receiver), tallies in found.items():
         _say(topic, receiver, *tallies)
     if not found:
-        say("the bag holds nothing these receivers are concerned with")
+        say("the bag holds nothing for these receivers")
 
 
 def _in_force(environment: Environment) -> PolicyFile:
-    """The policy in force; where there is none nobody gets anything by one."""
+    """The policy in force; without one, a policy that denies everything."""
     path = place(environment.home, None)
     if path.exists():
-        return options.read_policy(environment, None)
+        return read_policy(environment, None)
     note("no policy is in force here: compared with one that denies everything")
     return PolicyFile(path, empty(), parse_policy(empty(), str(path)))
 
@@ -136,11 +136,11 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
     except _BROKEN as error:
         what = printable(str(error)) or type(error).__name__
         hint = "see: rosbag record, rosbag reindex, rosbag check"
-        raise ConfigurationError(f"{bag} is no whole ROS 1 bag: {what}", hint) from error
+        raise ConfigurationError(f"{bag} is not a complete ROS 1 bag: {what}", hint) from error
 
 
 def _layout(connection: Any) -> Layout | None:
-    """Of the definition in the bag itself; a connection without a good one is left out."""
+    """From the definition in the bag; a connection without a valid one is left out."""
     name = connection.msgtype.replace("/msg/", "/")
     try:
         check_name(connection.topic)
@@ -154,7 +154,7 @@ def _layout(connection: Any) -> Layout | None:
 def _receivers(
     environment: Environment, nodes: tuple[str, ...], *policies: Policy
 ) -> list[Subject]:
-    """The given nodes, else one of everybody the two policies speak about."""
+    """The given nodes, else one node for each subject of the two policies."""
     if nodes:
         return [subject_of(environment, node) for node in nodes]
     found = {

@@ -1,4 +1,4 @@
-"""`rossec graph`: who publishes, subscribes and provides, now or as it changes."""
+"""`rossec graph`: which nodes publish, subscribe and provide, now or as it changes."""
 
 import asyncio
 from collections import defaultdict
@@ -19,8 +19,8 @@ from rossec.participant.graph_view import METHOD, Fact, GraphView, ObservedChang
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.terminal import note, printable, say, say_json
 
-_PAUSE: Final = 1.0  # seconds until a master that is gone is looked for again
-_LONGEST: Final = 30.0  # the same, when it has been looked for often
+_PAUSE: Final = 1.0  # seconds until the first reconnection
+_MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
 _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 
 
@@ -37,15 +37,15 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
     home = NodeHome.of(environment.home, node)
     uri = master_at(environment)
     asyncio.run(
-        _follow(environment, home, uri, as_json)
+        _print_changes(environment, home, uri, as_json)
         if watch
-        else _look(environment, home, uri, as_json)
+        else _print_graph(environment, home, uri, as_json)
     )
 
 
-async def _look(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
+async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view = GraphView()
-    async with _watching(environment, home, home.credentials(), uri) as call:
+    async with _connected(environment, home, home.credentials(), uri) as call:
         while view.take(await call(METHOD, *view.next_params)).more:
             pass
     if as_json:
@@ -55,40 +55,40 @@ async def _look(environment: Environment, home: NodeHome, uri: str, as_json: boo
         say(line)
 
 
-async def _follow(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    """Ask for news for ever, over as many connections as it takes.
+async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
+    """Query graph changes until interrupted, reconnecting when needed.
 
     Raises:
-        ConfigurationError: the identity has expired, and nobody has renewed it.
-        HintedError, OSError: there never was an answer.
+        ConfigurationError: the identity has expired and was not renewed.
+        HintedError, OSError: there was no answer at all.
     """
-    view, pause, trouble = GraphView(), _PAUSE, ""
+    view, pause, last_error = GraphView(), _PAUSE, ""
     own = LiveCredentials(home.credentials())
     renewal = IdentityRenewal(home, own, now())
     while True:
         before = view.version
         try:
-            async with _watching(environment, home, own.current, uri) as call:
+            async with _connected(environment, home, own.current, uri) as call:
                 while not await renew_identity(call, renewal, now()):
-                    _say(view, view.take(await call(METHOD, *view.next_params)), as_json)
+                    _print_change(view, view.take(await call(METHOD, *view.next_params)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
             _check_identity(home)
             if before != view.version:
-                pause, trouble = _PAUSE, ""
-            if str(error) != trouble:
-                trouble = str(error)
-                note(f"no news of the graph: {printable(trouble)}")
+                pause, last_error = _PAUSE, ""
+            if str(error) != last_error:
+                last_error = str(error)
+                note(f"no graph changes received: {printable(last_error)}")
             await asyncio.sleep(pause)
-            pause = min(2 * pause, _LONGEST)
+            pause = min(2 * pause, _MAX_PAUSE)
 
 
 @asynccontextmanager
-async def _watching(
+async def _connected(
     environment: Environment, home: NodeHome, own: Credentials, uri: str
 ) -> AsyncIterator[MasterCall]:
-    """A connection on which the master has seen the grants of the watcher; calls over it."""
+    """A connection on which NODE has presented its grants; yields a function that calls over it."""
     async with master_as(environment, home, uri, own) as client:
 
         async def call(method: str, *parameters: object) -> object:
@@ -99,7 +99,7 @@ async def _watching(
 
 
 def _check_identity(home: NodeHome) -> None:
-    """With an identity that is over, no master is going to answer again."""
+    """Stop when the identity has expired: no master accepts it any more."""
     try:
         home.identity(now())
     except CertificateExpired as error:
@@ -109,9 +109,9 @@ def _check_identity(home: NodeHome) -> None:
         ) from error
 
 
-def _say(view: GraphView, change: ObservedChange, as_json: bool) -> None:
+def _print_change(view: GraphView, change: ObservedChange, as_json: bool) -> None:
     if change.restarted and not as_json:
-        note("the master has begun anew")
+        note("the master has restarted")
     if not (change.added or change.removed or change.restarted):
         return
     if as_json:
@@ -133,20 +133,20 @@ def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
 
 
 def describe(facts: frozenset[Fact]) -> list[str]:
-    """The graph for people: topics with their types and nodes, then services."""
+    """The graph as text: topics with their types and nodes, then services."""
     types = {name: value for kind, name, value in facts if kind == "type"}
-    people: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    nodes: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for kind, name, value in sorted(facts):
-        people[kind, name].append(value)
+        nodes[kind, name].append(value)
     lines: list[str] = []
     for topic in sorted({name for kind, name, _ in facts if kind in _HEADINGS}):
         lines.append(f"{topic} ({types[topic]})" if topic in types else topic)
         lines += [
-            f"  {heading} {', '.join(people[kind, topic])}"
+            f"  {heading} {', '.join(nodes[kind, topic])}"
             for kind, heading in _HEADINGS.items()
-            if people[kind, topic]
+            if nodes[kind, topic]
         ]
-    for kind, name in sorted(people):
+    for kind, name in sorted(nodes):
         if kind == "service":
-            lines.append(f"{name} provided by {', '.join(people[kind, name])}")
+            lines.append(f"{name} provided by {', '.join(nodes[kind, name])}")
     return [printable(line) for line in lines]

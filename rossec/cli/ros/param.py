@@ -19,12 +19,7 @@ _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 
 
-@click.group()
-def param() -> None:
-    """Read and write parameters."""
-
-
-@param.command("list")
+@click.command("list")
 @click.argument("namespace", default="/")
 @_AS
 @_JSON
@@ -41,7 +36,7 @@ def list_(environment: Environment, namespace: str, node: str, as_json: bool) ->
         say(printable(name))
 
 
-@param.command()
+@click.command()
 @click.argument("name")
 @_AS
 @_JSON
@@ -55,7 +50,7 @@ def get(environment: Environment, name: str, node: str, as_json: bool) -> None:
         say(_readable(value))
 
 
-@param.command("set")
+@click.command("set")
 @click.argument("name")
 @click.argument("value")
 @_AS
@@ -65,12 +60,12 @@ def set_(environment: Environment, name: str, value: str, node: str) -> None:
     content = parse_message(value)
     if content is None:
         raise ConfigurationError(
-            "a parameter cannot be nothing", f"rossec param delete {name} unsets it"
+            "a parameter cannot be null", f"rossec param delete {name} unsets it"
         )
     _run(environment, node, lambda params: params.set(name, content))
 
 
-@param.command()
+@click.command()
 @click.argument("name")
 @_AS
 @pass_environment
@@ -90,7 +85,7 @@ def _run(
 
 
 def _readable(value: object) -> str:
-    """A value on its line; what is in a list or mapping as JSON, which escapes what must be."""
+    """A value on one line; lists and mappings as JSON, which escapes control characters."""
     if isinstance(value, str):
         return printable(value)
     return json.dumps(_encodable(value), indent=2 if isinstance(value, dict) else None)

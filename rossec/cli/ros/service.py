@@ -7,7 +7,7 @@ import click
 
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, plain, render
-from rossec.cli.shared.running import until
+from rossec.cli.shared.running import run_until_node_ends
 from rossec.errors import ConfigurationError
 from rossec.node import Node, ServiceClient, register_service_type, service_type
 from rossec.participant.header_fields import text
@@ -18,12 +18,7 @@ _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 
 
-@click.group()
-def service() -> None:
-    """List, ask and call services."""
-
-
-@service.command("list")
+@click.command("list")
 @_AS
 @_JSON
 @pass_environment
@@ -32,17 +27,17 @@ def list_(environment: Environment, node: str, as_json: bool) -> None:
     asyncio.run(_list(environment, node, as_json))
 
 
-@service.command()
+@click.command()
 @click.argument("name")
 @_AS
 @_JSON
 @pass_environment
 def info(environment: Environment, name: str, node: str, as_json: bool) -> None:
-    """Say who provides the service NAME, where, and of which type it is."""
+    """Show which node provides the service NAME, where, and its type."""
     asyncio.run(_info(environment, name, node, as_json))
 
 
-@service.command()
+@click.command()
 @click.argument("name")
 @click.argument("content", default="{}")
 @_AS
@@ -72,19 +67,19 @@ def call(
     as_json: bool,
 ) -> None:
     """Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer."""
-    asked = parse_message(content)
+    content_fields = parse_message(content)
     if definition is not None:
-        _learn(type_name, definition)
-    asyncio.run(_call(environment, name, asked, node, type_name, timeout, as_json))
+        _register_definition(type_name, definition)
+    asyncio.run(_call(environment, name, content_fields, node, type_name, timeout, as_json))
 
 
-def _learn(type_name: str | None, definition: Path) -> None:
+def _register_definition(type_name: str | None, definition: Path) -> None:
     if type_name is None:
         raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
     try:
         content = definition.read_text()
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{definition} is no text", "give a .srv file") from None
+        raise ConfigurationError(f"{definition} is not text", "give a .srv file") from None
     register_service_type(type_name, content)
 
 
@@ -121,7 +116,7 @@ async def _info(environment: Environment, name: str, node: str, as_json: bool) -
 async def _call(
     environment: Environment,
     name: str,
-    asked: object,
+    content_fields: object,
     node: str,
     type_name: str | None,
     timeout: float,  # noqa: ASYNC109 - as the option
@@ -134,8 +129,8 @@ async def _call(
         service_type(type_name)
         client = running.client(name, type_name, deadline=timeout)
         request = client.create()
-        fill(request, asked)
-        await until(running, _answer(client, request, as_json))
+        fill(request, content_fields)
+        await run_until_node_ends(running, _answer(client, request, as_json))
 
 
 async def _answer(client: ServiceClient, request: Message, as_json: bool) -> None:

@@ -7,18 +7,13 @@ import click
 
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, render
-from rossec.cli.shared.running import until
+from rossec.cli.shared.running import run_until_node_ends
 from rossec.node import Node, Publisher
 from rossec.participant.message_types import Message, message_type
 from rossec.terminal import note, say
 
 
-@click.group()
-def topic() -> None:
-    """Publish and listen."""
-
-
-@topic.command()
+@click.command()
 @click.argument("name")
 @click.argument("type_name", metavar="TYPE")
 @click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
@@ -29,7 +24,7 @@ def echo(environment: Environment, name: str, type_name: str, node: str, count: 
     asyncio.run(_echo(environment, name, type_name, node, count))
 
 
-@topic.command()
+@click.command()
 @click.argument("name")
 @click.argument("type_name", metavar="TYPE")
 @click.argument("content", default="{}")
@@ -63,7 +58,7 @@ async def _echo(
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
         subscriber = await running.subscriber(name, type_name)
-        await until(running, _print(subscriber, count))
+        await run_until_node_ends(running, _print(subscriber, count))
 
 
 async def _print(subscriber: Any, count: int | None) -> None:
@@ -88,7 +83,7 @@ async def _pub(
     async with Node(node, environ=environment.variables) as running:
         publisher = await running.publisher(name, type_name)
         note(f"waiting for a subscriber of {publisher.topic}")
-        await until(running, _publish(publisher, message, period, count))
+        await run_until_node_ends(running, _publish(publisher, message, period, count))
 
 
 async def _publish(

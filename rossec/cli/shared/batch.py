@@ -1,7 +1,7 @@
-"""Commands over several files: one that is refused does not fail the rest.
+"""Commands over several files: one refused file does not stop the others.
 
-It is said which and why, the others are done, and the exit code is that of a refusal. A record that
-cannot be used ends all of them.
+Each refusal is printed with its file, the other files are processed, and the exit code is 1. An
+unusable record ends the whole command.
 """
 
 from collections.abc import Iterator
@@ -14,19 +14,19 @@ from rossec.terminal import fail
 
 
 class Batch:
-    """What became of `total` files; a single one is refused as it always was."""
+    """The results of `total` files; with a single file its refusal is raised as it is."""
 
     def __init__(self, total: int) -> None:
         self._total = total
         self._failed = 0
 
     @contextmanager
-    def one(self, path: Path) -> Iterator[None]:
+    def item(self, path: Path) -> Iterator[None]:
         """The work on one file.
 
         Raises:
-            RecordUnusable: no other file would fare better.
-            HintedError: what was refused, when there is no other file.
+            RecordUnusable: every other file would fail as well.
+            HintedError: the file was refused, and there is no other.
         """
         try:
             yield
@@ -38,11 +38,11 @@ class Batch:
             self._failed += 1
             fail(f"{path}: {error}", error.hint)
 
-    def end(self) -> None:
+    def finish(self) -> None:
         """Return if all went well.
 
         Raises:
-            ConfigurationError: how many did not.
+            ConfigurationError: some were refused.
         """
         if self._failed:
             raise ConfigurationError(f"{self._failed} of {self._total} were refused", "see above")

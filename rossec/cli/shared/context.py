@@ -9,12 +9,10 @@ from typing import Final
 
 import click
 
-from rossec import clock
-from rossec.environment import own_home
 from rossec.errors import ConfigurationError
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
-_ANSWER: Final = "answer y, or give --yes where there is nobody to ask"
+_ANSWER: Final = "answer y, or give --yes where no one can answer"
 _DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
 
 
@@ -26,7 +24,9 @@ class Environment:
 
     @property
     def home(self) -> Path:
-        """ROSSEC_HOME, if nobody else can write there."""
+        """ROSSEC_HOME, if no other user can write there."""
+        from rossec.environment import own_home  # noqa: PLC0415 - not needed for help and completion
+
         return own_home(self.variables)
 
 
@@ -35,6 +35,8 @@ pass_environment = click.make_pass_decorator(Environment)
 
 def now() -> int:
     """Seconds since the epoch, host clock."""
+    from rossec import clock  # noqa: PLC0415 - not needed for help and completion
+
     return clock.now()
 
 
@@ -55,20 +57,20 @@ class Duration(click.ParamType[int]):
             return value
         match = _DURATION.fullmatch(str(value))
         if match is None:
-            self.fail(f"{value!r} is no duration; write 30s, 15m, 8h, 7d or 4w", param, ctx)
+            self.fail(f"{value!r} is not a duration; write 30s, 15m, 8h, 7d or 4w", param, ctx)
         seconds = int(match[1]) * _UNITS[match[2]]
         if self._days is not None and seconds > self._days * _UNITS["d"]:
             self.fail(f"{value} is too long; at most {self._days}d are allowed", param, ctx)
         return seconds
 
 
-def moment(seconds: int) -> str:
+def format_time(seconds: int) -> str:
     """A point in time for people, UTC."""
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(seconds))
 
 
 def reraise_interrupt(abort: click.Abort) -> None:
-    """Tell Ctrl-C from the end of input: click says `Abort` for both, only its context differs.
+    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both.
 
     Raises:
         KeyboardInterrupt: it was Ctrl-C.
@@ -81,18 +83,18 @@ def confirm(question: str, *, yes: bool) -> None:
     """Ask, unless `--yes` was given.
 
     Raises:
-        ConfigurationError: the answer was no, or there is nobody to ask.
+        ConfigurationError: the answer was no, or there was none.
         KeyboardInterrupt: Ctrl-C.
     """
-    if not agrees(question, yes=yes):
+    if not ask_yes_no(question, yes=yes):
         raise ConfigurationError("nothing was done", _ANSWER)
 
 
-def agrees(question: str, *, yes: bool) -> bool:
-    """As `confirm`, where a no is an answer that means something.
+def ask_yes_no(question: str, *, yes: bool) -> bool:
+    """As `confirm`, but return the answer.
 
     Raises:
-        ConfigurationError: there is nobody to ask.
+        ConfigurationError: there was no answer.
         KeyboardInterrupt: Ctrl-C.
     """
     if yes:

@@ -1,4 +1,4 @@
-"""One command line, from arguments to exit code: a refusal leaves as error and hint."""
+"""One command line, from arguments to exit code: a refusal is printed as error and hint."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,7 +20,7 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
         fail(str(error), error.hint)
         return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
     except click.ClickException as error:
-        return _complain(error)
+        return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):
         return INTERRUPTED
     except OSError as error:
@@ -29,8 +29,8 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
     return 0
 
 
-def _complain(error: click.ClickException) -> int:
-    """What click found wrong with the command line, in our voice."""
+def _report(error: click.ClickException) -> int:
+    """Print a click error as error and hint."""
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         click.echo(error.format_message())
         return USAGE

@@ -1,4 +1,4 @@
-"""Talking to the master as a node, for one command."""
+"""A connection to the master for one command, as a node."""
 
 import contextlib
 from collections.abc import AsyncIterator
@@ -27,8 +27,8 @@ async def master_as(
     """A connection to the master at `uri`, with the identity in `home`, or `own` instead.
 
     Raises:
-        ConfigurationError: no URI, or somebody else answers there.
-        HintedError, OSError, TimeoutError: it is out of reach.
+        ConfigurationError: not a URI, or another node answers there.
+        HintedError, OSError, TimeoutError: it is unreachable.
     """
     host, port = settings.parse_uri(uri, "the master's URI")
     stream = await connect(

@@ -1,4 +1,4 @@
-"""Messages as people write and read them: YAML in, the lines of rostopic or JSON out."""
+"""Messages as text: parsed from YAML, printed as rostopic does or as JSON."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ def fill(message: Message, content: object) -> None:
     """Set the fields of `message` that the mapping `content` names, nested ones too.
 
     Raises:
-        ConfigurationError: a field that is not there, or a value where a mapping is needed.
+        ConfigurationError: an unknown field, or a value where a mapping is needed.
     """
     if not isinstance(content, dict):
         raise ConfigurationError("a message is a mapping of fields", "for example '{data: hello}'")
@@ -94,12 +94,12 @@ def parse_message(text: str) -> object:
     """The YAML of a message, as in rostopic; see `grants.yaml_text.load`.
 
     Raises:
-        ConfigurationError: it is none, or more than is read.
+        ConfigurationError: invalid YAML, or over the limits.
     """
     try:
         return yaml_text.load(text)
     except YamlRefused as error:
         shown = printable(text[:_SHOWN]) + ("..." if len(text) > _SHOWN else "")
         raise ConfigurationError(
-            f"this is no YAML: {shown}: {error}", error.hint or "for example '{data: hello}'"
+            f"cannot parse {shown}: {error}", error.hint or "for example '{data: hello}'"
         ) from error

@@ -1,4 +1,4 @@
-"""Where the passphrase of the authority's key comes from: a file, a systemd credential, a person.
+"""The passphrase of the authority's key: from a file, a systemd credential or the terminal.
 
 Never from an environment variable or an argument: both are visible to others on the machine.
 """
@@ -31,7 +31,7 @@ def read(file: Path | None, environ: Mapping[str, str]) -> str:
     """The passphrase of an existing key.
 
     Raises:
-        ConfigurationError: the file is empty, no text, or readable by others.
+        ConfigurationError: the file is empty, not text, or readable by others.
     """
     given = _given(file, environ)
     if given is not None:
@@ -89,5 +89,5 @@ def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
 
 
 def _is_ours_alone(file: Path) -> bool:
-    """A pipe (`--passphrase-file <(pass show ca)`) has a mode that says nothing."""
+    """A pipe (`--passphrase-file <(pass show ca)`) has a mode without meaning."""
     return not file.is_file() and file.stat().st_uid in (os.getuid(), 0)

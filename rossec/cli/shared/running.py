@@ -7,10 +7,10 @@ from typing import Any
 from rossec.node import Node
 
 
-async def until(node: Node, work: Coroutine[Any, Any, None]) -> None:
-    """Work until it is done, or until the node ends by itself: that is an error then.
+async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> None:
+    """Run `work`; if the node ends first, cancel it and raise why the node ended.
 
-    Nothing works on when this ends, however it ends: Ctrl-C closes the node next.
+    Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
     """
     tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
     try:

@@ -11,7 +11,7 @@ from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
 from rossec.master.rights.access_rules import AccessControl, Caller, require_capacity
 from rossec.master.state.registry import Kind, Registry
-from rossec.ros.xmlwrite import Written
+from rossec.ros.xmlwrite import EncodedList
 
 _MAX_CACHED_STATES: Final = 16
 _MAX_CACHED_ENTRIES: Final = 8192
@@ -23,8 +23,8 @@ class GraphCalls:
     def __init__(self, registry: Registry, access_control: AccessControl) -> None:
         self._registry = registry
         self._access_control = access_control
-        self._entries: dict[tuple[str, tuple[str, ...]], Written] = {}
-        self._states: dict[int, tuple[Caller, Written]] = {}  # by identity of the caller
+        self._entries: dict[tuple[str, tuple[str, ...]], EncodedList] = {}
+        self._states: dict[int, tuple[Caller, EncodedList]] = {}  # by identity of the caller
         self._version = -1
 
     def methods(self) -> Methods:
@@ -99,7 +99,7 @@ class GraphCalls:
     def _system_state(self, request: CallRequest) -> Steps:
         return Reply((yield from self._state(request.caller)), "current system state")
 
-    def _state(self, caller: Caller) -> Generator[None, None, Written]:
+    def _state(self, caller: Caller) -> Generator[None, None, EncodedList]:
         """What the caller may see; cached while neither the registry nor the caller changes."""
         version = self._registry.version
         if self._version != version:
@@ -108,7 +108,7 @@ class GraphCalls:
         cached = self._states.get(id(caller))
         if cached is not None and cached[0] is caller:
             return cached[1]
-        state = Written(
+        state = EncodedList(
             [
                 (yield from self._visible_entries(Kind.PUBLISHER, caller)),
                 (yield from self._visible_entries(Kind.SUBSCRIBER, caller)),
@@ -130,13 +130,13 @@ class GraphCalls:
                 yield
         return found
 
-    def _entry(self, key: str, names: tuple[str, ...]) -> Written:
+    def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
         """One name with its nodes, encoded once for all callers that may see it."""
         entry = self._entries.get((key, names))
         if entry is None:
             if len(self._entries) >= _MAX_CACHED_ENTRIES:
                 self._entries.clear()
-            entry = self._entries[key, names] = Written([key, list(names)])
+            entry = self._entries[key, names] = EncodedList([key, list(names)])
         return entry
 
     def _topic_types(self, request: CallRequest) -> Steps:

@@ -1,1 +1,1 @@
-"""The master as a service: configuration, limits, audit, metrics."""
+"""The master as a service: configuration, limits, audit, metrics, and its process."""

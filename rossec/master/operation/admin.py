@@ -1,8 +1,8 @@
-"""The local port of an administrator: a unix socket, off unless asked for.
+"""The administrator's local port: a Unix socket, off unless enabled.
 
-A shell. The socket lies in the master's own directory (0600), and the kernel says who is at the
-other end: only the user who runs the master, and root, are heard. One line of JSON asks, one line
-answers, then the connection ends. What can be asked changes no right.
+A shell. The socket is in the master's own directory (0600), and the kernel reports the user of the
+peer: only the user who runs the master, and root, are admitted. A connection is one request and one
+answer, each a line of JSON. No command changes a right.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ Commands = Mapping[str, Callable[[], Mapping[str, Any]]]
 
 
 class AdminPort:
-    """Listens at `path`; `commands` are what can be asked."""
+    """Listens at `path` for the names of `commands`."""
 
     def __init__(self, path: Path, commands: Commands) -> None:
         self._path = path
@@ -37,14 +37,14 @@ class AdminPort:
         self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        """Listen; a socket that a killed master left behind is replaced.
+        """Listen; a stale socket of a killed master is replaced.
 
         Raises:
             ConfigurationError: another master listens there, or the path is too long.
         """
         if len(os.fsencode(self._path)) > _MAX_PATH:
             raise ConfigurationError(
-                f"{self._path} is too long a name for a socket, which has at most {_MAX_PATH} bytes",
+                f"{self._path} is too long for the path of a socket: at most {_MAX_PATH} bytes",
                 "choose a shorter ROSSEC_HOME, or do without --admin",
             )
         if self._path.exists():
@@ -86,7 +86,7 @@ class AdminPort:
         command = json.loads(await reader.readuntil(b"\n"))
         action = self._commands.get(command) if isinstance(command, str) else None
         if action is None:
-            answer: Mapping[str, Any] = {"error": "there is no such command"}
+            answer: Mapping[str, Any] = {"error": "unknown command"}
         else:
             _audit.info("user %d asks for %s", user, command)
             answer = action()
@@ -95,18 +95,18 @@ class AdminPort:
 
 
 def _raw_socket(sock: Any) -> socket.socket:
-    """asyncio hands out a stand-in; the real socket's methods are behind it."""
+    """The socket behind asyncio's TransportSocket, which lacks methods."""
     found = getattr(sock, "_sock", sock)
     if not isinstance(found, socket.socket):
-        raise PeerUserRefused("a connection that is no socket")
+        raise PeerUserRefused("the connection has no socket")
     return found
 
 
 def ask(path: Path, command: str) -> dict[str, Any]:
-    """Ask the master that listens at `path`.
+    """Send a command to the master that listens at `path`.
 
     Raises:
-        ConfigurationError: nobody listens there, or the answer is an error.
+        ConfigurationError: no master answers, or it answers with an error.
     """
     hint = "is it running, with --admin or `admin: true` in its configuration?"
     try:

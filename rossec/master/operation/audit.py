@@ -1,15 +1,15 @@
-"""The audit: what was denied and what was administered, line by line, each bound to the one before.
+"""The audit log: denials and administrative actions, one a line, in a hash chain.
 
 A line is a JSON object; its `hash` is SHA-256 over the hash of the line before and the line without
-it. So a line cannot be changed, dropped or put in between without the rest of the file saying so.
-That the *beginning* was cut off shows by the signed line a file begins with (`auditmark`); that the
-*end* was, only whoever holds an earlier hash can tell, therefore `rossec audit --verify` prints the
-last one. Pure but for `AuditFile`, which appends for its owner alone (0600).
+it. So a line cannot be changed, removed or inserted without breaking the chain. A removed
+*beginning* is detected by the signed line a file begins with (`audit_mark`); a removed *end* only
+by comparison with a later hash, so `rossec audit --verify` prints the last one. Pure except for
+`AuditFile`, which appends to a file of its owner alone (0600).
 
-Each line is with the kernel at once and on the disk within a second of the first one not yet there.
-When the file is moved away (logrotate), the next line begins a new one, and the chain goes on. A
-line that was cut short (full disk, power failure) is taken away, and the next one says so.
-Lines that nodes cause are bounded before they come here: `rossec.master.operation.denial_limit`.
+Each line is written at once and synced within a second of the first line not yet synced. When the
+file is moved away (logrotate), the next line begins a new file, and the chain continues. A line
+that was truncated (full disk, power failure) is removed, and the next one records that.
+The rate of lines that nodes cause is limited before: `rossec.master.operation.denial_limit`.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ Entry = dict[str, Any]
 def chained(entry: Entry, before: str) -> Entry:
     """The entry with its hash."""
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"))
-    data = f"{before}\n{text}".encode(errors="surrogatepass")  # of a line that somebody else wrote
+    data = f"{before}\n{text}".encode(errors="surrogatepass")  # of a line that is not from here
     return {**entry, "hash": hashlib.sha256(data).hexdigest()}
 
 
@@ -53,9 +53,9 @@ def encode(entry: Entry) -> str:
 
 
 def salvage(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
-    """The entries that can be read, and the numbers of the lines that cannot.
+    """The valid entries, and the numbers of the damaged lines.
 
-    Nothing is read after `max_damaged` lines that cannot.
+    Reading ends after `max_damaged` damaged lines.
     """
     entries, damaged = list[Entry](), list[int]()
     for number, line in enumerate(lines, 1):
@@ -82,10 +82,10 @@ def _entry(line: str) -> Entry | None:
 
 
 def verify(entries: Iterable[Entry], before: str | None = None) -> str:
-    """The hash of the last entry, if each continues the one before; `before` the first of them.
+    """The hash of the last entry, if the chain is intact; `before` is the hash before the first.
 
     Raises:
-        ConfigurationError: something was changed, dropped or put in between.
+        ConfigurationError: a line was changed, removed or inserted.
     """
     last = before
     for number, entry in enumerate(entries, 1):
@@ -105,10 +105,10 @@ class AuditFile(logging.Handler):
     def __init__(
         self, path: Path, clock: Callable[[], float] = host_time, signer: Signer | None = None
     ) -> None:
-        """Begin, or go on with, the file at `path`; `signer` is the master's key.
+        """Begin or continue the file at `path`; `signer` has the master's key.
 
         Raises:
-            PathRefused: somebody else could have written it.
+            PathRefused: another user could have written it.
             OSError: it cannot be written.
         """
         super().__init__(logging.INFO)
@@ -142,7 +142,7 @@ class AuditFile(logging.Handler):
             self.sync()
 
     def sync(self) -> None:
-        """Put what was written on the disk."""
+        """Sync what was written to the disk."""
         self._synced = self._clock()
         with suppress(OSError):
             os.fdatasync(self._file)
@@ -156,7 +156,7 @@ class AuditFile(logging.Handler):
         super().close()
 
     def _write_mark(self, at: float) -> None:
-        """A file that is empty begins with a line only the master can write."""
+        """Begin an empty file with a line that is signed by the master."""
         if self._signer is not None and os.fstat(self._file).st_size == 0:
             self._append(chained(mark(self._signer, self._last, at), self._last))
 
@@ -164,14 +164,14 @@ class AuditFile(logging.Handler):
         line = f"{encode(entry)}\n".encode()
         size = os.fstat(self._file).st_size
         if os.write(self._file, line) != len(line):
-            os.ftruncate(self._file, size)  # half a line would be damage for ever
+            os.ftruncate(self._file, size)  # half a line would stay damaged
             raise OSError("the disk is full")
         self._last = entry["hash"]
 
     def _fail(self, error: Exception) -> None:
-        """Say so once; to end the master is no answer to a full disk."""
+        """Log the first failure; a full disk must not end the master."""
         if not self._failing:
-            _log.error("the audit cannot be written: %s; its lines so far are whole", error)
+            _log.error("the audit cannot be written: %s; the lines before are intact", error)
         self._failing = True
 
     def _reopen_if_moved(self) -> None:
@@ -181,7 +181,7 @@ class AuditFile(logging.Handler):
             there = None
         here = os.fstat(self._file)
         if there is None or (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            # First the new one: a number that is closed and kept may soon be somebody else's.
+            # Open first: the number of a closed descriptor may be reused.
             self._file, old = self._open(), self._file
             os.close(old)
 
@@ -189,12 +189,12 @@ class AuditFile(logging.Handler):
         return files.append_own(self._path)
 
     def _resume(self) -> tuple[str, int]:
-        """The hash to continue from; and how much was left of a line that was cut short."""
+        """The hash to continue from, and the length of a truncated line, which is removed."""
         size = os.fstat(self._file).st_size
         tail = os.pread(self._file, _TAIL, max(0, size - _TAIL))
         torn = len(tail) - (tail.rfind(b"\n") + 1)
         if torn:
             os.ftruncate(self._file, size - torn)
         lines = tail[: len(tail) - torn].decode(errors="replace").splitlines()
-        entries, _ = salvage(lines)  # of the first of them the beginning may be missing
+        entries, _ = salvage(lines)  # the first may be incomplete
         return (entries[-1]["hash"] if entries else FIRST), torn

@@ -1,9 +1,9 @@
-"""The line with which a file of the audit begins: signed with the master's key. Pure.
+"""The first line of an audit file: signed with the master's key. Pure.
 
-The chain of hashes shows what is missing between two lines, not what is missing before the first.
-So each file begins with a line that says from which hash it goes on (the audit's very first from
-none), and only the master can write it: whoever cuts off the beginning of a file cuts this off, and
-cannot put another there. Parts that were removed whole are known by the hash it names.
+The hash chain shows what is missing between two lines, not what is missing before the first. So
+each file begins with a line that names the hash from which it continues, or none in the very first
+file. Only the master can sign it: without the beginning of a file it is missing, too, and cannot be
+forged. A file that was removed is detected by the hash that the next one names.
 """
 
 from typing import Any, Final
@@ -32,7 +32,7 @@ Entry = dict[str, Any]
 
 
 def mark(signer: Signer, before: str, at: float) -> Entry:
-    """The line that begins a file, not yet chained; `before` is the hash it goes on from."""
+    """The first line of a file, not yet chained; `before` is the hash it continues from."""
     text = _FIRST_FILE if before == FIRST else _NEXT_FILE
     point = signer.public_key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
     entry: Entry = {"at": at, "before": before, "level": "info", "text": text, _KEY: point.hex()}
@@ -40,36 +40,38 @@ def mark(signer: Signer, before: str, at: float) -> Entry:
 
 
 def check_beginning(first: Entry, key: bytes | None = None, after: str | None = None) -> str:
-    """Return what is to be said of how an audit begins: a line, empty when it is whole.
+    """Check the beginning of an audit; returns a remark, empty when it is complete.
 
     Args:
-        first: its first line, as the chain found it unchanged.
+        first: the first line, whose hash was verified.
         key: thumbprint of the master's key, if it is known.
-        after: the hash that is known to come before.
+        after: the hash of the line before, if it is known.
 
     Raises:
-        ConfigurationError: its beginning is missing, or somebody else wrote it.
+        ConfigurationError: the beginning is missing or forged.
     """
     before = first.get("before")
     if _SIGNATURE in first:
-        begun = _key_of(first)
-        if key is not None and begun != key:
+        signed_by = _key_of(first)
+        if key is not None and signed_by != key:
             raise ConfigurationError(
-                f"the audit begins with a line of another key, {begun.hex()}",
-                "if the master had that key then, say so: --key",
+                f"the audit begins with a line of another key, {signed_by.hex()}",
+                "if the master had that key then, name it with --key",
             )
-        unknown = "" if key is not None else f"; whose key {begun.hex()} is, is not known here"
-        whole = before in {FIRST, after}
-        return f"{'' if whole else f'it goes on from {before}, not among these files'}{unknown}"
+        unknown = "" if key is not None else f"; the key {signed_by.hex()} is not known here"
+        complete = before in {FIRST, after}
+        return (
+            f"{'' if complete else f'it continues from {before}, not among these files'}{unknown}"
+        )
     if before == after:
         return ""
     if before == FIRST:
-        return "its first line is not signed: an older master began it"
+        return "its first line is not signed: it is of an older version"
     raise ConfigurationError("the beginning of the audit is missing", _HINT)
 
 
 def _key_of(entry: Entry) -> bytes:
-    """The thumbprint of the key that signed it."""
+    """The thumbprint of the key that signed the entry."""
     try:
         key = ec.EllipticCurvePublicKey.from_encoded_point(
             ec.SECP256R1(), bytes.fromhex(entry[_KEY])

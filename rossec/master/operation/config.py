@@ -1,7 +1,7 @@
 """The master's configuration file: YAML, a closed schema; every error names its line.
 
-Nothing in it can widen a right. What is not written has its default, and a key that does not exist
-is an error: a misspelt limit must not be no limit.
+No setting can widen a right. A missing key has its default, and an unknown key is an error: a
+misspelt limit must not be ignored.
 """
 
 import dataclasses
@@ -33,16 +33,16 @@ _EXPECTED: Final = {
 
 @dataclass(frozen=True)
 class Config:
-    """What `rossec master` does.
+    """The settings of `rossec master`.
 
     Args:
         port: to listen on; None: that of ROS_MASTER_URI.
         log: `text` or `json`.
-        audit: keep the audit file.
+        audit: write the audit file.
         admin: open the local port of an administrator.
-        announce: say on the local links where the master is.
-        metrics: port of loopback for Prometheus; None: none.
-        complaints: file for what nodes lack the right to; None: none.
+        announce: announce the master on the local links.
+        metrics: port for Prometheus, on loopback; None: none.
+        complaints: file of the denial log; None: none.
         limits: see `rossec.master.operation.limits`.
     """
 
@@ -80,7 +80,7 @@ def parse(text: str, name: str) -> Config:
 
 
 def _tree(text: str, name: str) -> "Part | None":
-    from grants.errors import PolicyRefused  # noqa: PLC0415 - a master without a file need not carry the reader
+    from grants.errors import PolicyRefused  # noqa: PLC0415 - not loaded without a file
     from grants.policy.mistakes import Mistakes  # noqa: PLC0415 - as above
     from grants.policy.source import read_source  # noqa: PLC0415 - as above
     from grants.yaml_text import Bounds  # noqa: PLC0415 - as above
@@ -91,13 +91,15 @@ def _tree(text: str, name: str) -> "Part | None":
         mistakes.refuse_any()
     except PolicyRefused as error:
         first = mistakes.found[0]
-        said = printable(first.message)
-        raise ConfigurationError(f"{name}:{first.line}: {said}", printable(first.hint)) from error
+        message = printable(first.message)
+        raise ConfigurationError(
+            f"{name}:{first.line}: {message}", printable(first.hint)
+        ) from error
     return tree
 
 
 def _entries(tree: "Part | None", name: str) -> Iterator[tuple[str, "YamlScalar", "Part"]]:
-    """Key, its place, value."""
+    """Keys, their positions and values."""
     if tree is None:
         return
     entries = getattr(tree, "entries", None)

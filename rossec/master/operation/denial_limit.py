@@ -1,10 +1,10 @@
-"""How many lines of the log nodes can cause. Pure but for the clock it is given.
+"""Rate limit for log lines that nodes cause: token buckets. Pure except for the given clock.
 
-Whoever is denied a thousand times a second must fill neither the disk nor the audit, and must not
-drown what others do: lines are counted for each node, and for all. Some nodes together could use up
-what all have, so each also has a little that is its own. What an administrator does is never left
-out; so what nodes cause at will has a logger of its own, below that of the audit. How many lines of
-a node were left out stands in the next one of it that is not.
+A node that is denied a thousand times a second must neither fill the disk nor hide the lines of
+others: there is a bucket for each node and one for all. Several nodes together could empty the
+common one, so each also has a small bucket in reserve. Lines of administrators are never limited;
+so the lines that nodes cause have their own logger, a child of the audit's. The number of lines
+that were left out is recorded in the next line of that node.
 """
 
 import logging
@@ -22,7 +22,7 @@ MOST_NODES: Final = 4096
 
 @dataclass
 class LineBucket:
-    """Room for `burst` lines, filled again at `rate` a second."""
+    """A token bucket of `burst` lines, refilled at `rate` a second."""
 
     burst: float
     rate: float
@@ -31,11 +31,11 @@ class LineBucket:
 
     @classmethod
     def full(cls, burst: float, rate: float, now: float) -> "LineBucket":
-        """One that nothing was taken from."""
+        """A full bucket."""
         return cls(burst, rate, burst, now)
 
     def refill(self, now: float) -> bool:
-        """Whether there is room for a line now."""
+        """Refill the bucket; whether it has a token for a line."""
         self.tokens = min(self.burst, self.tokens + max(0.0, now - self.at) * self.rate)
         self.at = now
         return self.tokens >= 1
@@ -43,7 +43,7 @@ class LineBucket:
 
 @dataclass
 class NodeBudget:
-    """What one node may cause, what of it does not depend on others, and what it did in vain."""
+    """The limit of one node, its reserve, and the number of lines left out."""
 
     limit: LineBucket
     reserved: LineBucket
@@ -51,7 +51,7 @@ class NodeBudget:
 
 
 class DenialRateLimit(logging.Filter):
-    """Lets a line through while its node, the first argument of the line, and all have room."""
+    """Passes a line while the buckets of its node (its first argument) and of all have tokens."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class DenialRateLimit(logging.Filter):
         self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the line is written; it says then how many before it were not."""
+        """Whether the line is written; if so, it records how many before it were not."""
         now = self._clock()
         args = record.args
         budget = self._budget(str(args[0]) if isinstance(args, tuple) and args else "", now)

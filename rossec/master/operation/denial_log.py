@@ -1,9 +1,9 @@
-"""The complain log: one line for every right that somebody lacked, to learn a policy from.
+"""The denial log: one line for every right that a caller lacked, to learn a policy from.
 
 A shell. `rossec policy learn --from-log` reads it: callers of services and readers of parameters do
-not show in the graph. Each line is written once, and their number is bounded: an enrolled node
-chooses the names, and must not fill the disk with them. Each node has a share that no other can
-use up, or one of them would decide what is learnt of the others.
+not appear in the graph. Each line is written once, and their number is limited: an enrolled node
+chooses the names, and must not fill the disk with them. Each node has a quota that no other can
+use up, else one of them could keep the others out of the log.
 """
 
 import os
@@ -16,26 +16,25 @@ from grants.model import Right
 from rossec import files
 
 LINES_PER_NODE: Final = 200  # lines of one node
-MAX_LINES: Final = 10_000  # of all nodes beyond their shares
+MAX_LINES: Final = 10_000  # of all nodes beyond their quotas
 
 OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
 """Called with `now`, the node, the right it lacks, and the name."""
 
 
 def ignore_denial(now: int, node: str, right: Right, name: str) -> None:
-    """No log is kept."""
+    """Log nothing."""
 
 
 class DenialLog:
-    """Appends to the file `path`, which is made for its owner alone.
+    """Appends to the file `path`, which is created for its owner alone.
 
     Raises:
-        PathRefused: somebody else made it, as anybody can in a directory such as /tmp.
+        PathRefused: another user owns it, as is possible in a directory such as /tmp.
     """
 
     def __init__(self, path: Path) -> None:
-        # Only here: learning a policy takes its reader, which a master without this log need not.
-        from grants.policy.learn import log_line  # noqa: PLC0415 - a master without complaints need not carry it
+        from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
 
         self._line = log_line
         self._file = os.fdopen(files.append_own(path), "a", encoding="utf-8")
@@ -44,7 +43,7 @@ class DenialLog:
         self._lines_beyond = 0
 
     def __call__(self, now: int, node: str, right: Right, name: str) -> None:
-        """Write one line, unless it was written since the start, or node and log are full."""
+        """Write one line, unless it was written since the start or the limits are reached."""
         denial = node, right, name
         is_beyond = self._lines_of_node[node] >= LINES_PER_NODE
         if denial in self._seen or (is_beyond and self._lines_beyond >= MAX_LINES):

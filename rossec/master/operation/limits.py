@@ -1,4 +1,4 @@
-"""How much one peer may cost the master. Every limit counts before what it bounds is kept."""
+"""Limits on what one peer may use, each checked before memory is allocated for the peer."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 
 @dataclass(frozen=True)
 class MasterLimits:
-    """The defaults fit a site of a thousand nodes.
+    """The limits; the defaults are for a site of a thousand nodes.
 
     Args:
         body: bytes of one call, and of one answer.
         parameters: bytes of all parameters together.
         connections_per_identity: open at a time.
-        nodes_per_identity: registered at a time; only a wildcard identity can be several.
+        nodes_per_identity: registered at a time; only a wildcard identity can have several.
         handshake_seconds: from the first byte of a connection to an authenticated peer.
         request_seconds: from the first byte of a call to its last.
         idle_seconds: between two calls on one connection; nodes call every ten seconds.

@@ -1,4 +1,4 @@
-"""Figures for Prometheus, on request and on loopback only: they tell who is there and how busy."""
+"""Metrics for Prometheus, off by default, on loopback only: they reveal a site's activity."""
 
 import asyncio
 import os
@@ -14,7 +14,7 @@ from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
 _LIMIT: Final = HalfOpen(per_address=16, total=16)
-DEADLINE: Final = 5.0  # seconds until the loop must have answered
+DEADLINE: Final = 5.0  # seconds for the loop to answer
 _COUNTERS: Final = {
     "calls": "Calls answered.",
     "denials": "Calls refused for want of a right.",
@@ -30,7 +30,7 @@ Status = Callable[[], Mapping[str, Any]]
 
 
 def on_loop(status: Status) -> Status:
-    """`status` of the running loop, for other threads: it must not change while it is counted."""
+    """`status` for other threads: called in the running loop, where its state is changed."""
     loop = asyncio.get_running_loop()
 
     async def requested() -> Mapping[str, Any]:
@@ -40,13 +40,13 @@ def on_loop(status: Status) -> Status:
 
 
 class MetricsCollector:
-    """Asks for the status whenever it is scraped."""
+    """Reads the status at each scrape."""
 
     def __init__(self, status: Status) -> None:
         self._status = status
 
     def collect(self) -> Iterator[Any]:
-        """The figures, in the form of prometheus_client."""
+        """The metrics, as prometheus_client expects them."""
         from prometheus_client import core  # noqa: PLC0415 - an extra
 
         status = self._status()
@@ -57,7 +57,7 @@ class MetricsCollector:
 
 
 class _Server(ThreadingMixIn, WSGIServer):
-    """A thread for each caller, of whom anybody on this host may be one: few at a time."""
+    """One thread a connection, few at a time: any user of this host can connect."""
 
     daemon_threads = True
 
@@ -67,34 +67,34 @@ class _Server(ThreadingMixIn, WSGIServer):
         super().__init__(*arguments)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Before a thread is spent on a caller."""
+        """Refuse a connection beyond the limits, before a thread is started for it."""
         slot = self._count.admit(client_address[0])
         if slot is not None:
             self._slots[request] = slot
         return slot is not None
 
     def shutdown_request(self, request: Any) -> None:
-        """As of the base; the caller counts until then."""
+        """Close the connection; it counts until then."""
         super().shutdown_request(request)
         slot = self._slots.pop(request, None)
         if slot is not None:
-            slot.settle()
+            slot.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A caller that is silent, or hangs up, is no news."""
+        """Errors of connections are not logged."""
 
 
 class _Handler(WSGIRequestHandler):
-    """One request, for which there is a deadline."""
+    """One request, with a deadline."""
 
     timeout = DEADLINE
 
-    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the base's
+    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - of the base class
         """Requests are not logged."""
 
 
 class MetricsExporter:
-    """Serves the figures on a port of loopback, in a thread of its own."""
+    """Serves the metrics on a loopback port, in its own thread."""
 
     def __init__(self, status: Status, port: int) -> None:
         try:

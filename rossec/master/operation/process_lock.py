@@ -23,7 +23,7 @@ def process_lock(directory: Path) -> Iterator[None]:
         f"another master runs from {directory}",
         "end it first; two would lose each other's parameters",
     )
-    descriptor = files.hold(directory / FILE_NAME, busy)
+    descriptor = files.lock_file(directory / FILE_NAME, busy)
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Telling the service manager how it stands: the datagrams of sd_notify(3), no library needed."""
+"""Notifying the service manager: the datagrams of sd_notify(3), without its library."""
 
 import os
 import socket
@@ -10,9 +10,9 @@ STOPPING = "STOPPING=1"
 
 
 def notify(state: str, environ: Mapping[str, str] = os.environ) -> bool:
-    """Send `state` to $NOTIFY_SOCKET; whether there was anybody to tell.
+    """Send `state` to $NOTIFY_SOCKET; returns whether it was sent.
 
-    A manager that does not listen is no reason to fail.
+    A failure to send is ignored.
     """
     address = environ.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):

@@ -1,1 +1,1 @@
-"""Who may do what at the master: statements, grants presented, access rules. Pure."""
+"""Authorization at the master: statements, presented grants, access rules. Pure."""

@@ -121,19 +121,19 @@ class TrustState:
     ) -> Generator[None, None, frozenset[bytes]]:
         """The revoked entries that pertain to a caller that is registered for `names`.
 
-        Its own grants; grants for these names, whoever holds them, and their holders' keys; what
-        renews grants. The master knows of grants that were presented to it: of others nobody here
-        could say whom they concern. Yields wherever others may have their turn.
+        Its own grants; grants of any holder for these names, and the keys of these holders; the
+        delegation of renewal. Only grants that were presented to the master are considered: it
+        does not know the others. Yields where other calls may be answered.
         """
         keys, entries = frozenset(names), self._revocations.entries
-        concerned = {caller.thumbprint, self._delegate.id}
+        pertaining = {caller.thumbprint, self._delegate.id}
         revoked = [
             item for item in self._known_grants() if not entries.isdisjoint((item.id, item.holder))
         ]
         for grant in revoked:
             if grant.holder == caller.thumbprint or (yield from _names_any(grant, keys)):
-                concerned |= {grant.id, grant.holder}
-        return entries & concerned
+                pertaining |= {grant.id, grant.holder}
+        return entries & pertaining
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Renewed tokens, in the same order, empty where one is refused."""

@@ -1,8 +1,8 @@
-"""Answering calls so that nobody waits long for another: in turns, and what waits does so apart.
+"""Answering calls so that none delays the others for long: in turns, or in a coroutine. A shell.
 
-A shell. Nearly every call is answered within the callback that brought it. A query over all there
-is, and a multicall, may take many turns (`rossec.master.api.turns`); between two the loop answers
-others, and the caller is asked for anew: what was found before a revocation does not count.
+Nearly every call is answered within the callback that received it. A filtered query and a multicall
+may take many turns (`rossec.master.api.turns`); between two of them the loop answers other calls,
+and the caller's rights are evaluated again: results from before a revocation are discarded.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ from rossec.ros.xmlrpc import Fault
 
 
 class PendingCall(NamedTuple):
-    """One call of `peer`; `is_local`: it comes from the master's own host."""
+    """One call of `peer`; `is_local`: the peer is on the master's host."""
 
     is_local: bool
     method: str
@@ -33,7 +33,7 @@ class PendingCall(NamedTuple):
 
 
 class CallAnswers:
-    """Answers by one `MasterApi`, for the state it shares with `effects`."""
+    """Answers calls with a `MasterApi`, which shares its state with `effects`."""
 
     def __init__(
         self,
@@ -52,10 +52,10 @@ class CallAnswers:
     def dispatch(
         self, is_local: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
     ) -> object:
-        """The value to answer with, or what to await for it.
+        """The value to answer with, or an awaitable of it.
 
         Raises:
-            Fault: the call is none, or the peer was revoked a moment ago.
+            Fault: there is no such method, or the peer has just been revoked.
         """
         call = PendingCall(is_local, method, params, peer)
         if method == MULTICALL:
@@ -71,7 +71,7 @@ class CallAnswers:
         return self._effects.apply(begun)
 
     def _query(self, call: PendingCall, work: Work) -> object:
-        """Answer at once what takes no longer than a turn."""
+        """Answer at once if one turn is enough."""
         outcome = advance(work, self._turns.begin())
         if outcome is None:
             return self._in_turns(call, work)
@@ -87,14 +87,14 @@ class CallAnswers:
         return await self._finish(call, self._begin(call))
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:
-        """A node says it is where `owner` was: if somebody else answers there, `owner` is gone."""
+        """Probe `owner`, whose address another node registers, and answer again."""
         await self._dialer.probe(owner)
         return await self._finish(call, self._begin(call))
 
     async def _finish(self, call: PendingCall, work: CallOutcome | Work) -> object:
         number = self._state.trust.number
         while not isinstance(work, CallOutcome):
-            await asyncio.sleep(0)  # others have their turn
+            await asyncio.sleep(0)  # let other calls be answered
             self._caller_now(call.peer)
             if number != self._state.trust.number:
                 number, work = self._state.trust.number, self._begin(call)
@@ -125,11 +125,11 @@ class CallAnswers:
         return self._api.begin(call.method, call.params, caller, now, is_local=call.is_local)
 
     def _caller_now(self, peer: ChannelPeer) -> tuple[Caller, int]:
-        """Who calls, with what it may do at this moment, and the time."""
+        """The caller with its rights now, and the time."""
         now = self._state.now()
         try:
             return self._state.trust.caller(peer, now), now
-        except HintedError as error:  # revoked a moment ago: the connection is being cut
+        except HintedError as error:  # just revoked: the connection is being closed
             raise Fault(1, f"rossec: {error}") from error
 
     @staticmethod

@@ -1,7 +1,7 @@
-"""Calling a node: whoever answers at a slave API must be the node that registered it. A shell.
+"""Connecting to a slave API: the peer must be the node that registered it. A shell.
 
-The one place from which the master connects to nodes. Nothing is said to somebody else, and who
-registered the address of another is reported. When to call and what to say is not known here.
+The only module from which the master connects to nodes. Nothing is sent to any other peer, and a
+node that registered the address of another is reported. What is called is up to the caller.
 """
 
 import asyncio
@@ -22,12 +22,12 @@ from rossec.ros.settings import parse_uri
 
 
 class SlaveDialer:
-    """Connects as the master; `probed` are those who are being asked whether they are there.
+    """Connects as the master; `probed` are the nodes that are being probed.
 
     Args:
-        credentials, verify: the master's own identity, and who may answer.
-        on_mismatch: called with the node called and the peer that answered in its place.
-        limits, suites, known: as for connections that come in.
+        credentials, verify: the master's own identity, and verification of the peer's.
+        on_mismatch: called with the node and the other peer that answered at its address.
+        limits, suites, known: as for accepted connections.
     """
 
     def __init__(
@@ -49,11 +49,11 @@ class SlaveDialer:
         self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
-        """Connect to a slave API; whoever answers must be the node that registered.
+        """Connect to a slave API; the peer must be the node that registered it.
 
         Raises:
-            CallerMismatch: it is another.
-            RossecError, OSError: nobody can be reached there.
+            CallerMismatch: it is another node.
+            RossecError, OSError: the node cannot be reached.
         """
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(
@@ -73,7 +73,7 @@ class SlaveDialer:
         return RpcClient(stream)
 
     async def probe(self, node: NodeRef) -> None:
-        """Call `node` to say nothing: if somebody else answers there, that is reported."""
+        """Connect to `node` and disconnect: if another peer answers, that is reported."""
         self.probed.add(node)
         try:
             with contextlib.suppress(RossecError, OSError, TimeoutError):

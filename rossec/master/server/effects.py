@@ -1,9 +1,8 @@
-"""What follows from a call: nodes told, changes kept, refusals written down. A shell.
+"""The effects of a call: updates to nodes, journal records, lines of the audit. A shell.
 
-The cores return events; here is what each of them means, in one table (`deliver`). Nothing is
-judged here and nothing waits: what nodes must hear is left to `Updates`, who waits for news is
-woken by `GraphChanges`. What follows from a revocation is more than one step:
-`rossec.master.server.maintenance`.
+The cores return events; `deliver` maps each to its effect. Nothing is authorized here and nothing
+waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A revocation has further
+effects: `rossec.master.server.maintenance`.
 """
 
 import asyncio
@@ -41,13 +40,13 @@ _denials = logging.getLogger(DENIALS)
 
 @dataclass(frozen=True)
 class MasterState:
-    """What one master holds; its loop owns all of it.
+    """The state of one master, used in its event loop only.
 
     Args:
         name: the master's certified name.
         now: seconds since the epoch.
-        parameter_file: where parameters survive a restart.
-        streams: the connections that came in.
+        parameter_file: the journal of parameters; None: they do not survive a restart.
+        streams: accepted connections.
     """
 
     name: str
@@ -61,10 +60,10 @@ class MasterState:
 
 
 class Effects:
-    """Makes events happen; `calls` and `denials` count them, `stopping` is set at a `StopMaster`.
+    """Delivers events; `calls` and `denials` are counters, `StopMaster` sets `stopping`.
 
     Args:
-        on_denial: hears of every right that somebody lacked.
+        on_denial: called for every right that a caller lacks.
         on_revocations: called when there is a newer revocation list.
     """
 
@@ -78,7 +77,7 @@ class Effects:
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
-        """Do what follows from a call; returns the answer."""
+        """Deliver the events of a call; returns the answer."""
         self.calls += 1
         for event in outcome.events:
             self.deliver(event)
@@ -86,9 +85,9 @@ class Effects:
         return outcome.answer
 
     def evict(self, node: NodeRef, found: Peer) -> None:
-        """Forget a node that registered an address at which another one lives.
+        """Remove a node that registered the address of another node, `found`.
 
-        Otherwise whoever is first to register the address of another keeps it out.
+        Otherwise a node could keep another out by registering its address first.
         """
         self._state.updates.drop(node)
         if self._state.registry.is_current(node):
@@ -98,7 +97,7 @@ class Effects:
             self._state.graph_changes.notify(self._state.registry.version)
 
     def deliver(self, event: MasterEvent) -> None:
-        """Do what `event` means."""
+        """Perform the effect of `event`."""
         match event:
             case PublishersChanged(topic, subscribers, uris):
                 for node in subscribers:
@@ -108,7 +107,7 @@ class Effects:
             case ShutdownNode(node, reason):
                 self._notify(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged(by):
-                _audit.info("%s brought revocation list %d", by, self._state.trust.number)
+                _audit.info("%s delivered revocation list %d", by, self._state.trust.number)
                 self._on_revocations()
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
@@ -129,10 +128,10 @@ class Effects:
             case Denied(node, right, name):
                 self._on_denial(self._state.now(), node, right, name)
             case GrantsPresented(name, refused):
-                self._state.graph_changes.notify()  # it may see other things now
+                self._state.graph_changes.notify()  # it may see more or less now
                 if refused:
                     text = printable("; ".join(refused))
-                    _denials.warning("%s presents grants that are refused: %s", name, text)
+                    _denials.warning("%s presented grants that are refused: %s", name, text)
 
     def _notify(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""

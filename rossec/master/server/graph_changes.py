@@ -1,27 +1,27 @@
-"""Waiting until the graph changes: what lets a call for news be answered when there are some.
+"""Waiting for changes of the graph: long polling for `rossec.watchGraph`. A shell.
 
-A shell. A watcher waits on its own connection, so nobody is called, queued for or retried; whatever
-happens in `BATCH_DELAY` seconds after a change is told with it, so that a launch of a hundred nodes is
-not told in a hundred answers.
+A watcher waits on its own connection, so the master neither connects to it nor queues or retries
+anything. Changes in the `BATCH_DELAY` seconds after the first are sent in the same answer: the
+launch of a hundred nodes does not take a hundred answers.
 """
 
 import asyncio
 import contextlib
 from typing import Final
 
-WATCH_WAIT: Final = 5.0  # seconds; an answer without news tells the watcher that all is well
+WATCH_WAIT: Final = 5.0  # seconds; an answer without changes shows that the master is alive
 BATCH_DELAY: Final = 0.05
 
 
 class GraphChanges:
-    """Wakes whoever waits when the state of the graph has changed."""
+    """Notifies all waiting calls of a change of the graph."""
 
     def __init__(self) -> None:
         self._version = -1
-        self._changed: asyncio.Event | None = None  # while somebody waits
+        self._changed: asyncio.Event | None = None  # while a call waits
 
     def notify(self, version: int | None = None) -> None:
-        """There is news, unless the state still has the `version` told before."""
+        """The graph has changed, unless its `version` is the one notified before."""
         if version is None or version != self._version:
             self._version = self._version if version is None else version
             if self._changed is not None:

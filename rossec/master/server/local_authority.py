@@ -1,8 +1,8 @@
-"""The list of an authority that lives on the master's host: taken without anybody carrying it.
+"""Revocation lists of an authority on the master's host: read from its directory.
 
-A list that could not be delivered (the master was stopped, or not there) would otherwise wait for a
-person, while the master goes on confirming the old one. It is looked for at every beat; whatever is
-wrong with it is said, and the list in force stays.
+A list that could not be delivered, as the master was not running or not reachable, would otherwise
+wait for a person, while the master keeps confirming the old one. The directory is read in each
+maintenance round; an invalid list is logged, and the list in force stays.
 """
 
 import logging
@@ -19,19 +19,19 @@ SOURCE: Final = "the authority on this host"
 _log = logging.getLogger("rossec.master.nearby")
 
 FindRevocations: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
-"""The newest signed list or tree and the entries of a tree; None: it is what it was before."""
+"""Returns the newest signed list or tree, and the entries of a tree; None: unchanged."""
 
 
 def no_authority() -> None:
-    """There is no authority on this host."""
+    """No authority is on this host."""
 
 
 class LocalAuthority:
-    """Looks for news.
+    """Reads the lists of a local authority.
 
     Args:
-        find: looks where the authority keeps what it signed. Raises `HintedError` or `OSError`.
-        statements: takes them.
+        find: reads the directory of the authority. Raises `HintedError` or `OSError`.
+        statements: accepts the lists.
         on_changed: called when a newer list is in force.
     """
 
@@ -44,10 +44,10 @@ class LocalAuthority:
         self._last_warning: str | None = None
 
     def check(self, now: int) -> None:
-        """Take what is there, if it is newer."""
+        """Accept the list of the authority, if it is newer."""
         try:
             found = self._find()
-            newer = found is not None and self._take(*found, now)
+            newer = found is not None and self._accept(*found, now)
         except (HintedError, OSError) as error:
             self._warn_once(printable(error))
         else:
@@ -55,13 +55,13 @@ class LocalAuthority:
             if newer:
                 self._on_changed()
 
-    def _warn_once(self, why: str) -> None:
-        """Once for each reason: it is looked for again at every beat."""
-        if why != self._last_warning:
-            _log.warning("the list of %s is not taken: %s", SOURCE, why)
-        self._last_warning = why
+    def _warn_once(self, reason: str) -> None:
+        """Log each reason once, although every round checks again."""
+        if reason != self._last_warning:
+            _log.warning("the list of %s is not accepted: %s", SOURCE, reason)
+        self._last_warning = reason
 
-    def _take(self, data: bytes, entries: bytes, now: int) -> bool:
+    def _accept(self, data: bytes, entries: bytes, now: int) -> bool:
         if is_tree(data):
             return self._statements.update_tree(data, entries, now)
         return self._statements.update(data, now)

@@ -1,8 +1,8 @@
-"""What must hold although nobody calls: rights enforced, lists confirmed. A shell.
+"""Maintenance: rights are enforced and lists confirmed, in rounds. A shell.
 
-It is looked after at every beat, and at once when a revocation list comes in: what follows from a
-list is done before the call that brought it is answered, but for what would take too long. A fault
-of one round does not end the rounds.
+A round runs at every interval, and at once when a revocation list is delivered: the list is
+enforced before that call is answered, except for what would take too long. An exception in one
+round does not end the rounds.
 """
 
 import asyncio
@@ -22,24 +22,22 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
 _CLOCK_SET_BACK: Final = (
-    "the host's clock went back: the master goes on by the seconds that have passed"
+    "the host's clock went back: the master counts the seconds that have passed instead"
     " (set the clock right; if it is right now, restart the master)"
 )
-STEPS_AT_ONCE: Final = (
-    1024  # steps of judging before the next call is answered; more follow after it
-)
+STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
 
 _log = logging.getLogger("rossec.master.upkeep")
 _audit = logging.getLogger("rossec.audit")
 
 
 class Maintenance:
-    """Looks after the rights in `state`, from `start` to `close`.
+    """Runs rounds of maintenance on `state`, from `start` to `close`.
 
     Args:
-        deliver: makes events happen (`Effects.deliver`).
-        interval: seconds between two beats.
-        checks: called with the time at every beat.
+        deliver: performs the effect of an event (`Effects.deliver`).
+        interval: seconds between two rounds.
+        checks: called with the time in each round.
     """
 
     def __init__(
@@ -56,22 +54,22 @@ class Maintenance:
         self._api: MasterApi | None = None
         self._setbacks = Setbacks()
         self._tasks = TaskSet()
-        self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
+        self._changed = asyncio.Event()  # revocations: the next round must not wait
 
     def start(self, api: MasterApi) -> None:
-        """Look after what `api` answers for."""
+        """Begin the rounds; `api` stores state that is to be pruned."""
         self._api = api
-        self._tasks.spawn(self._run(), name="rossec master timestamps")
+        self._tasks.spawn(self._run(), name="rossec master maintenance")
 
     async def close(self) -> None:
-        """End the beat."""
+        """End the rounds."""
         await self._tasks.close()
 
     def revocations_changed(self) -> None:
-        """A list came in: do now what can be done at once, and the rest soon."""
+        """Enforce a new list: as much as possible now, the rest soon."""
         for _ in islice(self._enforcement(), STEPS_AT_ONCE):
             pass
-        self._close_revoked()  # also what it was about to be told
+        self._close_revoked()  # also their pending updates
         self._send_revocations()
         self._changed.set()
 
@@ -80,8 +78,8 @@ class Maintenance:
             self._changed.clear()
             try:
                 await self._run_once()
-            except Exception:  # noqa: BLE001 - one fault must not end freshness and enforcement
-                _log.exception("looking after rights failed; it is done again")
+            except Exception:  # noqa: BLE001 - one failure must not end freshness and enforcement
+                _log.exception("maintenance failed; it is tried again")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._interval):
                     await self._changed.wait()
@@ -99,14 +97,14 @@ class Maintenance:
             self._state.parameter_file.sync()
 
     async def _enforce(self) -> None:
-        """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
+        """Remove what is no longer authorized; other calls are answered meanwhile."""
         for _ in self._enforcement():
             self._state.graph_changes.notify(self._state.registry.version)
             await asyncio.sleep(0)
-        self._state.graph_changes.notify()  # what lapsed without a registration may still have been seen
+        self._state.graph_changes.notify()  # without a registration, too, a watcher may see less
 
     def _enforcement(self) -> Iterator[None]:
-        """Judge all registrations, some at each step."""
+        """Enforce rights on all registrations, some in each step."""
         if self._api is not None:
             for step in steps(self._state.registry):
                 state = self._state
@@ -115,14 +113,16 @@ class Maintenance:
                 yield
 
     def _close_revoked(self) -> None:
-        """Cut the connections of revoked identities, and tell them nothing more."""
+        """Close the connections of revoked identities, and drop their updates."""
         now = self._state.now()
         for stream in tuple(self._state.streams):
             try:
                 self._state.trust.caller(stream.peer, now)
             except HintedError as error:
-                _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
-                self._state.streams.discard(stream)  # its handler ends in a later turn of the loop
+                _audit.warning("%s is disconnected: %s", stream.peer.name, printable(error))
+                self._state.streams.discard(
+                    stream
+                )  # its handler ends in a later iteration of the loop
                 stream.abort(str(error))
         for node in self._state.updates.nodes:
             if self._state.trust.caller_of(node, now) is None:
@@ -138,7 +138,7 @@ class Maintenance:
             self._api.watch_calls.keep_only(frozenset(connected))
 
     def _send_revocations(self) -> None:
-        """Confirm the list to every node, and send it to those that do not hold it."""
+        """Send every node a timestamp of the list, and the list to nodes that do not hold it."""
         now, key = self._state.now(), ("rossec.revocationUpdate", "")
         for node in self._state.registry.nodes():
             revocations, timestamp = self._state.trust.revocations_for(node, now)

@@ -1,9 +1,9 @@
-"""The master's own identity while it runs: renewed where this host can, taken up when replaced.
+"""The master's own identity while it runs: renewed where possible, reloaded when replaced. A shell.
 
-A shell. A master runs for months, its certificate holds for one. So at every beat it looks whether
-another one lies in its home (`rossec node install`); it renews itself when there is an intermediate
-(`--renew-identities`); and it says so while nobody has renewed it and there is still time. The key
-stays: its signatures are what nodes know their master by.
+A master runs for months, its certificate is valid for one. So each maintenance round reloads a
+certificate that was installed (`rossec node install`), renews it when there is an intermediate
+(`--renew-identities`), or logs a warning while there is time to renew it. The key stays the same:
+nodes identify their master by it.
 """
 
 import logging
@@ -28,11 +28,11 @@ Renew = Callable[[bytes, int], bytes]
 
 
 class OwnIdentity:
-    """What the master shows, and looks after with `check`.
+    """The credentials of the master; `check` keeps them current.
 
     Raises:
-        CertificateRefused: the identity in `home` has expired, or is not in order.
-        ConfigurationError: there is none, or it is another node's.
+        CertificateRefused: the identity in `home` has expired, or is invalid.
+        ConfigurationError: there is no identity, or it is another node's.
     """
 
     def __init__(self, home: NodeHome, now: int) -> None:
@@ -44,7 +44,7 @@ class OwnIdentity:
         self.credentials = LiveCredentials(home.credentials())
 
     def check(self, now: int) -> None:
-        """Take up what lies in the home, and renew what is due; whatever fails is tried again."""
+        """Reload a replaced identity, and renew one that is due; a failure is tried again."""
         self._attempt(self._reload, now)
         held = self._identity
         if now >= max(self._next_attempt, renew_at(held.not_before, held.not_after)):
@@ -66,20 +66,20 @@ class OwnIdentity:
         self._loaded_version = version
         found = self._home.identity(now)
         if found.thumbprint != self._identity.thumbprint:
-            raise ConfigurationError("it is for another key now", "restart the master")
+            raise ConfigurationError("the installed identity has another key", "restart the master")
         self._replace(found)
 
     def _replace(self, identity: Identity) -> None:
         self.credentials.current = self._home.credentials()
         self._identity, self._next_attempt = identity, 0
-        _log.info("the master's own identity holds until %s", format_time(identity.not_after))
+        _log.info("the master's own identity is valid until %s", format_time(identity.not_after))
 
     def _renew_if_possible(self, now: int) -> None:
         own, held = self.credentials.current, self._identity
         if self.renew is None:
-            verb = "ends" if now < held.not_after else "ended"
+            verb = "expires" if now < held.not_after else "expired"
             raise ConfigurationError(
-                f"it {verb} {format_time(held.not_after)}, and then no node may connect",
+                f"it {verb} {format_time(held.not_after)}, after which no node connects",
                 f"rossec ca renew {held.name}, then rossec node install FILE here; no restart",
             )
         csr = build_request(own.signer, held.domain, held.name)

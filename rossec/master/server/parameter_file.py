@@ -1,9 +1,9 @@
-"""The file in which the master keeps its parameters: a journal, rewritten when it has grown.
+"""The file in which the master stores its parameters: a journal, compacted when it has grown.
 
-A shell. Every change is with the kernel before the call is answered, so the death of the master
-loses nothing; it is on the disk at the next beat, at most ten seconds later, so a power failure may
-lose those. Registrations are not kept: nodes register again as soon as they find the master back,
-and a node that died meanwhile would only be a ghost.
+A shell. Every change is written before the call is answered, so a crash of the master loses none;
+it is synced in the next maintenance round, at most ten seconds later, so a power failure may lose
+these. Registrations are not stored: nodes register again with a restarted master, and a node that
+died meanwhile would stay registered.
 """
 
 import logging
@@ -18,17 +18,17 @@ from rossec.master.state import parameter_journal
 from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.parameters import Parameters
 
-REWRITE_FACTOR: Final = 4  # rewritten when it is so many times as long as it need be
+REWRITE_FACTOR: Final = 4  # compacted when it is this many times as long as a snapshot
 REWRITE_MIN: Final = 1024 * 1024  # and at least this long
-MAX_UNSYNCED: Final = 256 * 1024 * 1024  # what may come between two beats
+MAX_UNSYNCED: Final = 256 * 1024 * 1024  # bytes written between two rounds
 
-_IN_FORCE: Final = "they are in force, and kept as soon as there is room"
+_IN_FORCE: Final = "they are in force, and saved as soon as there is room"
 
 _log = logging.getLogger("rossec.master.memory")
 
 
 class ParameterFile:
-    """The journal at `path`; `parameters` are what it says, to be changed by the master alone."""
+    """The journal at `path`; `parameters` is its content, to be changed by the master only."""
 
     def __init__(self, path: Path) -> None:
         self.parameters = Parameters()
@@ -36,48 +36,48 @@ class ParameterFile:
         self._file: int | None = None
         self._size = self._snapshot_size = 0
         self._dirty = False
-        self._complete = True  # False: a change is missing in it
+        self._complete = True  # False: a change is missing in the file
 
     def open(self) -> None:
-        """Read the file, cut off what was not written to its end, and get ready to append.
+        """Read the file, truncate an incomplete record, and open it for appending.
 
         Raises:
-            NotWritten, OSError: it cannot be written or read; it is as it was.
-            PathRefused: somebody else could have written it.
+            NotWritten, OSError: it cannot be written or read; it is unchanged.
+            PathRefused: another user could have written it.
         """
         data = self._read()
-        changes, good = parameter_journal.decode(data)
-        if good < len(data):
-            _log.warning("%s: the last %d bytes are damaged", self._path.name, len(data) - good)
+        changes, valid = parameter_journal.decode(data)
+        if valid < len(data):
+            _log.warning("%s: the last %d bytes are damaged", self._path.name, len(data) - valid)
             if data:
                 files.replace(self._path.with_suffix(".damaged"), data)
         parameter_journal.replay(self.parameters, changes)
         self._rewrite()
 
     def write(self, change: ParameterChange) -> None:
-        """Append a change that has been made; with the kernel on return."""
+        """Append a change that has been made; written, not synced, on return."""
         if self._file is None:
             return
         record = parameter_journal.encode(change)
         written, reason = 0, "the disk is full"
         try:
             written = os.write(self._file, record)
-        except OSError as error:  # the answer must not depend on it: the change was made
+        except OSError as error:  # the call succeeds all the same: the change was made
             reason = str(error)
         self._dirty = True
         if written != len(record):
-            _log.error("parameters cannot be kept: %s; %s", reason, _IN_FORCE)
-            os.ftruncate(self._file, self._size)  # half a record would hide what follows
+            _log.error("parameters cannot be saved: %s; %s", reason, _IN_FORCE)
+            os.ftruncate(self._file, self._size)  # half a record would end the journal
             self._complete = False
             return
         self._size += len(record)
         if (
             self._size > self._snapshot_size + MAX_UNSYNCED
-        ):  # whoever sets without end must not fill the disk
+        ):  # a caller that sets without end must not fill the disk
             self.sync()
 
     def sync(self) -> None:
-        """Put what was written on the disk; rewrite the file when it has grown too long."""
+        """Sync the file to the disk; compact it when it has grown too long."""
         if self._file is None or not self._dirty:
             return
         self._dirty = False
@@ -91,7 +91,7 @@ class ParameterFile:
                 os.fdatasync(self._file)
         except (NotWritten, OSError) as error:
             self._dirty = True
-            _log.error("parameters cannot be kept: %s; %s", error, _IN_FORCE)
+            _log.error("parameters cannot be saved: %s; %s", error, _IN_FORCE)
 
     def close(self) -> None:
         """Sync and close."""

@@ -1,9 +1,9 @@
-"""The newest revocation list on the master's disk, also when the disk does not take it.
+"""Saving the newest revocation list, even if the disk is full at first.
 
-A list is made durable before it takes effect; but what revokes somebody must not wait for room on a
-disk that he may have filled himself. So a list that cannot be kept is in force all the same, which
-is said, and it is written at the first beat at which there is room. A master that ends before that
-has the older list: nodes that know the newer one refuse its confirmations, and allow nothing.
+A list is made durable before it takes effect; but a revocation must not wait for room on a disk
+that the revoked node may have filled. So a list that cannot be saved is in force all the same; that
+is logged, and every maintenance round tries to save it again. A master that is restarted before has
+the older list: nodes that hold the newer one refuse its timestamps, and authorize nothing.
 """
 
 import logging
@@ -17,25 +17,25 @@ _log = logging.getLogger("rossec.master.keeping")
 
 
 class ListFile:
-    """Writes lists and the entries of trees into `home`, sooner or later."""
+    """Saves lists and the entries of trees in `home`, later if not possible now."""
 
     def __init__(self, home: NodeHome) -> None:
         self._home = home
         self._unwritten: dict[
             Callable[[bytes], None], bytes
-        ] = {}  # in the order in which it is needed
+        ] = {}  # in the order in which they must be written
         self._failing = False
 
     def save(self, data: bytes) -> None:
-        """Keep a signed list or tree; durable on return, or said not to be."""
+        """Save a signed list or tree; durable on return, or the failure is logged."""
         self._save(self._home.save_revocations, data)
 
     def save_entries(self, data: bytes) -> None:
-        """Keep the entries of a tree, which is saved after them."""
+        """Save the entries of a tree, which is saved after them."""
         self._save(self._home.save_entries, data)
 
     def retry(self) -> None:
-        """Write what is not written; call it now and then."""
+        """Write what is not written yet; called in each maintenance round."""
         try:
             for write in tuple(self._unwritten):
                 write(self._unwritten[write])
@@ -45,7 +45,7 @@ class ListFile:
             return
         if self._failing:
             self._failing = False
-            _log.warning("the revocation list is kept now")
+            _log.warning("the revocation list is saved now")
 
     def _save(self, write: Callable[[bytes], None], data: bytes) -> None:
         self._unwritten.pop(write, None)
@@ -55,5 +55,5 @@ class ListFile:
     def _log_failure(self, error: Exception) -> None:
         if not self._failing:
             hint = f" ({error.hint})" if isinstance(error, HintedError) else ""
-            _log.error("the revocation list is in force, but not kept: %s%s", error, hint)
+            _log.error("the revocation list is in force, but not saved: %s%s", error, hint)
         self._failing = True

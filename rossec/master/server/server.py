@@ -1,9 +1,9 @@
-"""The running master: secure connections in, calls dispatched, answers out. A shell.
+"""The running master: accepts secure connections, dispatches calls, sends answers. A shell.
 
-Judgement is elsewhere: the gatekeeper says who may do what, `TrustView` which grants hold, the
-registry what follows. One loop owns all state, and a call is answered without waiting for anybody,
-so there is nothing to lock. What events mean is in `effects`, what holds although nobody calls
-in `maintenance`, connections to nodes in `dialling`.
+Decisions are elsewhere: access control authorizes calls, `TrustView` tells which grants are valid,
+the registry returns events. All state is used in one event loop, and a call is answered without
+waiting for any peer, so no locks are needed. The effects of events are in `effects`, periodic work
+in `maintenance`, connections to nodes in `dialer`.
 """
 
 import asyncio
@@ -52,7 +52,7 @@ from rossec.ros.settings import is_loopback
 from rossec.ros.text import printable
 
 DEFAULT_NAME: Final = "/master"
-TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
+TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp is valid for 30
 _LIMITS: Final = MasterLimits()
 PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
@@ -60,21 +60,21 @@ _denials = logging.getLogger(DENIALS)
 
 
 class MasterServer:
-    """`async with`-less on purpose: `start`, then `closed` or `close`.
+    """The master; not a context manager: `start`, then `stopped` or `close`.
 
     Args:
-        credentials, verify: the master's own identity, and who may connect.
+        credentials, verify: the master's own identity, and verification of the peers'.
         trust: grants and revocations.
         name: the master's certified name.
         host: address to listen on (None: all). port: 0 for any free one.
-        advertise: host name in `uri`; what nodes are told.
+        advertise: host name in `uri`, which nodes are sent.
         clock: seconds since the epoch.
-        parameter_file: where parameters survive a restart.
-        limits: what one peer may cost.
+        parameter_file: the journal of parameters; None: they do not survive a restart.
+        limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
-        check_own_identity: called with the time at every beat (`rossec.master.server.own_identity`).
-        turns: how long one call may keep others waiting.
-        find_revocations: what an authority on this host has signed (`rossec.master.server.local_authority`).
+        check_own_identity: called with the time in each round of maintenance.
+        turns: limits how long one call may delay others.
+        find_revocations: reads what an authority on this host has signed.
     """
 
     def __init__(
@@ -130,8 +130,8 @@ class MasterServer:
         )
         self._streams = state.streams
         self._effects = Effects(state, on_denial, self._on_revocations)
-        brought = partial(self._effects.deliver, RevocationsChanged(SOURCE))
-        local_authority = LocalAuthority(find_revocations, trust, brought)
+        list_changed = partial(self._effects.deliver, RevocationsChanged(SOURCE))
+        local_authority = LocalAuthority(find_revocations, trust, list_changed)
         checks = (check_own_identity, local_authority.check)
         self._maintenance = Maintenance(state, self._effects.deliver, timestamp_every, checks)
 
@@ -142,7 +142,7 @@ class MasterServer:
 
     @property
     def uri(self) -> str:
-        """What ROS_MASTER_URI must be set to."""
+        """The value for ROS_MASTER_URI."""
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
 
@@ -150,7 +150,7 @@ class MasterServer:
         """Listen.
 
         Raises:
-            OSError: the address is not ours or the port is taken.
+            OSError: the address is not of this host, or the port is in use.
         """
         (host, port), limits = self._address, self._limits
         self._server = serve(
@@ -186,7 +186,7 @@ class MasterServer:
         return self._parameter_file.parameters
 
     def status(self) -> dict[str, str | int]:
-        """What an administrator may ask at any time: figures only."""
+        """Figures for administrators and metrics."""
         entries = [entry for kind in Kind for entry in self._registry.entries(kind)]
         return {
             "uri": self.uri,
@@ -200,15 +200,15 @@ class MasterServer:
         }
 
     def stop(self, reason: str) -> None:
-        """End, as an administrator asked."""
+        """Stop, as requested by an administrator."""
         self._effects.deliver(StopMaster(reason))
 
     async def stopped(self) -> None:
-        """Wait until an administrator asks the master to end."""
+        """Wait until an administrator stops the master."""
         await self._effects.stopping.wait()
 
     async def close(self) -> None:
-        """Stop listening, cut all connections, stop telling."""
+        """Stop listening, close all connections, stop sending updates."""
         await self._maintenance.close()
         await self._updates.close()
         if self._server is not None:
@@ -226,11 +226,13 @@ class MasterServer:
         try:
             self._trust.caller(stream.peer, self._now())
         except HintedError as error:
-            _denials.warning("%s is told the list alone: %s", stream.peer.name, printable(error))
+            _denials.warning(
+                "%s is sent only the revocation list: %s", stream.peer.name, printable(error)
+            )
             await self._serve_revoked(stream)
             return
-        self._streams.add(stream)  # until its socket is closed: one that lingers counts
-        stream.when_lost(partial(self._streams.discard, stream))
+        self._streams.add(stream)  # until its socket is closed: a lingering one counts
+        stream.when_closed(partial(self._streams.discard, stream))
         is_local = is_loopback(stream.address) or stream.address == stream.local_address
         await serve_calls(
             stream,
@@ -241,7 +243,7 @@ class MasterServer:
         )
 
     async def _serve_revoked(self, stream: SecureStream[ChannelPeer]) -> None:
-        """For a moment, and not among the streams: nothing that others are told is told here."""
+        """Answer for a few seconds; not one of the streams, so it is sent no updates."""
         keys = stream.peer.keys
         if not self._revoked_connections.admit(keys):
             stream.abort("too many connections of a revoked identity")

@@ -1,4 +1,4 @@
-"""Making a master from the directory of its node."""
+"""Creating a master from the directory of its node."""
 
 import contextlib
 import logging
@@ -47,19 +47,19 @@ def master_of(
     Args:
         host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
             loopback, as in ROS; None: this machine's name, and any address.
-        newest: a revocation list that may be newer than the one saved, when the authority lives on
-            this host; otherwise the master waits until one is published.
+        newest: a revocation list that may be newer than the one saved, from an authority on this
+            host; otherwise the master waits until one is published.
         renewer: renews identities with an intermediate; never the root, whose key stays offline.
-        entries: where `newest` is a tree, all it was made of.
-        on_denial: hears of every right that somebody lacks.
-        limits: what one peer may cost.
+        entries: where `newest` is a tree, its entries.
+        on_denial: called for every right that a caller lacks.
+        limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
-        find_revocations: what an authority on this host has signed meanwhile.
+        find_revocations: reads what an authority on this host has signed.
 
     Raises:
         ConfigurationError: the node is not enrolled.
-        CertificateRefused: its identity has expired: nobody would connect.
-        RevocationRefused: a list that is not the authority's, or older than the one saved.
+        CertificateRefused: its identity has expired: no node would connect.
+        RevocationRefused: `newest` is not signed by the authority, or older than the one saved.
     """
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
@@ -109,7 +109,7 @@ def _renew_own(renewer: Renewer, trust: TrustState, request: bytes, now: int) ->
 
 
 def _load_delegation(delegate: Delegate, data: bytes) -> None:
-    """A master with a new key starts all the same; it just cannot renew until told so anew."""
+    """A master with a new key starts all the same, without a valid delegation."""
     try:
         delegate.take(data)
     except HintedError as error:
@@ -119,7 +119,7 @@ def _load_delegation(delegate: Delegate, data: bytes) -> None:
 def _load_entries(
     trust: TrustState, revocations: Revocations, found: tuple[bytes | None, ...], now: int
 ) -> None:
-    """A tree is of use with its entries: those saved, or the authority's own, whichever fit."""
+    """Complete a tree with its entries: those of the authority or those saved."""
     if not is_tree(revocations.data):
         return
     for entries in found:

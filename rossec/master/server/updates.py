@@ -1,9 +1,9 @@
-"""Telling nodes what changed: one client per slave API, none of which can delay another.
+"""Sending updates to nodes: one client per slave API, none of which can delay another.
 
-Stock rosmaster shares three threads between all nodes, so three dead ones hold up everybody
-(ros_comm#1555). Here each node has its own task, its own connection and its own deadline. What is
-not sent yet is coalesced: only the newest publisher list of a topic, the newest value of a
-parameter, the newest revocation list. So a slow node costs a bounded amount of memory.
+Stock rosmaster shares three threads between all nodes, so three dead nodes delay all updates
+(ros_comm#1555). Here each node has its own task, its own connection and its own deadline. Pending
+updates are coalesced: only the newest publisher list of a topic, the newest value of a parameter,
+the newest revocation list. So a slow node costs a bounded amount of memory.
 """
 
 import asyncio
@@ -21,18 +21,18 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 PENDING_LIMIT: Final = 1024
-PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone has more
-MAX_CLOSING: Final = 8  # slave APIs of one key that are being told goodbye
-CALL_DEADLINE: Final = 5.0  # seconds, for connecting and for each call
-_RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is given up
+PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone is larger
+MAX_CLOSING: Final = 8  # slave APIs of one key that are being sent `shutdown`
+CALL_DEADLINE: Final = 5.0  # seconds, for connecting and each call
+_RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is dropped
 
 _log = logging.getLogger("rossec.master.updates")
 
 Dial = Callable[[NodeRef], Awaitable[RpcClient]]
-"""Connects to a slave API, or raises `RossecError` (also when somebody else answers there)."""
+"""Connects to a slave API, or raises `RossecError`, also when another peer answers there."""
 
 Key = tuple[str, str]
-"""Method and what it is about: of two pending updates with one key only the newer is sent."""
+"""Method and subject: of two pending updates with one key only the newer is sent."""
 
 
 class NodeClient:
@@ -58,11 +58,11 @@ class NodeClient:
 
     @property
     def idle(self) -> bool:
-        """Nothing is waiting to be sent."""
+        """No update is pending."""
         return not self._pending
 
     def post(self, key: Key, *params: object) -> None:
-        """Send `key[0](*params)` soon, in place of an older one with the same key."""
+        """Send `key[0](*params)` soon, in place of a pending update with the same key."""
         self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
         while len(self._pending) > PENDING_LIMIT or self._is_oversized():
             self._discard(next(iter(self._pending)))
@@ -91,7 +91,7 @@ class NodeClient:
                 self._failures = 0
                 self._sent(key, params)
             elif self._failures >= len(self._retry_after):
-                _log.warning("gave up telling %s about %s", self.node.name, key[0])
+                _log.warning("gave up sending %s to %s", key[0], self.node.name)
                 self._failures = 0
                 self._pending.clear()
                 self._encoded_sizes.clear()
@@ -100,11 +100,11 @@ class NodeClient:
                 self._failures += 1
 
     def _sent(self, key: Key, params: tuple[object, ...]) -> None:
-        if self._pending.get(key) is params:  # else a newer one arrived while this was sent
+        if self._pending.get(key) is params:  # else a newer one was posted meanwhile
             self._discard(key)
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
-        """Whether the node has the update; what it thinks of it is its own business."""
+        """Whether the update was delivered, whatever the node answers."""
         try:
             async with asyncio.timeout(self._deadline):
                 if self._client is None or self._client.closed:
@@ -130,8 +130,8 @@ class Updates:
     """All node clients. `post` never waits.
 
     Args:
-        max_clients: clients for one key at a time. A node can say where it is as often as it likes, each
-            time elsewhere; the master must neither run out of connections nor call on everybody.
+        max_clients: clients for one key at a time. A node can register any number of addresses, one
+            after another; the master must neither run out of connections nor be used for a scan.
     """
 
     def __init__(
@@ -144,13 +144,13 @@ class Updates:
         self._closing = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
-        """Tell `node`, unless too many of its key are being told."""
+        """Send an update to `node`, unless its key has too many clients."""
         if node not in self._clients:
             if (
                 sum(other.thumbprint == node.thumbprint for other in self._clients)
                 >= self._max_clients
             ):
-                _log.info("%s changes its address too often: not told of %s", node.name, key[0])
+                _log.info("%s changes its address too often: no %s is sent", node.name, key[0])
                 return
             client, tasks = NodeClient(node, self._dial, deadline=self._deadline), TaskSet()
             tasks.spawn(client.run(), f"updates to {node.name}")
@@ -158,7 +158,7 @@ class Updates:
         self._clients[node][0].post(key, *params)
 
     def prune(self, registered: Collection[NodeRef]) -> None:
-        """Hang up on nodes that are gone and have nothing left to be told."""
+        """Disconnect from nodes that are not registered and have no pending update."""
         gone = [
             node
             for node, (client, _) in self._clients.items()
@@ -166,15 +166,15 @@ class Updates:
         ]
         for node in gone:
             _, tasks = self._clients.pop(node)
-            self._closing.spawn(tasks.close(), f"hanging up on {node.name}")
+            self._closing.spawn(tasks.close(), f"disconnecting from {node.name}")
 
     @property
     def nodes(self) -> tuple[NodeRef, ...]:
-        """The nodes there is a client for, registered or not."""
+        """The nodes that have a client, registered or not."""
         return tuple(self._clients)
 
     def drop(self, node: NodeRef) -> None:
-        """Hang up now, whatever was to be told (its key is revoked, or it is somebody else's)."""
+        """Disconnect now, with updates pending (the key is revoked, or the address another's)."""
         client = self._clients.pop(node, None)
         if client is not None:
             self._closing.spawn(client[1].close(), f"dropping {node.name}")

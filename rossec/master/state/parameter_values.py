@@ -11,7 +11,7 @@ from itertools import accumulate
 from typing import Final, NoReturn
 
 from rossec.ros import names
-from rossec.ros.xmlwrite import Written
+from rossec.ros.xmlwrite import EncodedList
 
 DEPTH_LIMIT: Final = 32
 _INTS: Final = range(-(2**31), 2**31)
@@ -50,7 +50,7 @@ def _is_segment(name: object) -> bool:
 def encoded_size(value: object) -> int:
     """About how many bytes `value` takes in an answer; for any value that a method returns."""
     match value:
-        case Written():
+        case EncodedList():
             return len(value.text)
         case str() | bytes():
             return _TEXT + len(value)

@@ -147,7 +147,7 @@ def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
         raise ValueError("invalid key")
     if key.startswith(names.SEPARATOR):
         return [(key, key)]
-    return list(names.upwards(namespace, key))
+    return list(names.search_paths(namespace, key))
 
 
 def check_names(key: str, value: object) -> None:

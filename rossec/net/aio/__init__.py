@@ -1,4 +1,4 @@
-"""Secure streams for asyncio: `connect`, `serve`, and the `SecureStream` both hand out."""
+"""Secure streams for asyncio: `connect`, `serve`, and the `SecureStream` both return."""
 
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio.client import connect

@@ -1,4 +1,4 @@
-"""The messages of a stream on a loop, each of which must get on once it was begun."""
+"""The messages of a stream on a loop, each of which must make progress."""
 
 import asyncio
 from collections.abc import Awaitable
@@ -12,16 +12,16 @@ class UnitSource(Protocol):
     """Where the bytes come from."""
 
     def receive(self) -> Awaitable[bytes]:
-        """The next of them."""
+        """The next bytes."""
 
 
-async def arrived(source: UnitSource, framing: Framing) -> list[bytes]:
-    """The messages that the next bytes complete, maybe none.
+async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:
+    """The messages that the next bytes complete, possibly none.
 
     Raises:
         ChannelError: there are no more; or as of `Framing`.
     """
-    while framing.waits:
+    while framing.incomplete:
         try:
             async with asyncio.timeout(PATIENCE):
                 data = await source.receive()

@@ -51,8 +51,8 @@ async def connect(
     `receive` or `send`.
 
     `suites` is the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`). With `known`, certificates
-    of peers met before are named by a hash; whoever does not know one is called again, by value.
-    `own_dials` says that this node means to reach itself (`Connection.initiator`).
+    of known peers are named by a hash; after error 3 the handshake is repeated by value.
+    `own_dials`: this node means to reach itself (`Connection.initiator`).
 
     Raises:
         PeerUnreachable: no TCP connection.
@@ -75,25 +75,25 @@ async def connect(
         )
 
     if known is None:
-        return await _introduce(await _reach(host, port, timeout), partial(core, request_x5t=False))
+        return await _handshake(await _dial(host, port, timeout), partial(core, request_x5t=False))
     request_x5t = known.knows_address((host, port))
     try:
-        stream = await _introduce(
-            await _reach(host, port, timeout), partial(core, request_x5t=request_x5t)
+        stream = await _handshake(
+            await _dial(host, port, timeout), partial(core, request_x5t=request_x5t)
         )
     except (HandshakeFailed, PeerRefused) as error:
-        # Whatever is wrong with a handshake that spoke in hashes, a hash may have led it astray.
+        # Any failure of a handshake by hash may be due to the hash.
         if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
             known.forget_introductions()
         elif not request_x5t or isinstance(error, HandshakeTimeout):
             raise
-        at_length = partial(core, request_x5t=False)
-        stream = await _introduce(await _reach(host, port, timeout), at_length)
+        by_value = partial(core, request_x5t=False)
+        stream = await _handshake(await _dial(host, port, timeout), by_value)
     known.note_address((host, port))
     return stream
 
 
-async def _introduce(
+async def _handshake(
     sock: socket.socket, core: Callable[[], Connection[PeerT]]
 ) -> SecureStream[PeerT]:
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
@@ -112,7 +112,7 @@ async def _introduce(
         sock.close()
         text = f"the connection was reset at once: {error}"
         raise PeerUnreachable(
-            text, "the peer is overloaded, or something between cuts it"
+            text, "the peer is overloaded, or something on the path resets connections"
         ) from error
     except BaseException:
         sock.close()
@@ -120,15 +120,15 @@ async def _introduce(
     try:
         return await ready
     except BaseException:
-        driver.abort(ChannelClosed("nobody waits for the connection any more"))
+        driver.abort(ChannelClosed("the caller no longer waits for the connection"))
         raise
 
 
-async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
+async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
     try:
         return await dial(host, port, timeout)
     except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
-        # A host or port that cannot be one: UnicodeError, IndexError and so on, by Python version.
+        # An invalid host or port: UnicodeError, IndexError and so on, by Python version.
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
         raise PeerUnreachable(
             f"cannot connect to {host} port {port}: {reason}",

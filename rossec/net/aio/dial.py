@@ -10,10 +10,10 @@ _Address: TypeAlias = tuple[int, tuple[str, int]]
 
 
 async def dial(host: str, port: int, within: float) -> socket.socket:
-    """Return a connected, non-blocking socket, in so many seconds.
+    """Return a connected, non-blocking socket within that time in seconds.
 
     Raises:
-        TimeoutError: nobody answers.
+        TimeoutError: no answer.
         OSError: no address of the host can be reached.
     """
     family = _family(host)
@@ -52,7 +52,7 @@ async def _attempt(family: int, where: tuple[str, int]) -> socket.socket:
 
 
 def _begin(family: int, where: tuple[str, int]) -> tuple[socket.socket, bool]:
-    """A socket on its way, and whether it is there already."""
+    """A connecting socket, and whether it is connected already."""
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
         sock.setblocking(False)
@@ -72,7 +72,7 @@ async def _complete(sock: socket.socket, where: tuple[str, int]) -> socket.socke
 
 
 def _connected(sock: socket.socket) -> bool:
-    """On loopback the connection is there when the call returns: no turn of the loop is needed."""
+    """On loopback the connection is established when the call returns: no waiting is needed."""
     try:
         sock.getpeername()
     except OSError:
@@ -81,7 +81,7 @@ def _connected(sock: socket.socket) -> bool:
 
 
 async def _race(addresses: list[_Address]) -> socket.socket:
-    """Begin with one; add the next when nothing came for a while, or at once after a failure."""
+    """Begin with one; add the next after a delay, or at once after a failure."""
     running: set[asyncio.Task[socket.socket]] = set()
     waiting = list(addresses)
     failure = OSError("no address answers")
@@ -106,7 +106,7 @@ async def _race(addresses: list[_Address]) -> socket.socket:
 
 
 def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
-    """Cancel without waiting: a caller cancelled just then would lose the socket that won."""
+    """Cancel without waiting: a caller cancelled just then would leak the connected socket."""
     for task in tasks:
         task.add_done_callback(_drop)
         task.cancel()

@@ -1,6 +1,6 @@
 """One `Connection` on an asyncio loop: its socket, timer and back-pressure, no decisions.
 
-The socket writes straight into the connection's receive buffer. Reading pauses while the consumer
+The socket is read straight into the connection's receive buffer. Reading pauses while the consumer
 lags, writing waits while the peer does. `rossec.net.aio.stream.SecureStream` is what users hold.
 """
 
@@ -19,7 +19,7 @@ from rossec.net.aio.receive_queue import ReceiveQueue
 from rossec.net.aio.transport import Transport
 from rossec.net.forks import forget_in_children
 
-_LINGER: Final = 5.0  # seconds to wait for the peer's end after the last flight
+_LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
 
 
 def wall_clock() -> int:
@@ -28,7 +28,7 @@ def wall_clock() -> int:
 
 
 class Driver(ReceiveQueue, Generic[PeerT]):
-    """One connection on a loop; it owns `sock` and begins at once.
+    """One connection on a loop; it owns `sock` and starts at once.
 
     Args:
         connection: the core.
@@ -52,11 +52,11 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._on_authenticated = on_authenticated
         self._on_end = on_end
         self._timer: asyncio.TimerHandle | None = None
-        self._cut_at = 0.0
+        self._abort_at = 0.0
         self._when_writable: list[Callable[[], None]] = []
         self.on_unit: Callable[[bytes], bool] | None = None
-        self._lost = False
-        self._when_lost: list[Callable[[], None]] | None = None
+        self._socket_closed = False
+        self._when_closed: list[Callable[[], None]] | None = None
         self.authenticated = False
         self.address = address
         self.transport = Transport(sock, self)
@@ -67,7 +67,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
 
     # -- called by the transport
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         """Hand the bytes to the core and its events to the consumer."""
         try:
             events = self.connection.buffer_updated(count, wall_clock())
@@ -80,56 +80,56 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             event = events[0]
             if isinstance(event, UnitReceived) and self.on_unit(event.data):
                 return
-        self._take_in(events)
+        self._handle_events(events)
         if self.connection.has_unfinished_unit:
             self._arm()
 
-    def _take_in(self, events: Sequence[Event[PeerT]]) -> None:
+    def _handle_events(self, events: Sequence[Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self._introduce(event.identity)
+                self._handle_authenticated(event.identity)
             else:
                 self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
-                self.transport.finish()  # both sides have said their last word
+                self.transport.finish()  # both sides have closed
         if self._units:
             self._notify()
 
-    def _introduce(self, peer: PeerT) -> None:
-        """Wake whoever waits for the peer; what it says at once travels with the last flight."""
+    def _handle_authenticated(self, peer: PeerT) -> None:
+        """Report the peer; what is sent at once leaves with the last flight."""
         self.authenticated = True
         self._on_authenticated(self, peer)
         self._loop.call_soon(self.flush)
         self._arm()
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         """The peer ended the stream; without its close that is a truncation."""
         try:
             self.connection.receive_eof()
         except ChannelError as error:
             self.fail(error)
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         """The peer caught up."""
-        self._wake()
+        self._wake_waiters()
         callbacks, self._when_writable = self._when_writable, []
         for callback in callbacks:
             callback()
 
-    def lost(self) -> None:
-        """Whatever the reason, wake everyone who waits."""
+    def connection_lost(self) -> None:
+        """Wake all waiters, whatever the reason."""
         self._cancel_timer()
         if self.error is None:
-            self.eof()
+            self.eof_received()
             self._end(ChannelClosed("the connection is closed"))
-        self._lost = True
-        self._wake()
-        callbacks, self._when_lost = self._when_lost, None
+        self._socket_closed = True
+        self._wake_waiters()
+        callbacks, self._when_closed = self._when_closed, None
         for callback in callbacks or ():
             callback()
-        del self._on_authenticated, self._on_end  # they hold whoever holds this
+        del self._on_authenticated, self._on_end  # no reference cycle with the owner
 
     # -- called by the stream
 
@@ -144,17 +144,17 @@ class Driver(ReceiveQueue, Generic[PeerT]):
 
     @property
     def writable(self) -> bool:
-        """Whether a write would not pile up."""
+        """Whether a writer need not wait."""
         return self.transport.writable
 
-    def when_lost(self, callback: Callable[[], None]) -> None:
+    def when_closed(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the socket is closed."""
-        if self._lost:
+        if self._socket_closed:
             callback()
             return
-        if self._when_lost is None:
-            self._when_lost = []
-        self._when_lost.append(callback)
+        if self._when_closed is None:
+            self._when_closed = []
+        self._when_closed.append(callback)
 
     def when_writable(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the peer caught up."""
@@ -170,22 +170,22 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self.transport.write(record)
 
     def flush(self) -> None:
-        """Write whatever the core queued by itself."""
+        """Write what the core has queued."""
         data = self.connection.data_to_send()
         if data:
             self.transport.write(data)
 
     async def close(self) -> None:
-        """Close in order; wait for the peer's end, but not for long."""
+        """Close in order; wait for the peer's, but not for long."""
         if self.error is None:
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"), linger=True)
-        while not self._lost:
-            await self._change()
+        while not self._socket_closed:
+            await self._changed()
 
     def abort(self, error: ChannelError) -> None:
-        """Cut the connection; the peer sees a truncation."""
+        """Abort the connection; the peer sees a truncation."""
         self._end(error)
         self.transport.abort()
 
@@ -195,7 +195,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._end(error, linger=True)
 
     def _end(self, error: ChannelError, *, linger: bool = False) -> None:
-        """The one place where a connection ends for its users."""
+        """End the connection for its users: every end passes here."""
         if self.error is not None:
             return
         self.error = error
@@ -205,38 +205,38 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._notify()
 
     def _linger(self) -> None:
-        """End this side; wait for the peer's end, or the reset would swallow the last flight."""
+        """Send FIN; wait for the peer's, or a reset would discard the last flight."""
         if not self.transport.closed:
             self.transport.write_eof()
             self.transport.resume_reading()
-            self._cut_at = self._loop.time() + _LINGER
-            self._look_within(_LINGER)
+            self._abort_at = self._loop.time() + _LINGER
+            self._arm_timer(_LINGER)
 
     # -- time
 
     def _arm(self) -> None:
         deadline = self.connection.deadline()
         if deadline is not None:
-            # A day at most: the host's clock may be set while we wait.
-            self._look_within(min(max(0.0, deadline - clock.time()), 86400.0))
+            # A day at most: the host's clock may be set meanwhile.
+            self._arm_timer(min(max(0.0, deadline - clock.time()), 86400.0))
 
-    def _look_within(self, delay: float) -> None:
-        """One timer does: when it fires too early for anything, it is set again."""
+    def _arm_timer(self, delay: float) -> None:
+        """One timer for all deadlines: when it fires too early, it is set again."""
         at = self._loop.time() + delay
         if self._timer is None or at < self._timer.when():
             self._cancel_timer()
-            self._timer = self._loop.call_at(at, self._look)
+            self._timer = self._loop.call_at(at, self._on_timer)
 
-    def _look(self) -> None:
+    def _on_timer(self) -> None:
         self._timer = None
         if self.error is None:
-            self._tick()
-        elif self._loop.time() >= self._cut_at:
+            self._run_timers()
+        elif self._loop.time() >= self._abort_at:
             self.transport.abort()
         else:
-            self._look_within(self._cut_at - self._loop.time())
+            self._arm_timer(self._abort_at - self._loop.time())
 
-    def _tick(self) -> None:
+    def _run_timers(self) -> None:
         try:
             self.connection.tick(wall_clock(), reading=self.transport.reading)
         except ChannelError as error:

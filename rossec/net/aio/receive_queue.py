@@ -1,7 +1,7 @@
-"""The receiving half of a connection on a loop: its units, until somebody takes or forwards them.
+"""The receiving half of a connection on a loop: its units, until they are taken or forwarded.
 
-Reading pauses while the consumer lags. `Driver` adds the rest; a base class, as a call from one
-object to another for each unit would cost.
+Reading pauses while the consumer lags. `Driver` adds the rest. It is a base class, since a second
+object would cost a call for each unit.
 """
 
 import asyncio
@@ -17,66 +17,66 @@ _PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
 
 
 class ReceiveQueue:
-    """Units received and not taken, and who waits for the next change of the connection."""
+    """Units received and not taken, and the waiters for a change of the connection."""
 
     transport: Transport
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._units: deque[bytes] | None = None  # None: an empty one has its price
+        self._units: deque[bytes] | None = None  # None: an empty one costs memory
         self._unread = 0
-        self._push: Callable[[bytes], bool] | None = None
-        self._push_failed: BaseException | None = None
-        self._waiting: list[asyncio.Future[None]] = []
+        self._write_nowait: Callable[[bytes], bool] | None = None
+        self._forward_error: BaseException | None = None
+        self._waiters: list[asyncio.Future[None]] = []
         self.on_ready: Callable[[], None] | None = None
         self.error: ChannelError | None = None
 
     def check(self) -> None:
-        """Raise what ended the connection, if something did.
+        """Raise the error that ended the connection, if it has ended.
 
-        A copy: with its traceback the one kept here would keep alive whatever it was raised in.
+        A copy: with its traceback the original would keep the frames alive it was raised in.
         """
         if self.error is not None:
             raise copy(self.error)
 
     def _deliver(self, unit: bytes) -> None:
-        """Pass the unit on at once if somebody pours; keep it otherwise."""
-        push = self._push
-        if push is None:
+        """Pass the unit on at once while forwarding; queue it otherwise."""
+        write_nowait = self._write_nowait
+        if write_nowait is None:
             if self._units is None:
                 self._units = deque()
             self._units.append(unit)
             self._unread += len(unit)
             return
         try:
-            lags = not push(unit)
-        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
-            self._push_failed, lags = error, True
+            lags = not write_nowait(unit)
+        except BaseException as error:  # noqa: BLE001 - raised in `forward`
+            self._forward_error, lags = error, True
         if lags:
-            self._push = None
+            self._write_nowait = None
             self.transport.pause_reading()
-            self._wake()
+            self._wake_waiters()
 
     async def receive(self) -> bytes:
         """Return the next unit.
 
         Raises:
-            ChannelError: there will be none.
+            ChannelError: the connection has ended.
         """
         while (unit := self.take()) is None:
-            await self._change()
+            await self._changed()
         return unit
 
     @property
     def has_unit(self) -> bool:
-        """Whether a unit has arrived that nobody took."""
+        """Whether a unit is queued."""
         return self._units is not None
 
     def take(self) -> bytes | None:
         """Return the next unit if it has arrived.
 
         Raises:
-            ChannelError: there will be none.
+            ChannelError: the connection has ended.
         """
         if self._units is None:
             self.check()
@@ -90,51 +90,51 @@ class ReceiveQueue:
         return unit
 
     def _notify(self) -> None:
-        """There is something to take, or there will never be; pause reading if it is too much."""
+        """Units were queued or the connection ended; pause reading above the limit."""
         if self.on_ready is not None:
             self.on_ready()
-        if self._waiting:
-            self._wake()
+        if self._waiters:
+            self._wake_waiters()
         if self._unread > _PAUSE_ABOVE and self.error is None:
             self.transport.pause_reading()
 
-    async def pour(
-        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    async def forward(
+        self, write_nowait: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
     ) -> NoReturn:
-        """Pass each unit to `push` as it arrives, without a turn of the loop for it.
+        """Pass each unit to `write_nowait` as it arrives, without another turn of the loop.
 
-        When `push` says no, nothing more is read until `drain` returns.
+        When it returns false, nothing more is read until `drain` returns.
 
         Raises:
-            ChannelError: there will be no more units; or whatever `push` or `drain` raise.
+            ChannelError: the connection has ended; or what `write_nowait` or `drain` raise.
         """
         try:
             while True:
                 while self._units:
-                    push(await self.receive())
+                    write_nowait(await self.receive())
                     await drain()
                 self.check()
                 self.transport.resume_reading()
-                self._push = push
-                while self._is_pouring():
-                    await self._change()
-                if self._push_failed is not None:
-                    raise self._push_failed
+                self._write_nowait = write_nowait
+                while self._is_forwarding():
+                    await self._changed()
+                if self._forward_error is not None:
+                    raise self._forward_error
                 await drain()
         finally:
-            self._push = None
+            self._write_nowait = None
 
-    def _is_pouring(self) -> bool:
-        return self._push is not None and self.error is None
+    def _is_forwarding(self) -> bool:
+        return self._write_nowait is not None and self.error is None
 
-    def _change(self) -> asyncio.Future[None]:
-        """What to await until anything happens; the caller looks whether it was for it."""
+    def _changed(self) -> asyncio.Future[None]:
+        """A future for the next change of any kind; the caller checks which."""
         waiter = self._loop.create_future()
-        self._waiting.append(waiter)
+        self._waiters.append(waiter)
         return waiter
 
-    def _wake(self) -> None:
-        waiting, self._waiting = self._waiting, []
+    def _wake_waiters(self) -> None:
+        waiting, self._waiters = self._waiters, []
         for waiter in waiting:
             if not waiter.done():
                 waiter.set_result(None)
@@ -147,10 +147,10 @@ class ReceiveQueue:
         """
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
-                await self._change()
+                await self._changed()
         self.check()
 
     async def wait_ended(self) -> None:
-        """Return when the connection is at its end."""
+        """Return when the connection has ended."""
         while self.error is None:
-            await self._change()
+            await self._changed()

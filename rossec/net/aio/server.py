@@ -1,8 +1,8 @@
 """Listening for secure connections: sockets, half-open caps, one task per connection.
 
-A stranger costs a bounded amount: at most so many unfinished handshakes from one address and in
-total, each with one deadline. What a handler does ends with its connection: a crash is logged and
-closes that connection only.
+Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total
+are limited, each has one deadline. A handler ends with its connection: a crash is logged and closes
+that connection only.
 """
 
 import asyncio
@@ -32,7 +32,7 @@ _log = logging.getLogger("rossec.net.server")
 _DEFAULTS: Final = ChannelLimits()
 _BACKLOG: Final = 128
 _ACCEPTS_PER_TURN: Final = 16
-_REST: Final = 1.0  # seconds, when the host is out of descriptors
+_ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 _REPORT_EVERY: Final = 10.0
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
@@ -54,11 +54,11 @@ class SecureServer(Generic[PeerT]):
         self._make_core = make_core
         self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
-        self._places: dict[Driver[PeerT], HalfOpenSlot] = {}  # of those that are not authenticated
+        self._slots: dict[Driver[PeerT], HalfOpenSlot] = {}  # of the unauthenticated ones
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
-        self._resting = False
+        self._suspended = False
         self._refused = 0
         self._report_again = 0.0
         self.addresses: list[tuple[str, int]] = []
@@ -79,75 +79,75 @@ class SecureServer(Generic[PeerT]):
             sock.setblocking(False)
             self.addresses.append(sock.getsockname()[:2])
             self._listeners.append(sock)
-            self._watch(sock)
+            self._add_reader(sock)
 
-    def _watch(self, listener: socket.socket) -> None:
-        if listener.fileno() >= 0 and not self._resting:  # nor closed meanwhile
+    def _add_reader(self, listener: socket.socket) -> None:
+        if listener.fileno() >= 0 and not self._suspended:  # not closed meanwhile
             self._loop.add_reader(listener.fileno(), self._accept, listener)
 
     def _accept(self, listener: socket.socket) -> None:
-        """Accept a few, then let the connections that are open have their turn."""
+        """Accept a few, then return to the loop for the open connections."""
         for _ in range(_ACCEPTS_PER_TURN):
             try:
                 sock, where = listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
             except OSError as error:  # out of descriptors or memory: callers wait in the kernel
-                _log.warning("cannot accept connections for %s s: %s", _REST, error)
+                _log.warning("cannot accept connections for %s s: %s", _ACCEPT_PAUSE, error)
                 self._loop.remove_reader(listener.fileno())
-                self._loop.call_later(_REST, self._watch, listener)
+                self._loop.call_later(_ACCEPT_PAUSE, self._add_reader, listener)
                 return
-            place = self._admit(where[0])
-            if place is None:
+            slot = self._admit(where[0])
+            if slot is None:
                 sock.close()
             else:
-                self._begin(sock, where[0], place)
+                self._begin(sock, where[0], slot)
 
     def _admit(self, address: str) -> HalfOpenSlot | None:
-        """The place of one more unfinished handshake, if it is bearable; nothing was spent yet."""
-        place = self._half_open.admit(address)
-        if place is not None:
-            return place
+        """A slot for one more unfinished handshake, if the limits allow it."""
+        slot = self._half_open.admit(address)
+        if slot is not None:
+            return slot
         self._refused += 1
-        if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
+        if self._loop.time() >= self._report_again:  # at most one line in `_REPORT_EVERY` seconds
             _log.warning(
                 "too many unfinished handshakes: refused %d, last %s", self._refused, address
             )
             self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
         return None
 
-    def _begin(self, sock: socket.socket, address: str, place: HalfOpenSlot) -> None:
+    def _begin(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
         try:
             driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
         except BaseException:
             sock.close()
-            place.settle()
+            slot.release()
             raise
         self._drivers.add(driver)
-        self._places[driver] = place
-        place.close = partial(driver.abort, ChannelClosed("others need its place"))
-        driver.when_lost(partial(self._leave, driver))
+        self._slots[driver] = slot
+        slot.close = partial(driver.abort, ChannelClosed("evicted: too many unfinished handshakes"))
+        driver.when_closed(partial(self._release_slot, driver))
 
-    def _leave(self, driver: Driver[PeerT]) -> None:
-        """It is authenticated, or its socket is closed."""
-        place = self._places.pop(driver, None)
-        if place is not None:
-            place.settle()
+    def _release_slot(self, driver: Driver[PeerT]) -> None:
+        """The peer is authenticated, or the socket is closed."""
+        slot = self._slots.pop(driver, None)
+        if slot is not None:
+            slot.release()
 
     def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
         """Start the handler."""
-        self._leave(driver)
+        self._release_slot(driver)
         stream = SecureStream(driver, peer)
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
 
     def on_end(self, driver: Driver[PeerT], error: ChannelError) -> None:
-        """Forget the connection; a failed handshake is worth a line in the log."""
+        """Forget the connection; log a failed handshake."""
         if driver not in self._drivers:
             return
         self._drivers.discard(driver)
         if not driver.authenticated:
-            if driver in self._places:
-                self._places[driver].linger()  # until it is closed
+            if driver in self._slots:
+                self._slots[driver].linger()  # until it is closed
             level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
             _log.log(level, "connection from %s refused: %s", driver.address, error)
 
@@ -161,36 +161,38 @@ class SecureServer(Generic[PeerT]):
             raise  # a crash is logged by the task's owner
         await stream.close()
 
-    def rest(self) -> None:
-        """Refuse callers as if nobody listened, but keep the port.
+    def suspend(self) -> None:
+        """Refuse connections as if the port were closed, but keep it bound.
 
-        Linux keeps only a port that was named when the socket was bound, not one it chose itself.
+        Linux keeps only a port that was given to bind(), not one it chose itself.
         """
-        self._resting = True
+        self._suspended = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # stays ours
-            with suppress(OSError):  # it rests already
+            listener.setsockopt(
+                socket.SOL_SOCKET, socket.SO_REUSEADDR, 0
+            )  # no other socket may bind it
+            with suppress(OSError):  # suspended already
                 listener.shutdown(socket.SHUT_RDWR)
 
-    def wake(self) -> None:
-        """Listen again after `rest`."""
-        if not self._resting:
+    def resume(self) -> None:
+        """Listen again after `suspend`."""
+        if not self._suspended:
             return
-        self._resting = False
+        self._suspended = False
         for listener in self._listeners:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.listen(_BACKLOG)
-            self._watch(listener)
+            self._add_reader(listener)
 
     async def close(self) -> None:
-        """Stop listening, cut every connection, wait until the handlers are gone."""
+        """Stop listening, abort every connection, wait until the handlers are gone."""
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.close()
         self._listeners.clear()
         await self._tasks.close()
-        for driver in [*self._drivers, *self._places]:
+        for driver in [*self._drivers, *self._slots]:
             driver.abort(ChannelClosed("the server was closed"))
 
     async def __aenter__(self) -> Self:
@@ -222,11 +224,11 @@ def serve(
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
     `handler` runs once per authenticated connection, which is closed when it returns. `accept`
-    says which openings may lead on; the others hear the refusal meant for plain peers. With a
-    `HalfOpenCount` several ports share one bound, as they share this process.
+    says which openings are accepted; others get the refusal meant for plain peers. With a
+    `HalfOpenCount` several ports of a process share one limit.
 
     Raises:
-        OSError: the address is not ours or the port is taken.
+        OSError: not an address of this host, or the port is taken.
     """
 
     def make_core() -> Connection[PeerT]:

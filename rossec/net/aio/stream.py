@@ -1,8 +1,8 @@
-"""`SecureStream`: what `connect` and `serve` hand out.
+"""`SecureStream`: what `connect` and `serve` return.
 
-A *unit* is what one `send` was given; it arrives whole. Framing inside a unit is TCPROS's or
-HTTP's own, and small units sent in one burst are joined into one: a receiver takes units
-as a stream of bytes that never breaks inside what was sent together.
+A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's
+own, and small units sent in one burst are joined into one: a receiver takes units as a stream of
+bytes that never breaks inside what was sent together.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ _BURST: Final = 1 / 3  # of the time a record took: a turn of the loop takes lon
 
 
 class SecureStream(Generic[PeerT]):
-    """An authenticated connection. `peer` is who the certificate says it is."""
+    """An authenticated connection. `peer` is the identity of the certificate."""
 
     def __init__(self, driver: Driver[PeerT], peer: PeerT) -> None:
         self.peer = peer
@@ -52,7 +52,7 @@ class SecureStream(Generic[PeerT]):
 
     @property
     def opening(self) -> WireProtocol:
-        """How the connection introduced itself: TCPROS or HTTP."""
+        """The protocol in which the connection opened: TCPROS or HTTP."""
         return self._driver.connection.protocol
 
     @property
@@ -62,7 +62,7 @@ class SecureStream(Generic[PeerT]):
 
     @property
     def lags(self) -> bool:
-        """Whether more would have to wait here for the peer."""
+        """Whether further writes would be buffered here."""
         return not self._driver.writable
 
     async def send(self, *pieces: Bytes) -> None:
@@ -74,7 +74,7 @@ class SecureStream(Generic[PeerT]):
         cancelled while it waits for the peer drops the connection, as half a unit was sent.
 
         Raises:
-            ChannelError: the connection is at its end.
+            ChannelError: the connection has ended.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
         driver = self._driver
@@ -106,7 +106,7 @@ class SecureStream(Generic[PeerT]):
         """Queue a small unit; what is queued together travels in one record.
 
         Raises:
-            ChannelError: the connection is at its end.
+            ChannelError: the connection has ended.
             SendQueueFull: more than 1 MiB is queued already; nothing was added.
         """
         self._driver.check()
@@ -137,11 +137,11 @@ class SecureStream(Generic[PeerT]):
 
     def _flush_soon(self) -> None:
         self._flush_due = False
-        with suppress(ChannelError):  # the connection has ended, which its users will hear
+        with suppress(ChannelError):  # the connection has ended: its users get the error
             self._try_flush()
 
     def _try_flush(self) -> None:
-        """Flush unless somebody else writes or the peer lags; then the next writer does."""
+        """Flush unless a write is in progress or the peer lags; then the next writer does."""
         if self._turn.locked() or self._driver.error is not None:
             return
         if self._driver.writable:
@@ -160,7 +160,7 @@ class SecureStream(Generic[PeerT]):
             self._write_now(unit)
 
     def _write_now(self, unit: bytes) -> None:
-        """Send a record; what follows at once, as time goes here, is of the same burst."""
+        """Send a record; what follows within a part of its time belongs to the same burst."""
         driver = self._driver
         began = monotonic()
         try:
@@ -176,14 +176,14 @@ class SecureStream(Generic[PeerT]):
         ended = monotonic()
         self._burst_until = ended + (ended - began) * _BURST
 
-    def push(self, data: Bytes) -> bool:
-        """Send `data` now, as one unit, whether the peer lags or not; false: it does, `drain`.
+    def write_nowait(self, data: Bytes) -> bool:
+        """Send `data` now, as one unit, even if the peer lags; false: it does, `drain`.
 
-        For one who is the only sender and holds back when told so: what the socket does not take is
-        kept, and there is no other limit.
+        For the only sender of a connection, which then waits: what the socket does not take is
+        buffered without a limit.
 
         Raises:
-            ChannelError: the connection is at its end.
+            ChannelError: the connection has ended.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
         driver = self._driver
@@ -200,10 +200,10 @@ class SecureStream(Generic[PeerT]):
         return transport.writable
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
+        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
 
         Raises:
-            ChannelError: the connection is at its end.
+            ChannelError: the connection has ended.
         """
         self._driver.check()
         self._driver.connection.raise_unit_limit(limit)
@@ -216,23 +216,23 @@ class SecureStream(Generic[PeerT]):
         """
         await self._driver.drain()
 
-    def pour(
-        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    def forward(
+        self, write_nowait: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
     ) -> Coroutine[Any, Any, NoReturn]:
-        """Pass each unit to `push` as it arrives; when that says no, wait for `drain`.
+        """Pass each unit to `write_nowait` as it arrives; when it returns false, wait for `drain`.
 
         Raises:
-            ChannelError: as `receive`; and whatever `push` and `drain` raise.
+            ChannelError: as `receive`; and whatever `write_nowait` and `drain` raise.
         """
-        return self._driver.pour(push, drain)
+        return self._driver.forward(write_nowait, drain)
 
-    def send_at_once(self, unit: bytes) -> bool:
-        """Send a unit now, unless something is queued before it, or the peer lags.
+    def try_send(self, unit: bytes) -> bool:
+        """Send a unit now, unless units are queued or the peer lags.
 
-        Returns whether it did; if not, `send` it.
+        Returns whether it was sent; if not, use `send`.
 
         Raises:
-            ChannelError: the connection is at its end.
+            ChannelError: the connection has ended.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
         driver = self._driver
@@ -247,10 +247,10 @@ class SecureStream(Generic[PeerT]):
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None:
-        """Call back whenever `next_unit` has something new to say: instead of `receive`.
+        """Call back whenever `next_unit` has a new result: instead of `receive`.
 
-        A unit that came alone is offered to `take` before; if that says yes, it is not kept.
-        Neither must raise.
+        A unit that arrived alone is offered to `take` first; if it returns true, it is not queued.
+        Neither may raise.
         """
         self._driver.on_ready, self._driver.on_unit = callback, take
 
@@ -260,7 +260,7 @@ class SecureStream(Generic[PeerT]):
         return self._driver.has_unit
 
     def next_unit(self) -> bytes | None:
-        """Return the next unit, if it is there.
+        """Return the next unit, if it has arrived.
 
         Raises:
             ChannelError: as `receive`.
@@ -272,20 +272,20 @@ class SecureStream(Generic[PeerT]):
 
         Raises:
             ChannelClosed: the connection was closed in order.
-            ChannelError: it ended in another way; the leaf says how.
+            ChannelError: it ended in another way; the class says how.
         """
         return self._driver.receive()
 
-    def when_lost(self, callback: Callable[[], None]) -> None:
-        """Call back, once, when the socket is closed: a while after the end, which is told."""
-        self._driver.when_lost(callback)
+    def when_closed(self, callback: Callable[[], None]) -> None:
+        """Call back, once, when the socket is closed: some time after the connection ended."""
+        self._driver.when_closed(callback)
 
     async def wait_ended(self) -> None:
-        """Return when the connection is at its end, whoever ended it; takes no unit."""
+        """Return when the connection has ended; takes no unit."""
         await self._driver.wait_ended()
 
     def abort(self, reason: str) -> None:
-        """Cut the connection at once, for example because the peer's right was revoked."""
+        """Abort the connection at once, for example because the peer's grant was revoked."""
         self._driver.abort(ChannelClosed(reason))
 
     async def close(self) -> None:

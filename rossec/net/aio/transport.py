@@ -1,8 +1,8 @@
 """One non-blocking socket on a loop: bytes in, bytes out, nothing else.
 
 Not an asyncio transport: those copy what the kernel does not take at once, twice for a large
-record, and cost more calls per message. Here a remainder is copied once, and the socket reads
-straight into the buffer its owner lends.
+record, and cost more calls per message. Here a remainder is copied once, and the socket is read
+straight into the owner's buffer.
 """
 
 import asyncio
@@ -13,30 +13,30 @@ from typing import Final, Protocol
 
 from rossec.channel.records import Bytes
 
-_HIGH_WATER: Final = 64 * 1024  # bytes kept here, above which a writer should wait
+_HIGH_WATER: Final = 64 * 1024  # bytes buffered here, above which a writer should wait
 
 
 class TransportOwner(Protocol):
-    """Who is told what happens to the socket."""
+    """Receives the events of the socket; names as in `asyncio.BufferedProtocol`."""
 
     def get_buffer(self) -> memoryview:
-        """Lend the place for the next bytes."""
+        """The buffer for the next bytes."""
         ...
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         """So many bytes were written there."""
         ...
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         """The peer sends nothing more."""
         ...
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         """Everything written is with the kernel."""
         ...
 
-    def lost(self) -> None:
-        """The socket is closed; said once, and never from within a call of this class."""
+    def connection_lost(self) -> None:
+        """The socket is closed; called once, never from within a call of this class."""
         ...
 
 
@@ -75,31 +75,31 @@ class Transport:
 
     @property
     def writable(self) -> bool:
-        """Whether a write would not pile up."""
+        """Whether a writer need not wait."""
         return self.backlog <= _HIGH_WATER
 
     # -- reading
 
     @property
     def reading(self) -> bool:
-        """Whether what arrives is taken in."""
+        """Whether arriving bytes are read."""
         return self._reading
 
     def resume_reading(self) -> None:
-        """Read, from now on, whenever there is something."""
+        """Read whenever bytes arrive."""
         if not (self._reading or self._closing or self.closed):
             self._reading = True
             self._loop.add_reader(self._fd, self._readable)
 
     def pause_reading(self) -> None:
-        """Leave what comes with the kernel, which tells the peer."""
+        """Leave arriving bytes in the kernel, whose flow control slows the peer."""
         if self._reading:
             self._reading = False
             self._loop.remove_reader(self._fd)
 
     def _readable(self) -> None:
         if self._read() and self._eof_due and not self.closed:
-            self._read()  # the peer's answer and its end mostly arrive together
+            self._read()  # the peer's answer and its FIN mostly arrive together
 
     def _read(self) -> bool:
         try:
@@ -111,14 +111,14 @@ class Transport:
             return False
         if count > 0:
             try:
-                self._owner.received(count)
-            except BaseException:  # a fault inside, perhaps in a guard: nothing more comes through
+                self._owner.buffer_updated(count)
+            except BaseException:  # a bug, perhaps in a guard: nothing more passes
                 self.abort()
                 raise
             return True
         self.pause_reading()
         self._closing = True
-        self._owner.eof()
+        self._owner.eof_received()
         if not self._pending:
             self.abort()
         return False
@@ -166,7 +166,7 @@ class Transport:
         if self._closing:
             self.abort()
         else:
-            self._owner.drained()
+            self._owner.resume_writing()
 
     # -- ends
 
@@ -177,7 +177,7 @@ class Transport:
             self._shut()
 
     def finish(self) -> None:
-        """Close the socket once what was written has left: both sides have said everything."""
+        """Close the socket once everything is written: both sides have closed."""
         self.pause_reading()
         self._closing = True
         if not self._pending:
@@ -198,5 +198,5 @@ class Transport:
             self._pending = None
             self.backlog = 0
         self._socket.close()
-        self._loop.call_soon(self._owner.lost)
-        del self._owner  # a closed one holds nobody
+        self._loop.call_soon(self._owner.connection_lost)
+        del self._owner  # no reference cycle with the owner

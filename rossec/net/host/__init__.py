@@ -1,1 +1,1 @@
-"""Who is at the other end of a local socket, as Linux knows it."""
+"""The process at the other end of a local socket, as Linux knows it."""

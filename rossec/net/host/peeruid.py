@@ -1,13 +1,13 @@
 """Which user is at the other end of a connection within this host.
 
 For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does,
-asked for the one connection (`sockdiag`), or read as a whole where the kernel cannot be asked.
+queried for the one connection (`sockdiag`), or read as a whole where that is not available.
 A TCP row counts only while it is ESTABLISHED and has an inode: the kernel shows user 0 for sockets
-that nobody holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for root's.
-Users of another user namespace all show as the overflow id, which is nobody in particular: refused.
+that no process holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for
+root's. Users of another user namespace all show as the overflow id, which identifies none: refused.
 
-The user is who made the socket. A program that hands its open socket to another one, or a
-set-user-id program that connects on behalf of its caller, vouches for it.
+The user is the creator of the socket. A program that passes its open socket to another one, or a
+set-user-id program that connects on behalf of its caller, is responsible for it.
 """
 
 import ipaddress
@@ -27,38 +27,38 @@ TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 _OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
 _ESTABLISHED: Final = "01"
 _LISTEN: Final = " 0A"
-_TRIES: Final = 3  # the kernel hands the table out in pieces: a row can slip between two of them
+_TRIES: Final = 3  # the kernel returns the table in pieces: a row can be missed between two of them
 _HINT: Final = "connect from this host, as the user who runs this program"
 
 
 class Holder(NamedTuple):
-    """Who holds a socket: the user who made it, and its number among the host's sockets."""
+    """The holder of a socket: the user who created it, and the socket's inode."""
 
     user: int
     inode: int
 
 
-def owner_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> int | None:
-    """The user of the socket bound to `near` and connected to `far`; None: no such socket. Pure.
+def user_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> int | None:
+    """The user of the socket bound to `local` and connected to `remote`; None: there is none. Pure.
 
     `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
     too (::ffff:127.0.0.1): either side may use a dual-stack socket.
     """
-    found = holder_in(tables, near, far)
+    found = holder_in(tables, local, remote)
     return None if found is None else found.user
 
 
-def holder_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> Holder | None:
-    """Like `owner_in`, with the socket's number. Pure."""
-    wanted = {f"{_hex(near, mapped)} {_hex(far, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
+def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holder | None:
+    """Like `user_in`, with the socket's inode. Pure."""
+    wanted = {f"{_hex(local, mapped)} {_hex(remote, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
     found = [holder for row, holder in _rows(tables) if row in wanted]
     return found[0] if len({holder.user for holder in found}) == 1 else None
 
 
-def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
-    """Who listens where a connection to `place` may arrive. Pure."""
-    address, port = place
-    wanted = {_hex(place, 0), _hex(place, 1), _hex(("::", port), 0)}
+def listeners_in(tables: Iterable[str], endpoint: Endpoint) -> list[Holder]:
+    """The holders of sockets that listen on `endpoint`. Pure."""
+    address, port = endpoint
+    wanted = {_hex(endpoint, 0), _hex(endpoint, 1), _hex(("::", port), 0)}
     if ":" not in address:
         wanted.add(_hex(("0.0.0.0", port), 0))  # noqa: S104 - looked for
     return [
@@ -69,7 +69,7 @@ def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
 
 
 def _rows(tables: Iterable[str]) -> Iterator[tuple[str, Holder]]:
-    """`near far state` as the kernel writes it, and who holds the socket, if anybody does."""
+    """`local remote state` as the kernel writes it, and the socket's holder, if it has one."""
     for table in tables:
         for line in table.splitlines()[1:]:
             fields = line.split()
@@ -86,7 +86,7 @@ def user_of(sock: socket.socket) -> int:
     """The user id at the other end of a connected unix or TCP socket of this host.
 
     Raises:
-        PeerUserRefused: nobody holds that end, or it is not on this host.
+        PeerUserRefused: no process holds that end, or it is not on this host.
         OSError: not connected, or the kernel's tables cannot be read.
     """
     if sock.family == socket.AF_UNIX:
@@ -97,47 +97,47 @@ def user_of(sock: socket.socket) -> int:
 
 
 def holder_of(sock: socket.socket) -> Holder:
-    """Who holds the other end of a TCP connection within this host.
+    """The holder of the other end of a TCP connection within this host.
 
     Raises:
         PeerUserRefused, OSError: as `user_of`.
     """
-    near, far = sock.getpeername()[:2], sock.getsockname()[:2]
-    holder = _holder(near, far)
+    local, remote = sock.getpeername()[:2], sock.getsockname()[:2]
+    holder = _holder(local, remote)
     if holder is not None:
         return holder
     raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
 
 
-def _holder(near: Endpoint, far: Endpoint) -> Holder | None:
+def _holder(local: Endpoint, remote: Endpoint) -> Holder | None:
     try:
-        entry = sockdiag.find(near, far)
+        entry = sockdiag.find(local, remote)
     except OSError:
         for _ in range(_TRIES):
-            holder = holder_in(tables(), near, far)
+            holder = holder_in(tables(), local, remote)
             if holder is not None:
                 return holder
         return None
     return None if entry is None or entry.inode == 0 else Holder(entry.user, entry.inode)
 
 
-def listeners(place: Endpoint) -> list[Holder]:
-    """Who listens where a connection to `place`, an address of this host, arrives.
+def listeners(endpoint: Endpoint) -> list[Holder]:
+    """The holders of sockets that listen on `endpoint`, an address of this host.
 
-    It is one at most, unless only the tables can be asked: then all who may be.
+    At most one, unless only the tables are available: then all candidates.
 
     Raises:
         OSError: the kernel's tables cannot be read.
     """
     try:
-        entry = sockdiag.listener(place)
+        entry = sockdiag.listener(endpoint)
     except OSError:
-        return listeners_in(tables(), place)
+        return listeners_in(tables(), endpoint)
     return [] if entry is None or entry.inode == 0 else [Holder(entry.user, entry.inode)]
 
 
 def is_known(user: int) -> bool:
-    """Whether `user` is somebody: the kernel shows users of other user namespaces as one."""
+    """Whether `user` is not the overflow id, which stands for other user namespaces."""
     return user != int(_OVERFLOW.read_text())
 
 
@@ -145,7 +145,7 @@ def require_user(sock: socket.socket, users: Collection[int]) -> int:
     """Return the user id at the other end.
 
     Raises:
-        PeerUserRefused: it is none of `users`, or cannot be told.
+        PeerUserRefused: not one of `users`, or unknown.
         OSError: as `user_of`.
     """
     user = user_of(sock)

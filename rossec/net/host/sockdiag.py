@@ -1,10 +1,9 @@
 """The kernel's answer to "who holds this TCP socket?" for one socket: NETLINK_SOCK_DIAG.
 
-The same facts as in /proc/net/tcp, whose text grows with every connection that waits for its end;
-here the kernel looks one connection up in its own table, and finds the listener that a connection
-would reach by the rules it connects by. The format is that of sock_diag(7). An IPv4 connection is
-found whichever family its sockets have. Not every kernel has it (gVisor, old containers): whoever
-asks must have the tables to fall back to.
+The same data as in /proc/net/tcp, whose text grows with every connection in TIME_WAIT; here the
+kernel looks one connection up in its own table, and finds the listener by the rules of connect().
+The format is that of sock_diag(7). An IPv4 connection is found whichever family its sockets have.
+Not every kernel has it (gVisor, old containers): callers must fall back to the tables.
 """
 
 import errno
@@ -29,52 +28,52 @@ _FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
 
 
 class SocketEntry(NamedTuple):
-    """One socket: its state, the user who made it, its number (0: nobody holds it any more)."""
+    """One socket: its state, the user who created it, its inode (0: no process holds it)."""
 
     state: int
-    near: tuple[bytes, int]
-    far: tuple[bytes, int]
+    local: tuple[bytes, int]
+    remote: tuple[bytes, int]
     user: int
     inode: int
 
 
-def find(near: tuple[str, int], far: tuple[str, int]) -> SocketEntry | None:
-    """The socket that is bound to `near` and connected to `far`; None: there is none.
+def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
+    """The socket that is bound to `local` and connected to `remote`; None: there is none.
 
     Raises:
-        OSError: the kernel cannot tell.
+        OSError: the kernel cannot answer.
     """
-    ends = _packed(near), _packed(far)
+    ends = _packed(local), _packed(remote)
     entry = _found(*ends)
-    if entry is None or entry.state != ESTABLISHED:  # a listener is what the kernel falls back to
+    if entry is None or entry.state != ESTABLISHED:  # the kernel falls back to a listener
         return None
-    return entry if (_plain(entry.near), _plain(entry.far)) == ends else None
+    return entry if (_plain(entry.local), _plain(entry.remote)) == ends else None
 
 
-def listener(place: tuple[str, int]) -> SocketEntry | None:
-    """The socket that a connection to `place` would reach; None: nobody listens there.
+def listener(local: tuple[str, int]) -> SocketEntry | None:
+    """The socket that a connection to `local` would reach; None: there is none.
 
     Raises:
-        OSError: the kernel cannot tell.
+        OSError: the kernel cannot answer.
     """
-    entry = _found(_packed(place), _packed((place[0], 0)))  # nobody is connected from port 0
+    entry = _found(_packed(local), _packed((local[0], 0)))  # no connection is from port 0
     return entry if entry is not None and entry.state == LISTEN else None
 
 
-def _found(near: tuple[bytes, int], far: tuple[bytes, int]) -> SocketEntry | None:
-    family = socket.AF_INET if len(near[0]) == 4 else socket.AF_INET6
+def _found(local: tuple[bytes, int], remote: tuple[bytes, int]) -> SocketEntry | None:
+    family = socket.AF_INET if len(local[0]) == 4 else socket.AF_INET6
     try:
-        return _ask(_request(family, near, far))
+        return _ask(_request(family, local, remote))
     except FileNotFoundError:
         return None
 
 
-def _request(family: int, near: tuple[bytes, int], far: tuple[bytes, int]) -> bytes:
+def _request(family: int, local: tuple[bytes, int], remote: tuple[bytes, int]) -> bytes:
     body = (
         _WHAT.pack(family, socket.IPPROTO_TCP, 0, 0, 1 << ESTABLISHED)
-        + _PORTS.pack(near[1], far[1])
-        + near[0].ljust(16, b"\0")
-        + far[0].ljust(16, b"\0")
+        + _PORTS.pack(local[1], remote[1])
+        + local[0].ljust(16, b"\0")
+        + remote[0].ljust(16, b"\0")
         + _ANY_COOKIE
     )
     return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body
@@ -85,7 +84,7 @@ def _ask(request: bytes) -> SocketEntry:
         kernel.send(request)
         data, (sender, *_) = kernel.recvfrom(_ROOM)
         if sender != 0:  # another process, which would need to be privileged: not the kernel
-            raise OSError(errno.EPROTO, "an answer from somebody else")
+            raise OSError(errno.EPROTO, "an answer from another process")
         return parse(data)
 
 
@@ -93,7 +92,7 @@ def parse(data: bytes) -> SocketEntry:
     """The socket in an answer. Pure.
 
     Raises:
-        OSError: what the kernel refuses with, or an answer that is none.
+        OSError: the kernel's error, or an invalid answer.
     """
     if len(data) < _HEAD.size:
         raise OSError(errno.EPROTO, "an answer cut short")
@@ -110,10 +109,10 @@ def parse(data: bytes) -> SocketEntry:
 
 
 def _entry(body: bytes) -> SocketEntry:
-    family, state, ports, near, far, user, inode = _FOUND.unpack_from(body)
+    family, state, ports, local, remote, user, inode = _FOUND.unpack_from(body)
     size = 4 if family == socket.AF_INET else 16
-    near_port, far_port = _PORTS.unpack(ports)
-    return SocketEntry(state, (near[:size], near_port), (far[:size], far_port), user, inode)
+    local_port, remote_port = _PORTS.unpack(ports)
+    return SocketEntry(state, (local[:size], local_port), (remote[:size], remote_port), user, inode)
 
 
 def _packed(end: tuple[str, int]) -> tuple[bytes, int]:

@@ -1,7 +1,7 @@
 """XML-RPC over a secure stream, both sides; the master and the node's slave API share it.
 
 A shell: framing is `rossec.ros.http`, marshalling `rossec.ros.xmlrpc`, the peer's identity comes
-from the channel and is handed to the dispatcher with every call. One request at a time on one
+from the channel and is passed to the dispatcher with every call. One request at a time on one
 connection, as in HTTP/1.1 without pipelining; a request that has begun must end within a deadline.
 """
 
@@ -46,7 +46,7 @@ async def serve_calls(
 ) -> None:
     """Answer the calls on `stream` until the peer closes it or breaks the protocol.
 
-    `dispatch` may return an awaitable; whatever else it returns is answered at once.
+    `dispatch` may return an awaitable; any other value is answered at once.
     `idle_deadline` is how long it may take from one answer to the next, reading it included.
     """
     calls = CallLoop(stream, dispatch, limit=limit, deadline=request_deadline, idle=idle_deadline)
@@ -59,8 +59,8 @@ async def serve_calls(
 class RpcClient:
     """Calls methods of the peer at the other end of a stream, one at a time.
 
-    After a call that failed on the way (deadline, broken protocol) the stream is closed: a late
-    answer must not be taken for the answer to the next call.
+    After a failed call (deadline, protocol error) the stream is closed: a late answer must not be
+    taken for the answer to the next call.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class RpcClient:
 
     @property
     def closed(self) -> bool:
-        """No call can succeed any more: connect anew."""
+        """No call can succeed any more: connect again."""
         return self._closed
 
     async def call(self, method: str, *params: object) -> object:
@@ -130,7 +130,7 @@ class RpcClient:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
             if not complete:
-                await self._give_up()
+                await self._abandon()
         return body
 
     async def _response(self) -> bytes:
@@ -138,7 +138,7 @@ class RpcClient:
             self._http.feed(await self._stream.receive())
         return body
 
-    async def _give_up(self) -> None:
+    async def _abandon(self) -> None:
         self._closed = True
         with contextlib.suppress(RossecError):
             await self._stream.close()

@@ -1,8 +1,8 @@
 """One connection on which calls are answered: from the unit to the answer within one callback.
 
-A call whose value is there at once costs no task switch, no timer and no other turn of the loop;
-what takes time (an awaitable value, a peer that does not read) is waited for in `run`. One call is
-answered for each turn of the loop, so that one peer with many cannot keep the others waiting.
+A call whose value is available at once costs no task switch, no timer and no turn of the loop;
+`run` awaits what takes time (an awaitable value, a peer that does not read). One call is answered
+in each turn of the loop, so that one peer with many calls cannot keep the others waiting.
 """
 
 import asyncio
@@ -35,9 +35,9 @@ class ServedStream(Protocol[PeerT_co]):
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
     ) -> None:
-        """Whom to call, not at once, whenever `next_unit` has something new to say.
+        """Call back, not at once, whenever `next_unit` has a new result.
 
-        `take` may be offered a unit at once instead, and says whether it took it.
+        `take` may be offered a unit at once instead; it returns whether it took it.
         """
 
     @property
@@ -45,9 +45,9 @@ class ServedStream(Protocol[PeerT_co]):
         """Whether `next_unit` would return one."""
 
     def next_unit(self) -> bytes | None:
-        """The next unit, if it is there. Raises a `RossecError` when there will be none."""
+        """The next unit, if it has arrived. Raises a `RossecError` after the end."""
 
-    def send_at_once(self, unit: bytes) -> bool:
+    def try_send(self, unit: bytes) -> bool:
         """Send, if that needs no waiting; whether it did."""
 
     async def send(self, *pieces: bytes) -> None:
@@ -71,8 +71,20 @@ class CallLoop(Generic[PeerT]):
     """Serves one stream; see `rossec.net.rpc.client.serve_calls`."""
 
     __slots__ = (
-        "_busy", "_deadline", "_dispatch", "_ended", "_http", "_idle", "_idle_set", "_job",
-        "_late", "_limit", "_loop", "_scope", "_stream", "_value",
+        "_busy",
+        "_deadline",
+        "_deadline_timer",
+        "_dispatch",
+        "_ended",
+        "_http",
+        "_idle",
+        "_idle_set",
+        "_job",
+        "_limit",
+        "_loop",
+        "_scope",
+        "_stream",
+        "_value",
     )  # fmt: skip  # fmt: skip
 
     def __init__(
@@ -93,9 +105,9 @@ class CallLoop(Generic[PeerT]):
         self._loop = asyncio.get_running_loop()
         self._scope = asyncio.timeout(idle)
         self._idle_set = 0.0
-        self._late: asyncio.TimerHandle | None = None
+        self._deadline_timer: asyncio.TimerHandle | None = None
         self._job: asyncio.Future[Coroutine[Any, Any, None] | None] = self._loop.create_future()
-        self._value: Awaitable[object] | None = None  # what the last such call waits for
+        self._value: Awaitable[object] | None = None  # of the last call whose value takes time
         self._busy = False  # a call is being answered, and no other may be taken
         self._ended = False
 
@@ -110,17 +122,19 @@ class CallLoop(Generic[PeerT]):
                         self._job = self._loop.create_future()
                         await job
                         self._answered()
-                        self._loop.call_soon(self._ready)  # for what came meanwhile, or the end
+                        self._loop.call_soon(
+                            self._ready
+                        )  # for units that arrived meanwhile, or the end
         finally:
             self._close()
 
     def _close(self) -> None:
         self._ended = True
         self._stream.on_ready(None)
-        self._on_time()
+        self._cancel_deadline()
         if self._job.done() and not self._job.cancelled() and self._job.exception() is None:
             job = self._job.result()
-            if job is not None:  # begun by nobody, nor what it was to wait for
+            if job is not None:  # neither was started, nor its awaitable
                 job.close()
                 if isinstance(self._value, Coroutine):
                     self._value.close()
@@ -130,20 +144,22 @@ class CallLoop(Generic[PeerT]):
     def _ready(self) -> None:
         """Answer one call if there is one."""
         if self._is_free():
-            self._go_on(None)
+            self._answer_next(None)
 
     def _take(self, unit: bytes) -> bool:
-        """The short way: answer the call that has just arrived."""
+        """The fast path: answer the call that has just arrived."""
         free = self._is_free()
         if free:
-            self._go_on(unit)
+            self._answer_next(unit)
         return free
 
     def _is_free(self) -> bool:
-        return not (self._busy or self._ended or self._job.cancelled())  # with `run`, a moment ago
+        return not (
+            self._busy or self._ended or self._job.cancelled()
+        )  # `run` was cancelled just now
 
-    def _go_on(self, unit: bytes | None) -> None:
-        """Answer the next call; whatever goes wrong here ends the connection."""
+    def _answer_next(self, unit: bytes | None) -> None:
+        """Answer the next call; any error here ends the connection."""
         self._busy = True
         try:
             body = self._next_request(unit)
@@ -160,38 +176,40 @@ class CallLoop(Generic[PeerT]):
             self._job.set_exception(error)
 
     def _next_request(self, unit: bytes | None) -> bytes | None:
-        """The body of the next call; `unit` came after all that was kept, if it is not None."""
+        """The body of the next call; `unit`, if not None, follows everything buffered."""
         http, stream = self._http, self._stream
         body = http.next_request() if unit is None and http.pending else None
         while body is None:
             if unit is None:
                 unit = stream.next_unit()
             if unit is None:
-                if http.pending and self._late is None:
-                    self._late = self._loop.call_later(self._deadline, self._end)
+                if http.pending and self._deadline_timer is None:
+                    self._deadline_timer = self._loop.call_later(self._deadline, self._end)
                 return None
             body, unit = http.feed_whole(unit), None
-        if self._late is not None:
-            self._on_time()
+        if self._deadline_timer is not None:
+            self._cancel_deadline()
         return body
 
     def _answer(self, body: bytes) -> None:
         try:
             call = xmlrpc.load_call(body, limit=self._limit)
             value = self._dispatch(call.method, call.params, self._stream.peer)
-            if type(value) is not list and isinstance(value, Awaitable):  # asking for it is dear
+            if type(value) is not list and isinstance(
+                value, Awaitable
+            ):  # the isinstance check is slow
                 self._value = value
                 self._wait_for(self._respond_later(value))
                 return
-            response = self._written(value)
+            response = self._encoded(value)
         except HangUp:
             raise
-        except Exception as error:  # noqa: BLE001 - judged there
+        except Exception as error:  # noqa: BLE001 - handled in `_failure`
             response = _failure(error)
         self._respond(response)
 
-    def _written(self, value: object) -> bytes:
-        """The response, if it is not longer than a call may be: no peer would take it."""
+    def _encoded(self, value: object) -> bytes:
+        """The response, unless it is longer than peers accept."""
         response = xmlrpc.dump_response(value)
         if len(response) > self._limit:
             raise Fault(
@@ -203,7 +221,7 @@ class CallLoop(Generic[PeerT]):
 
     def _respond(self, response: bytes) -> None:
         message = self._http.respond(response)
-        if self._stream.send_at_once(message):
+        if self._stream.try_send(message):
             self._answered()
             if self._http.pending or self._stream.has_unit:
                 self._loop.call_soon(self._ready)
@@ -212,10 +230,10 @@ class CallLoop(Generic[PeerT]):
 
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:
-            response = self._written(await value)
+            response = self._encoded(await value)
         except HangUp:
             raise
-        except Exception as error:  # noqa: BLE001 - judged there
+        except Exception as error:  # noqa: BLE001 - handled in `_failure`
             response = _failure(error)
         await self._stream.send(self._http.respond(response))
 
@@ -227,20 +245,20 @@ class CallLoop(Generic[PeerT]):
         if self._http.closing:
             self._end()
         else:
-            self._put_off()
+            self._restart_idle()
 
     # -- time and ends
 
-    def _put_off(self) -> None:
-        """Begin the idle time anew: not for each call, a timer costs more than many a call."""
+    def _restart_idle(self) -> None:
+        """Restart the idle time-out: not for each call, as a timer can cost more than the call."""
         if self._idle is not None and (now := self._loop.time()) > self._idle_set + self._idle / 64:
             self._idle_set = now
             self._scope.reschedule(now + self._idle)
 
-    def _on_time(self) -> None:
-        if self._late is not None:
-            self._late.cancel()
-            self._late = None
+    def _cancel_deadline(self) -> None:
+        if self._deadline_timer is not None:
+            self._deadline_timer.cancel()
+            self._deadline_timer = None
 
     def _end(self) -> None:
         if not self._ended:
@@ -250,10 +268,10 @@ class CallLoop(Generic[PeerT]):
 
 
 def _failure(error: Exception) -> bytes:
-    """A fault of ours must neither end the other calls nor tell the peer about our inside."""
+    """A bug must neither end the other calls nor reveal internals to the peer."""
     if isinstance(error, XmlRpcRefused):
         return xmlrpc.dump_response(Fault(_FAULT_CODE, str(error)))
     if isinstance(error, Fault):
         return xmlrpc.dump_response(error)
-    _log.error("a call failed inside", exc_info=error)
+    _log.error("a call failed with an internal error", exc_info=error)
     return xmlrpc.dump_response(_CRASHED)

@@ -1,7 +1,7 @@
 """Bytes between the core of a connection and its TCP socket, for programs with threads.
 
 The core is never locked while anything waits. One thread reads and one writes at a time; what the
-core queues meanwhile is written by whoever is writing.
+core queues meanwhile is written by the writing thread.
 """
 
 import select
@@ -24,7 +24,7 @@ from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 from rossec.net.threads.options import SocketOptions
 
-_LONGEST_WAIT: Final = 3600.0  # then look at the clock again: the host's may be set
+_MAX_WAIT: Final = 3600.0  # then check the clock again: the host's may be set
 _SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
 AT_ONCE: Final = socket.MSG_DONTWAIT
 
@@ -36,7 +36,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self,
         sock: socket.socket,
         core: Connection[PeerT],
-        on_settled: Callable[[], None] = lambda: None,
+        on_released: Callable[[], None] = lambda: None,
     ) -> None:
         self.peer: PeerT | None = None
         self._timeout = sock.gettimeout()
@@ -46,10 +46,10 @@ class Carrier(SocketOptions, Generic[PeerT]):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = sock
         self._core = core
-        self._on_settled: Callable[[], None] | None = on_settled
+        self._on_released: Callable[[], None] | None = on_released
         self._units: deque[bytes | memoryview] = deque()
         self._error: ChannelError | None = None
-        self._ticked = -1
+        self._timers_run_at = -1
         self._aborted = False
         self._core_lock = Lock()
         self._reading = Lock()
@@ -59,19 +59,19 @@ class Carrier(SocketOptions, Generic[PeerT]):
     def abandon(self) -> None:
         """As of `Inherited`: this descriptor is closed, the connection of the parent is not.
 
-        A lock that another thread held at the fork would be held for ever.
+        A lock that another thread held at the fork would never be released.
         """
         self._core_lock, self._reading, self._writing = Lock(), Lock(), Lock()
         self._core.abandon()
         self._units.clear()
         self._error = ChannelClosed("a forked process cannot use its parent's connections")
-        self._on_settled = None  # who counts it may be locked for ever
+        self._on_released = None  # its lock may never be released
         self._socket.close()
 
     def abort(self) -> None:
-        """End it now, from any thread: whoever waits wakes, and nothing more is delivered.
+        """End it now, from any thread: waiting calls return, and nothing more is delivered.
 
-        The kernel would still hand out what had arrived before.
+        The kernel would still return bytes that arrived before.
         """
         self._aborted = True
         with suppress(OSError):
@@ -81,9 +81,9 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _receive(self, end: float | None) -> None:
         """Move bytes from the socket to the core, once; the caller is the one reader."""
-        self._tick(reading=True)
+        self._run_timers(reading=True)
         self._flush(end)
-        # One system call where there is no deadline to meet: the kernel waits, a slice at a time.
+        # One system call where there is no deadline: the kernel waits, a slice at a time.
         flags = 0 if end is None and self.peer is not None else AT_ONCE
         if not self._take_in(end, flags) and flags:
             self._wait(select.POLLIN, end)
@@ -98,29 +98,29 @@ class Carrier(SocketOptions, Generic[PeerT]):
             count = 0
         with self._core_lock:
             if count == 0 and self._aborted:
-                self._fail(ChannelClosed("the connection was cut"))
+                self._fail(ChannelClosed("the connection was aborted"))
             elif count == 0:
-                self._guarded(self._core.receive_eof)
+                self._call_core(self._core.receive_eof)
                 self._fail(ChannelClosed("the peer closed the connection"))
             else:
-                self._note(self._guarded(self._core.buffer_updated, count, _now()))
+                self._handle_events(self._call_core(self._core.buffer_updated, count, _now()))
         if self._error is None:
             self._flush(end)
         else:
             self._send_last(self._core.data_to_send())  # the peer may be gone
         return True
 
-    def _note(self, events: Sequence[object]) -> None:
+    def _handle_events(self, events: Sequence[object]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._units.append(event.data)
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
-                self._settle()
+                self._release()
             else:
                 self._fail(ChannelClosed("the peer closed the connection"))
 
-    def _guarded(self, step: Callable[..., Any], *arguments: object) -> Any:
+    def _call_core(self, step: Callable[..., Any], *arguments: object) -> Any:
         try:
             return step(*arguments)
         except ChannelError as error:
@@ -135,51 +135,51 @@ class Carrier(SocketOptions, Generic[PeerT]):
     def _fail(self, error: ChannelError) -> None:
         self._error = self._error or error
 
-    def _settle(self) -> None:
-        """The peer is authenticated, or the socket is not ours any more."""
-        settled, self._on_settled = self._on_settled, None
-        if settled is not None:
-            settled()
+    def _release(self) -> None:
+        """Call `on_released`: the peer is authenticated, or the socket was given back."""
+        released, self._on_released = self._on_released, None
+        if released is not None:
+            released()
 
-    def _raise_if_over(self) -> None:
+    def _raise_if_ended(self) -> None:
         if self._error is not None:
-            raise copy(self._error)  # with its traceback it would hold whatever it was raised in
+            raise copy(self._error)  # the original would keep the frames alive it was raised in
 
     # -- sending
 
-    def _push_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
-        """The short way of a small unit: one record, where nothing else has to be done."""
+    def _write_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
+        """The fast path of a small unit: one record."""
         if len(pieces) != 1 or not isinstance(pieces[0], bytes):
             return False
         with self._core_lock:
             record = self._core.seal_small(pieces[0])
         if record is not None:
-            self._push(record, end)
+            self._write(record, end)
         return record is not None
 
-    def _push_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
+    def _write_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
         with self._core_lock:
             records = self._core.seal_unit(*pieces, reuse=True)
         while True:
             with self._core_lock:
-                record = self._guarded(next, records, None)
+                record = self._call_core(next, records, None)
             if record is None:
                 return
-            self._push(record, end)
+            self._write(record, end)
 
     def _flush(self, end: float | None) -> None:
-        """Write what the core queued; whoever is writing looks again when it is done."""
+        """Write what the core queued; a thread that is writing checks again when it is done."""
         while self._core.has_data_to_send:
             if not self._writing.acquire(blocking=False):
                 return
             try:
                 with self._core_lock:
                     data = self._core.data_to_send()
-                self._push(data, end)
+                self._write(data, end)
             finally:
                 self._writing.release()
 
-    def _push(self, data: Bytes, end: float | None) -> None:
+    def _write(self, data: Bytes, end: float | None) -> None:
         rest = memoryview(data)
         flags = 0 if end is None else AT_ONCE
         try:
@@ -194,8 +194,8 @@ class Carrier(SocketOptions, Generic[PeerT]):
                 raise ChannelClosed("the connection is closed") from error
             raise
 
-    def _offer(self, data: Bytes) -> Bytes:
-        """Give the kernel what it takes at once; returns the rest."""
+    def _send_nowait(self, data: Bytes) -> Bytes:
+        """Write what the kernel takes at once; returns the rest."""
         try:
             return memoryview(data)[self._socket.send(data, AT_ONCE) :]
         except BlockingIOError:
@@ -211,7 +211,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _wait(self, event: int, end: float | None) -> None:
         """Wait for the socket, for the caller's deadline, or for the core's."""
-        left = _LONGEST_WAIT if end is None else end - time.monotonic()
+        left = _MAX_WAIT if end is None else end - time.monotonic()
         if left <= 0:
             raise BlockingIOError if self._timeout == 0 else TimeoutError("timed out")
         deadline = self._core.deadline()
@@ -220,26 +220,26 @@ class Carrier(SocketOptions, Generic[PeerT]):
         poll = select.poll()
         poll.register(self._socket.fileno(), event)
         poll.poll(left * 1000)
-        self._tick(reading=event == select.POLLIN)
+        self._run_timers(reading=event == select.POLLIN)
 
-    def _tick(self, *, reading: bool = False) -> None:
-        """Let the core look at the clock, once in a second: its deadlines are whole ones."""
+    def _run_timers(self, *, reading: bool = False) -> None:
+        """Run the core's timers, once in a second: its deadlines are whole seconds."""
         now = _now()
-        if now == self._ticked:
+        if now == self._timers_run_at:
             return
         if self._core.state is ConnectionState.WAIT_4:
             self._take_in_confirmation(reading=reading)
         with self._core_lock:
-            self._guarded(self._core.tick, now)
-        self._ticked = now
+            self._call_core(self._core.tick, now)
+        self._timers_run_at = now
 
     def _take_in_confirmation(self, *, reading: bool) -> None:
-        """What has arrived counts before the time does: message_4 may have waited for a reader.
+        """Process received bytes before the timers: message_4 may have waited for a reader.
 
-        Nobody reads where a connection is only written to, or kept for later.
+        A connection that is only written to, or cached, has no reader.
         """
         if not reading and not self._reading.acquire(blocking=False):
-            return  # whoever reads takes it in
+            return  # the reading thread takes it in
         try:
             self._take_in(None, AT_ONCE)
         finally:

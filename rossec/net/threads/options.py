@@ -5,7 +5,7 @@ from typing import Any
 
 
 class SocketOptions:
-    """What `SecureSocket` passes on to its TCP socket, and its own idea of a time-out."""
+    """What `SecureSocket` passes on to its TCP socket, and its own time-out."""
 
     _socket: socket.socket
     _timeout: float | None

@@ -41,9 +41,9 @@ class SecureSocket(Carrier[PeerT]):
         self,
         sock: socket.socket,
         core: Connection[PeerT],
-        on_settled: Callable[[], None] = lambda: None,
+        on_released: Callable[[], None] = lambda: None,
     ) -> None:
-        super().__init__(sock, core, on_settled)
+        super().__init__(sock, core, on_released)
         self._closed = False
         self._event = -1
         self._flagged = False
@@ -77,7 +77,7 @@ class SecureSocket(Carrier[PeerT]):
         return secure
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
+        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
 
         Raises:
             ChannelClosed: there is no open connection.
@@ -85,10 +85,10 @@ class SecureSocket(Carrier[PeerT]):
         with self._core_lock:
             self._core.raise_unit_limit(limit)
 
-    # -- what a socket tells and is told
+    # -- the descriptor
 
     def fileno(self) -> int:
-        """A descriptor to wait on for reading; -1 when closed. Made when first asked for."""
+        """A descriptor to wait on for reading; -1 when closed. Made on first use."""
         with self._core_lock:
             if self._closed:
                 return -1
@@ -101,7 +101,7 @@ class SecureSocket(Carrier[PeerT]):
             return self._epoll.fileno()
 
     def _flag(self) -> None:
-        """Keep the eventfd readable exactly while decrypted bytes wait here."""
+        """Keep the eventfd readable exactly while decrypted bytes are queued."""
         wanted = len(self._units) > 0
         if wanted != self._flagged and self._epoll is not None:
             self._flagged = wanted
@@ -116,7 +116,7 @@ class SecureSocket(Carrier[PeerT]):
         """Return the peer, once it is authenticated."""
         end = self._end()
         while self.peer is None:
-            self._raise_if_over()
+            self._raise_if_ended()
             self._receive(end)
         return self.peer
 
@@ -140,14 +140,14 @@ class SecureSocket(Carrier[PeerT]):
 
     @property
     def awaits_peer(self) -> bool:
-        """Whether the peer has yet to follow a renewal of the keys: `pump` soon."""
+        """Whether the peer has yet to follow a renewal of the keys: call `pump` soon."""
         return self._core.awaits_peer
 
     def pump(self) -> None:
-        """Take in what has arrived, without waiting: for a side that only sends.
+        """Process received bytes, without waiting: for a side that only sends.
 
-        Its peer's renewals and its close are met; units are dropped, for nobody asks for them. A
-        peer that floods is read no faster than this is called: the rest waits at its side.
+        Handles the peer's key renewals and its close; units are dropped. A peer that floods is read
+        no faster than this is called: flow control holds back the rest.
         """
         end = self._end()
         with self._reading:
@@ -156,10 +156,10 @@ class SecureSocket(Carrier[PeerT]):
                     return
                 self._units.clear()
 
-    def tend(self) -> None:
-        """Meet the peer's renewals, and this side's, while nobody uses the connection.
+    def run_timers(self) -> None:
+        """Handle key renewals of both sides while the connection is not used.
 
-        It never waits: where somebody reads or writes just now, it happens by itself.
+        Never waits: where a thread reads or writes just now, that thread handles them.
         """
         if self._units or self.peer is None or not self._writing.acquire(blocking=False):
             return
@@ -169,10 +169,10 @@ class SecureSocket(Carrier[PeerT]):
                     self._take_in(None, AT_ONCE)
                 finally:
                     self._reading.release()
-            self._tick()  # after the peer's answer to the last renewal
+            self._run_timers()  # after the peer's answer to the last renewal
             with self._core_lock:
                 if self._core.has_data_to_send:
-                    self._core.put_back(self._offer(self._core.data_to_send()))
+                    self._core.put_back(self._send_nowait(self._core.data_to_send()))
         finally:
             self._writing.release()
 
@@ -181,7 +181,7 @@ class SecureSocket(Carrier[PeerT]):
         while not self._units:
             if isinstance(self._error, ChannelClosed):
                 return b""
-            self._raise_if_over()
+            self._raise_if_ended()
             self._receive(end)
         if self._aborted:
             return b""
@@ -204,34 +204,34 @@ class SecureSocket(Carrier[PeerT]):
         if self.peer is None:
             with self._reading:
                 self.do_handshake()
-        self._tick()
+        self._run_timers()
         with self._writing:
-            self._raise_if_over()
-            if not self._push_small(pieces, end):
-                self._push_unit(pieces, end)
+            self._raise_if_ended()
+            if not self._write_small(pieces, end):
+                self._write_unit(pieces, end)
         self._flush(end)
 
-    def send_now(self, data: bytes) -> bool:
-        """Send a small unit where this needs no waiting; False: nothing has happened.
+    def try_send(self, data: bytes) -> bool:
+        """Send a small unit where this needs no waiting; False: nothing was sent.
 
-        What the kernel did not take is `unsent`, and goes before anything else.
+        What the kernel did not take is `unsent`, and is sent before anything else.
         """
         if self.peer is None or not self._writing.acquire(blocking=False):
             return False
         try:
-            self._raise_if_over()
-            self._tick()
+            self._raise_if_ended()
+            self._run_timers()
             with self._core_lock:
                 record = self._core.seal_small(data)
                 if record is not None:
-                    self._core.put_back(self._offer(record))
+                    self._core.put_back(self._send_nowait(record))
         finally:
             self._writing.release()
         return record is not None
 
     @property
     def unsent(self) -> bool:
-        """Whether `send_now` left something: `sendall`, even of nothing, sends it."""
+        """Whether `try_send` left something: `sendall`, even of nothing, sends it."""
         return self._core.has_data_to_send
 
     # -- ends
@@ -240,24 +240,24 @@ class SecureSocket(Carrier[PeerT]):
         """Give the TCP socket back, before anything was read from it."""
         self._closed = True
         self._fail(ChannelClosed("the connection was given back"))
-        self._settle()
+        self._release()
         return self._socket
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
-        """Close in order (`SHUT_RD` alone does nothing: the peer cannot be told)."""
+        """Close in order (`SHUT_RD` alone does nothing: the protocol has no message for it)."""
         if how == socket.SHUT_RD:
             return
         with self._core_lock:
             if self._core.state not in ENDED:
                 self._core.close()
-        if self._writing.acquire(timeout=0.1):  # a writer that is stuck is cut off
+        if self._writing.acquire(timeout=0.1):  # a writer that is stuck is aborted
             try:
                 self._send_last(self._core.data_to_send())
             finally:
                 self._writing.release()
         self._fail(ChannelClosed("the connection was closed"))
         with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever waits
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes waiting threads
 
     def close(self) -> None:
         """Close in order, and give the descriptors back."""
@@ -270,7 +270,7 @@ class SecureSocket(Carrier[PeerT]):
             self._epoll.close()
             os.close(self._event)
         self._socket.close()
-        self._settle()
+        self._release()
 
     def __enter__(self) -> "SecureSocket[PeerT]":
         return self

@@ -67,7 +67,7 @@ def test_the_key_never_leaves_the_token() -> None:
 def test_nothing_in_a_token_is_overwritten() -> None:
     uri = fresh()
     TokenSigner.create(uri, PIN).close()
-    with pytest.raises(TokenRefused, match=r"has something called key[0-9]+ already"):
+    with pytest.raises(TokenRefused, match=r"already has an object called key[0-9]+"):
         TokenSigner.create(uri, PIN)
 
 
@@ -100,7 +100,7 @@ def generate(uri: KeyUri, curve: str, **private: bool) -> None:
 def test_a_key_that_can_be_taken_out_is_refused() -> None:
     uri = fresh()
     generate(uri, "secp256r1", EXTRACTABLE=True)
-    with pytest.raises(KeyRefused, match="can be taken out of its token"):
+    with pytest.raises(KeyRefused, match="is extractable from its token"):
         TokenSigner.open(uri, PIN)
 
 
@@ -126,12 +126,12 @@ def test_a_token_that_was_pulled_out(monkeypatch: pytest.MonkeyPatch) -> None:
         signer.sign(b"message")
     with monkeypatch.context() as patched:
         patched.setattr("ca.keys.hsm._log_in", Mock(side_effect=pkcs11.exceptions.DeviceError()))
-        with pytest.raises(TokenRefused, match="the token home does not open: DeviceError"):
+        with pytest.raises(TokenRefused, match="the token home cannot be opened: DeviceError"):
             TokenSigner.open(fresh(), PIN)
     session = failing(create_domain_parameters=pkcs11.exceptions.MechanismInvalid())
     session.get_objects.return_value = []
     monkeypatch.setattr("ca.keys.hsm._session", lambda *_: session)
-    with pytest.raises(TokenRefused, match="makes no P-256 key: MechanismInvalid"):
+    with pytest.raises(TokenRefused, match="cannot generate a P-256 key: MechanismInvalid"):
         TokenSigner.create(fresh(), PIN)
 
 

@@ -130,7 +130,7 @@ def test_a_link_is_not_followed(tmp_path: Path) -> None:
 
 def test_a_fifo_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "node.key", 0o600)
-    with pytest.raises(KeyRefused, match="is not a plain file"):
+    with pytest.raises(KeyRefused, match="is not a regular file"):
         key_files.load_private(tmp_path / "node.key")
 
 

@@ -103,8 +103,8 @@ def test_a_link_to_the_directory_it_is_in(mine: Path, target: str) -> None:
 
 def test_what_is_no_plain_file(mine: Path) -> None:
     os.mkfifo(mine / "pipe")
-    refused(mine / "pipe", "is not a plain file")
-    refused(mine, "is not a plain file")
+    refused(mine / "pipe", "is not a regular file")
+    refused(mine, "is not a regular file")
 
 
 def test_a_link_is_followed_only_where_it_may_be(mine: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_file_is_judged_without_opening_it(mine: Path, monkeypatch: pytest.Mon
         ownership.check_trusted(mine / "missing")
     with pytest.raises(PathRefused, match="is a symbolic link"):
         ownership.check_trusted(mine / "link")
-    with pytest.raises(PathRefused, match="is not a plain file"):
+    with pytest.raises(PathRefused, match="is not a regular file"):
         ownership.check_trusted(mine)
     (mine / "ca.pem").chmod(0o666)
     with pytest.raises(PathRefused, match="can be written by others"):
@@ -161,7 +161,7 @@ def test_root_is_told_whose_it_is(mine: Path, monkeypatch: pytest.MonkeyPatch) -
     nobody = pwd.getpwnam("nobody")
     as_another(monkeypatch, nobody.pw_uid)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    hint = refused(mine / "ca.pem", "belongs to nobody, and this is root")
+    hint = refused(mine / "ca.pem", "belongs to nobody, who could change what root trusts")
     assert "sudo -u nobody rossec" in hint
     assert "a ROSSEC_HOME that is root's" in hint
     as_another(monkeypatch)

@@ -157,7 +157,7 @@ def stamp_payload(changes: Mapping[int | str, Value]) -> Value:
         (7, "the timestamp has missing or unknown fields"),
         (stamp_payload({4: 1}), "the timestamp has missing or unknown fields"),
         (stamp_payload({-70004: "x"}), "the timestamp has missing or unknown fields"),
-        (stamp_payload({-70004: bytes(31)}), "the timestamp's digest has not 32 bytes"),
+        (stamp_payload({-70004: bytes(31)}), "the timestamp's digest does not have 32 bytes"),
         (stamp_payload({-70005: 31}), "a timestamp valid for 31 s where 1 to 30 are allowed"),
         (stamp_payload({-70005: 0}), "a timestamp valid for 0 s where 1 to 30 are allowed"),
         (stamp_payload({-70005: "x"}), "a number in the statement is out of range"),

@@ -165,13 +165,13 @@ def test_a_wrong_continuation_is_refused(first: int, second: int) -> None:
 def test_two_trees_of_one_size() -> None:
     verify_consistency(3, 3, [], ROOTS[2], ROOTS[2])
     for proof, root in (([], ROOTS[3]), ([EMPTY_ROOT], ROOTS[2])):
-        with pytest.raises(ProofRefused, match="two trees of one size are not the same"):
+        with pytest.raises(ProofRefused, match="two trees of the same size have different roots"):
             verify_consistency(3, 3, proof, ROOTS[2], root)
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 3), (4, 3), (-1, 3)])
 def test_what_cannot_be_continued(first: int, second: int) -> None:
-    message = f"a tree of {second} leaves does not continue one of {first}"
+    message = f"a tree of {second} leaves does not extend one of {first}"
     with pytest.raises(ProofRefused, match=message):
         TREE.consistency(first, second)
     with pytest.raises(ProofRefused, match=message):
@@ -198,7 +198,7 @@ def test_proofs_have_a_form(proof: list[bytes]) -> None:
 
 
 def test_peaks_fit_their_size() -> None:
-    with pytest.raises(ProofRefused, match="a tree of 3 leaves has not 1 peaks"):
+    with pytest.raises(ProofRefused, match="a tree of 3 leaves does not have 1 peaks"):
         extend([EMPTY_ROOT], 3, b"")
 
 

@@ -1,4 +1,4 @@
-"""Conditions: what they mean, what denies, what is refused when compiled."""
+"""Conditions: their value, what denies, what the compiler refuses."""
 
 import math
 import struct
@@ -8,7 +8,7 @@ import pytest
 
 from grants.conditions.compile import check_syntax, compile_condition
 from grants.errors import ConditionRefused
-from tests.grants.messages import LAYOUT, chance, layout, text
+from tests.grants.messages import LAYOUT, layout, seeded_random, text
 
 NOW = 1_800_000_000  # 2027-01-15 08:00:00 UTC, a Friday
 SHAPE = layout(
@@ -87,38 +87,38 @@ FALSE = [
 
 
 @pytest.mark.parametrize("source", TRUE)
-def test_true(source: str) -> None:
+def test_a_true_condition_admits(source: str) -> None:
     assert holds(source)
     assert not holds(f"!({source})")
 
 
 @pytest.mark.parametrize("source", FALSE)
-def test_false(source: str) -> None:
+def test_a_false_condition_denies(source: str) -> None:
     assert not holds(source)
 
 
-def test_nan_denies_whatever_is_asked() -> None:
+def test_nan_in_a_named_field_denies() -> None:
     data = message(x=math.nan)
     for source in ("msg.x > 0.0", "!(msg.x > 0.0)", "msg.x != 0.0", "true || msg.x > 0.0"):
         assert not holds(source, data)
     assert holds("msg.count == -3", data)
 
 
-def test_infinity_compares_but_does_not_calculate() -> None:
+def test_infinity_can_be_compared_but_not_computed_with() -> None:
     data = message(x=math.inf)
     assert holds("msg.x > 1.0", data)
     for source in ("msg.x - msg.x == 0.0", "msg.x + 1.0 > 0.0", "-msg.x < 0.0"):
         assert not holds(source, data)
 
 
-def test_prefixes_deny_and_what_is_behind_is_not_read() -> None:
+def test_truncated_messages_deny_and_later_fields_are_not_read() -> None:
     for source, field_end in ((TRUE[4], 25), (TRUE[11], 44)):
         whole = message()
         for end in range(len(whole)):
             assert holds(source, whole[:end]) is (end >= field_end)
 
 
-def test_text_that_is_no_text_denies() -> None:
+def test_invalid_utf8_denies() -> None:
     data = message(frame="ab").replace(b"ab", b"\xff\xfe")
     assert not holds("msg.frame != 'x'", data)
     assert not holds("msg.frame != 'x'", memoryview(data))
@@ -142,19 +142,19 @@ REFUSED = {
     "__import__('os')": "unknown function __import__",
     "exec": "unknown name 'exec'",
     "msg.on.__class__": "has no fields",
-    "msg.frame.upper() == 'A'": "a string has no such .upper",
-    "msg.frame.contains(1)": "no such .contains",
-    "msg.frame.contains()": "no such .contains",
-    "msg.count.contains('a')": "a int has no such .contains",
-    "now.getHour() == 1": "a timestamp has no such .getHour",
+    "msg.frame.upper() == 'A'": "a string has no method upper",
+    "msg.frame.contains(1)": "no method contains",
+    "msg.frame.contains()": "no method contains",
+    "msg.count.contains('a')": "a int has no method contains",
+    "now.getHour() == 1": "a timestamp has no method getHour",
     "now.getHours(1) == 1": "a time zone must be a text",
     "now.getHours('UTC', 'UTC') == 1": "a time zone must be a text",
     "now.getHours('Mars/Base') == 1": "unknown time zone 'Mars/Base'",
     "now.getHours('../../etc/passwd') == 1": "unknown time zone",
     "now.getHours('') == 1": "unknown time zone",
     "now.secs == 1": "only msg has fields",
-    "now == 1800000000": "== does not go with timestamp and int",
-    "now + 1 == now": ". does not go with timestamp and int",
+    "now == 1800000000": "== cannot be applied to timestamp and int",
+    "now + 1 == now": ". cannot be applied to timestamp and int",
     "now < timestamp('tomorrow')": "not a time",
     "now < timestamp('2027-13-15T08:00:00Z')": "not a time",
     "now < timestamp('2027-01-15T08:00:00')": "not a time",
@@ -167,15 +167,15 @@ REFUSED = {
     "msg.values == 1": "msg.values is a float64",
     "msg.values[0] == 1": "unexpected",
     "msg.skipped.name == 'a'": "has no fields",
-    "msg.frame == 1": "== does not go with string and int",
-    "msg.on == 1": "== does not go with bool and int",
-    "msg.on && 1": "&& does not go with bool and int",
-    "!1": "! does not go with a int",
-    "-true == true": "- does not go with a bool",
-    "-'a' == 'a'": "- does not go with a string",
-    "1 + 1.0 == 2.0": "does not go with int and double",
-    "'a' + 'b' == 'ab'": "does not go with string and string",
-    "1 in ['a']": "in compares int with string",
+    "msg.frame == 1": "== cannot be applied to string and int",
+    "msg.on == 1": "== cannot be applied to bool and int",
+    "msg.on && 1": "&& cannot be applied to bool and int",
+    "!1": "! cannot be applied to a int",
+    "-true == true": "- cannot be applied to a bool",
+    "-'a' == 'a'": "- cannot be applied to a string",
+    "1 + 1.0 == 2.0": "cannot be applied to int and double",
+    "'a' + 'b' == 'ab'": "cannot be applied to string and string",
+    "1 in ['a']": "in cannot compare int with string",
     "1 in 1": "unexpected '1'",
     "[1] == [1]": "unexpected",
     "1 in [[1]]": "unexpected",
@@ -196,12 +196,12 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("source", REFUSED)
-def test_refused(source: str) -> None:
+def test_an_invalid_condition_is_refused(source: str) -> None:
     with pytest.raises(ConditionRefused, match=REFUSED[source]):
         compile_condition(SHAPE, source)
 
 
-def test_limits() -> None:
+def test_length_nodes_and_depth_are_limited() -> None:
     for source, refusal in (
         ("true" + " " * 1000, "more than 1000 characters"),
         (" && ".join(["true"] * 40), "more than 64 parts"),
@@ -215,13 +215,13 @@ def test_limits() -> None:
     assert holds(" && ".join(["true"] * 32))
 
 
-def test_without_a_message() -> None:
+def test_conditions_without_a_message() -> None:
     condition = compile_condition(None, "now.getHours() >= 8")
     assert condition(b"", NOW)
     assert not condition(b"", NOW - 1)
     assert not condition.reads_message
     assert compile_condition(SHAPE, "msg.on").reads_message
-    with pytest.raises(ConditionRefused, match="no message to look at"):
+    with pytest.raises(ConditionRefused, match="needs a message type"):
         compile_condition(None, "msg.on")
 
 
@@ -229,23 +229,23 @@ def test_a_time_out_of_range_denies() -> None:
     assert not compile_condition(None, "now.getHours() >= 0")(b"", 1 << 60)
 
 
-def test_syntax_alone() -> None:
+def test_syntax_is_checked_without_a_type() -> None:
     check_syntax("msg.any.field > 1")
     with pytest.raises(ConditionRefused):
         check_syntax("msg.any.field >")
 
 
-def test_names_of_fields_never_reach_the_source() -> None:
+def test_field_names_never_appear_in_the_source() -> None:
     shape = layout("bool lambda")
     assert compile_condition(shape, "msg.lambda")(b"\1", NOW)
 
 
-def test_random_texts_give_our_errors() -> None:
-    dice = chance(7)
+def test_random_texts_are_compiled_or_refused() -> None:
+    rng = seeded_random(7)
     words = "msg.on msg.x msg.count now timestamp ( ) [ , ! - * && || == < in 'a' 1 2.5 true false"
     done: list[Any] = []
     for _ in range(3000):
-        source = " ".join(dice.choices(words.split(), k=dice.randrange(1, 12)))
+        source = " ".join(rng.choices(words.split(), k=rng.randrange(1, 12)))
         try:
             done.append(compile_condition(SHAPE, source)(message(), NOW))
         except ConditionRefused:
@@ -253,5 +253,5 @@ def test_random_texts_give_our_errors() -> None:
     assert set(done) == {True, False}
 
 
-def test_a_layout_with_everything() -> None:
+def test_conditions_on_a_layout_with_all_types() -> None:
     compile_condition(LAYOUT, "msg.header.seq == 1 && msg.f64 > 0.0 && msg.text == ''")

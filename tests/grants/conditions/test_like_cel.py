@@ -14,7 +14,7 @@ import pytest
 
 from grants.conditions.compile import Condition, compile_condition
 from grants.errors import ConditionRefused
-from tests.grants.messages import chance, layout, text
+from tests.grants.messages import layout, seeded_random, text
 
 cel = pytest.importorskip("cel_expr_python.cel")
 
@@ -37,8 +37,8 @@ COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
 class Writer:
     """Writes random well-typed expressions."""
 
-    def __init__(self, dice: Random) -> None:
-        self._dice = dice
+    def __init__(self, rng: Random) -> None:
+        self._dice = rng
 
     def truth(self, depth: int) -> str:
         leaf: list[Callable[[], str]] = [
@@ -113,11 +113,11 @@ def environment() -> Any:
     )  # fmt: skip
 
 
-def random_message(dice: Random) -> tuple[bytes, dict[str, Any]]:
-    on, count, level = dice.random() < 0.5, dice.randrange(-(2**31), 2**31), dice.randrange(256)
-    x, f = dice.choice([0.0, 0.5, -3.25, 1e300, dice.uniform(-9, 9)]), dice.choice([0.5, -1.25])
-    frame, name = dice.choice(TEXTS), dice.choice(TEXTS)
-    count = dice.choice([count, dice.randrange(-5, 70)])
+def random_message(rng: Random) -> tuple[bytes, dict[str, Any]]:
+    on, count, level = rng.random() < 0.5, rng.randrange(-(2**31), 2**31), rng.randrange(256)
+    x, f = rng.choice([0.0, 0.5, -3.25, 1e300, rng.uniform(-9, 9)]), rng.choice([0.5, -1.25])
+    frame, name = rng.choice(TEXTS), rng.choice(TEXTS)
+    count = rng.choice([count, rng.randrange(-5, 70)])
     data = struct.pack("<?id", on, count, x) + text(frame) + bytes([level]) + text(name)
     values = {
         "msg.on": on, "msg.count": count, "msg.x": x, "msg.frame": frame, "msg.level": level,
@@ -134,10 +134,10 @@ def raised(condition: Condition, data: bytes, now: int) -> bool:
     return False
 
 
-def agrees(condition: Condition, expression: Any, dice: Random) -> bool:
+def agrees(condition: Condition, expression: Any, rng: Random) -> bool:
     """Compare on one message; return whether an error made the difference."""
-    now = dice.randrange(2**32)
-    data, values = random_message(dice)
+    now = rng.randrange(2**32)
+    data, values = random_message(rng)
     oracle = expression.eval(data=values | {"now": datetime.fromtimestamp(now, UTC)})
     ours = condition(data, now)
     if oracle.type().name() == "ERROR":
@@ -150,9 +150,9 @@ def agrees(condition: Condition, expression: Any, dice: Random) -> bool:
     return False
 
 
-def test_like_cel() -> None:
-    env, dice = environment(), chance(11)
-    writer = Writer(dice)
+def test_random_conditions_agree_with_cel() -> None:
+    env, rng = environment(), seeded_random(11)
+    writer = Writer(rng)
     compared = differed = true = 0
     while compared < EXPRESSIONS:
         source = writer.truth(3)
@@ -164,13 +164,13 @@ def test_like_cel() -> None:
         expression = env.compile(source)
         compared += 1
         for _ in range(MESSAGES):
-            differed += agrees(condition, expression, dice)
-        true += condition(random_message(dice)[0], 0)
-    assert true > EXPRESSIONS / 10  # not everything is denied
+            differed += agrees(condition, expression, rng)
+        true += condition(random_message(rng)[0], 0)
+    assert true > EXPRESSIONS / 10  # not all are denied
     assert 0 < differed < EXPRESSIONS * MESSAGES / 50
 
 
-def test_what_we_refuse_is_refused_or_wider_in_cel() -> None:
+def test_conditions_refused_here_are_refused_or_wider_in_cel() -> None:
     """Texts with a wrong type in them: refused by both."""
     env = environment()
     for source in (

@@ -3,10 +3,10 @@
 import pytest
 
 from grants.conditions.syntax import (
-    Among,
     Binary,
     FunctionCall,
     Literal,
+    Membership,
     Now,
     Path,
     Unary,
@@ -23,8 +23,8 @@ TREES = {
     "msg.a == msg.b + msg.c * 2": Binary("==", A, Binary("+", B, Binary("*", C, Literal(2)))),
     "!msg.a == msg.b": Binary("==", Unary("!", A), B),
     "-1 - -1.5": Binary("-", Unary("-", Literal(1)), Unary("-", Literal(1.5))),
-    "msg.a in ['x', \"y\"]": Among(A, (Literal("x"), Literal("y"))),
-    "msg.a in []": Among(A, ()),
+    "msg.a in ['x', \"y\"]": Membership(A, (Literal("x"), Literal("y"))),
+    "msg.a in []": Membership(A, ()),
     "now.getHours('UTC') >= 8": Binary(
         ">=", FunctionCall(Now(), "getHours", (Literal("UTC"),)), Literal(8)
     ),
@@ -41,7 +41,7 @@ TREES = {
 
 
 @pytest.mark.parametrize("text", TREES)
-def test_trees(text: str) -> None:
+def test_a_text_is_parsed_to_its_tree(text: str) -> None:
     assert parse_expression(text) == TREES[text]
     assert parse_expression(f"  ({text}) ") == TREES[text]
 
@@ -53,7 +53,7 @@ def test_trees(text: str) -> None:
         ("1 2", "unexpected '2' at character 3"),
         ("(1", "unexpected 'the end'"),
         ("a", "unknown name 'a' at character 1"),
-        ("now.x", "only msg has fields, not what is before .x"),
+        ("now.x", ".x: only msg has fields"),
         ("msg.1", "cannot read a number|unexpected"),
         ("msg.(", "unexpected '\\('"),
         ("$", r"cannot read '\$' at character 1"),
@@ -67,6 +67,6 @@ def test_trees(text: str) -> None:
         ("-" * 70 + "1", "more than 64 parts"),
     ],
 )
-def test_refused(text: str, message: str) -> None:
+def test_invalid_syntax_is_refused(text: str, message: str) -> None:
     with pytest.raises(ConditionRefused, match=message):
         parse_expression(text)

@@ -1,11 +1,18 @@
-"""Generated readers: positions, and a namespace with nothing to find in it."""
+"""Generated readers: positions, and a restricted namespace."""
 
 import struct
 
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.filters.codegen import MAX_LOOPS, MISFIT, Cursor, SourceWriter, expression, misfit
+from grants.filters.codegen import (
+    LAYOUT_ERRORS,
+    MAX_LOOPS,
+    Cursor,
+    SourceWriter,
+    expression,
+    layout_mismatch,
+)
 from grants.filters.layout import Array, Text, Type
 from tests.grants.messages import LAYOUT, layout, text
 
@@ -18,13 +25,13 @@ def end_of(kind: Type, data: bytes) -> object:
     return source.compile()(data)
 
 
-def test_positions() -> None:
+def test_a_position_is_an_expression() -> None:
     assert expression(("", 3), 4) == "7"
     assert expression(("o1", 0)) == "o1"
     assert expression(("o1", 3), 1) == "o1+4"
 
 
-def test_skipping_every_kind() -> None:
+def test_every_type_can_be_skipped() -> None:
     shape = layout(
         "int8 a\nN[] n\nstring[2] s\nfloat64[] f\nE[] e\nN[0] z",
         "MSG: t/N\nstring s\nint8 i",
@@ -36,13 +43,13 @@ def test_skipping_every_kind() -> None:
     for end in range(len(data)):
         try:
             assert end_of(shape.root, data[:end]) != end
-        except MISFIT:
+        except LAYOUT_ERRORS:
             continue
     assert LAYOUT.root.size is None
 
 
 def test_loops_end_with_the_message() -> None:
-    with pytest.raises(MISFIT):
+    with pytest.raises(LAYOUT_ERRORS):
         end_of(Array(Text(), None), b"\xff\xff\xff\xff")
 
 
@@ -55,7 +62,7 @@ def test_loops_are_bounded_in_depth() -> None:
         end_of(Array(kind, 1), text("ab"))
 
 
-def test_the_namespace_has_no_way_out() -> None:
+def test_the_namespace_has_listed_builtins_only() -> None:
     for name in ("__import__", "open", "eval", "getattr", "print"):
         source = SourceWriter("b")
         source.line(f"return {name}")
@@ -71,5 +78,8 @@ def test_bound_values_appear_by_name_only() -> None:
     assert source.compile()(b"") == "'); import os; ('"
 
 
-def test_the_refusal() -> None:
-    assert str(misfit("t/T")) == "a message that is not a t/T: truncated, too long or malformed"
+def test_a_layout_mismatch_names_the_type() -> None:
+    assert (
+        str(layout_mismatch("t/T"))
+        == "a message that is not a t/T: truncated, too long or malformed"
+    )

@@ -1,4 +1,4 @@
-"""Filters on the wire: equal to deserialize, modify, serialize; nothing else gets through."""
+"""Filters on serialized messages: equal to deserialize, modify, serialize."""
 
 import importlib
 import math
@@ -13,7 +13,7 @@ from grants.filters.compile import compile_filter
 from grants.filters.layout import parse
 from grants.model import FilterRule, filter_rules
 from tests.grants.filters.test_layout import ros_types
-from tests.grants.messages import LAYOUT, chance, fill, layout, serialized, text
+from tests.grants.messages import LAYOUT, fill, layout, seeded_random, serialized, text
 
 Rules = dict[str, dict[str, object]]
 CLEAR: dict[str, object] = {"clear": True}
@@ -23,7 +23,7 @@ def rounded(step: float) -> dict[str, object]:
     return {"round": {"step": step}}
 
 
-# --- the oracle: the same on deserialized messages ---
+# --- reference: the same on deserialized messages ---
 
 
 def zero(kind: str) -> Any:
@@ -93,9 +93,9 @@ def treat(message: Any, path: str, step: float | None) -> None:
 
 def compare(kind: Any, rules: Rules, runs: int) -> None:
     compiled = compile_filter(parse(kind._type, kind._full_text), filter_rules(rules))
-    dice = chance(len(rules) + len(kind._type))
+    rng = seeded_random(len(rules) + len(kind._type))
     for _ in range(runs):
-        data = serialized(fill(kind(), dice))
+        data = serialized(fill(kind(), rng))
         expected = kind().deserialize(data)
         for path, treatment in rules.items():
             step: Any = treatment.get("round")
@@ -130,14 +130,14 @@ CASES: list[tuple[str, Rules]] = [
 
 @pytest.mark.ros
 @pytest.mark.parametrize("number", range(len(CASES)))
-def test_like_genpy(number: int) -> None:
+def test_random_rules_equal_genpy(number: int) -> None:
     name, rules = CASES[number]
     kind = importlib.import_module("roslib.message").get_message_class(name)
     compare(kind, rules, 60)
 
 
 @pytest.mark.ros
-def test_every_field_of_every_type_like_genpy() -> None:
+def test_every_field_of_every_type_equals_genpy() -> None:
     done = 0
     for kind in ros_types():
         for name in kind.__slots__:
@@ -153,7 +153,7 @@ def test_every_field_of_every_type_like_genpy() -> None:
 
 @cache
 def sample() -> bytes:
-    """A message of LAYOUT; its fields are found again by the filters under test."""
+    """A message of LAYOUT; the filters under test read it."""
     numbers = b"\1\xfe" + bytes(range(16)) + bytes(4) + bytes(8)
     points = [bytes(range(24 * n, 24 * n + 24)) for n in range(3)]
     path = (3).to_bytes(4, "little") + b"".join(points)
@@ -190,7 +190,7 @@ ALL_RULES: list[Rules] = [
 
 
 @pytest.mark.parametrize("number", range(len(ALL_RULES)))
-def test_prefixes_and_tails_are_refused(number: int) -> None:
+def test_truncated_and_extended_messages_are_refused(number: int) -> None:
     compiled = compile_filter(LAYOUT, filter_rules(ALL_RULES[number]))
     whole = sample()
     compiled(whole)
@@ -203,18 +203,18 @@ def test_prefixes_and_tails_are_refused(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(len(ALL_RULES)))
-def test_mutated_messages_give_our_errors(number: int) -> None:
+def test_mutated_messages_are_filtered_or_refused(number: int) -> None:
     compiled = compile_filter(LAYOUT, filter_rules(ALL_RULES[number]))
-    dice = chance(number)
+    rng = seeded_random(number)
     for _ in range(1500):
         mutated = bytearray(sample())
-        for _ in range(dice.randrange(1, 5)):
-            mutated[dice.randrange(len(mutated))] = dice.choice([0, 1, 127, 128, 255])
+        for _ in range(rng.randrange(1, 5)):
+            mutated[rng.randrange(len(mutated))] = rng.choice([0, 1, 127, 128, 255])
         with suppress(MessageRefused):
             compiled(bytes(mutated))
 
 
-def test_no_rule_changes_nothing() -> None:
+def test_a_filter_without_rules_changes_nothing() -> None:
     assert apply({}) == sample()
 
 
@@ -225,7 +225,7 @@ def test_filtering_twice_changes_nothing_more() -> None:
 
 
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
-def test_any_buffer(kind: Any) -> None:
+def test_a_message_may_be_any_buffer(kind: Any) -> None:
     rules = ALL_RULES[6]
     assert apply(rules, kind(sample())) == apply(rules)
 
@@ -247,7 +247,7 @@ def test_many_pieces_are_joined() -> None:
     assert pieces == [(99).to_bytes(4, "little") + (bytes(4) + b"1234") * 99]
 
 
-def test_counts_beyond_the_message_cost_nothing() -> None:
+def test_counts_beyond_the_message_are_refused_fast() -> None:
     huge = (2**32 - 1).to_bytes(4, "little")
     for fields in ("int32[] a", "N[] a", "E[] a", "float64[] a"):
         sections = ("MSG: t/N\nstring s", "MSG: t/E")
@@ -285,18 +285,18 @@ def test_refused_rules(name: str, path: str, treatment: dict[str, object], messa
     "paths",
     [("point", "point.x"), ("points", "points[*].x"), ("named[*].path", "named[*].path[*].x")],
 )
-def test_overlaps(paths: tuple[str, str]) -> None:
+def test_overlapping_rules_are_refused(paths: tuple[str, str]) -> None:
     for order in (paths, paths[::-1]):
-        with pytest.raises(FilterRefused, match="has a filter, or the other way round"):
+        with pytest.raises(FilterRefused, match="has a filter, or contains one"):
             compile_filter(LAYOUT, [FilterRule(path, "clear") for path in order])
 
 
-def test_the_same_field_twice() -> None:
-    with pytest.raises(FilterRefused, match="the other way round"):
+def test_two_rules_for_one_field_are_refused() -> None:
+    with pytest.raises(FilterRefused, match="or contains one"):
         compile_filter(LAYOUT, [FilterRule("i8", "clear"), FilterRule("i8", "clear")])
 
 
-def test_a_treatment_that_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_type_without_treatment_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     operators = importlib.import_module("grants.filters.operators")
     monkeypatch.setitem(operators.OPERATORS, "shrug", lambda *_: lambda _: operators.DESCEND)
     with pytest.raises(FilterRefused, match="i8: no treatment for int8"):

@@ -16,7 +16,7 @@ from grants.filters.layout import parse
 from grants.filters.operators import OPERATORS
 from grants.model import filter_rules
 from tests.grants.filters.test_compile import round_value, zero
-from tests.grants.messages import chance, fill, serialized
+from tests.grants.messages import fill, seeded_random, serialized
 
 pytestmark = pytest.mark.ros
 
@@ -55,7 +55,7 @@ def fields(kind: Any, above: str = "", inside: bool = False) -> Iterator[tuple[s
             yield from fields(roslib.get_message_class(base), step, inside or is_array)
 
 
-# --- the oracle: what each operator does to a value of genpy ---
+# --- reference: each operator on values of genpy ---
 
 
 def elements(declared: str, value: Any, change: Callable[[Any], Any]) -> Any:
@@ -90,7 +90,7 @@ Change = Callable[[str, Any], Any]
 def choices(
     path: str, declared: str, inside: bool, memory: dict[str, float]
 ) -> list[tuple[dict[str, object], Change]]:
-    """The operators that can treat a field of this type, each with the oracle's way."""
+    """The operators that can treat a field of this type, each with its reference."""
     genmsg = importlib.import_module("genmsg.msgs")
     base, is_array, length = genmsg.parse_type(declared)
     found: list[tuple[dict[str, object], Change]] = [({"clear": True}, lambda kind, _: zero(kind))]
@@ -158,33 +158,33 @@ def overlaps(path: str, others: Rules) -> bool:
 
 
 def random_rules(
-    kind: Any, dice: random.Random, memory: dict[str, float]
+    kind: Any, rng: random.Random, memory: dict[str, float]
 ) -> tuple[Rules, dict[str, Change]]:
     rules: Rules = {}
     changes: dict[str, Change] = {}
     found = list(fields(kind))
-    for path, declared, inside in dice.sample(found, len(found)):
+    for path, declared, inside in rng.sample(found, len(found)):
         if len(rules) < 5 and not overlaps(path, rules):
-            rule, change = dice.choice(choices(path, declared, inside, memory))
+            rule, change = rng.choice(choices(path, declared, inside, memory))
             rules[path], changes[path] = rule, change
     return rules, changes
 
 
-def compare(kind: Any, dice: random.Random) -> None:
+def compare(kind: Any, rng: random.Random) -> None:
     """Random rules over random messages."""
     memory: dict[str, float] = {}
-    rules, changes = random_rules(kind, dice, memory)
+    rules, changes = random_rules(kind, rng, memory)
     shape = parse(kind._type, kind._full_text)
     compiled = compile_filter(shape, filter_rules(rules), KEYS)
     for _ in range(MESSAGES):
-        data = serialized(fill(kind(), dice))
+        data = serialized(fill(kind(), rng))
         expected = kind().deserialize(data)
         for path, change in changes.items():
             treat(expected, path, change)
         assert b"".join(compiled(data)) == serialized(expected), (kind._type, rules)
 
 
-def test_checksums() -> None:
+def test_checksums_equal_genpy() -> None:
     kinds = debian_types()
     assert len(kinds) >= AT_LEAST, f"only {len(kinds)} types: see tools/ros-packages.sh"
     for name, kind in kinds.items():
@@ -192,19 +192,21 @@ def test_checksums() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-@pytest.mark.parametrize("gather", [0, 24])
-def test_random_filters(package: str, gather: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both ways through arrays of elements of different sizes: gathered, and one by one."""
-    monkeypatch.setattr(message_rewriter, "_GATHER", gather)
+@pytest.mark.parametrize("minimum", [0, 24])
+def test_random_filters_equal_genpy(
+    package: str, minimum: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Arrays of elements of different sizes are treated in both ways: collected, and one by one."""
+    monkeypatch.setattr(message_rewriter, "_MIN_COLLECTED", minimum)
     kinds = {name: kind for name, kind in debian_types().items() if name.startswith(f"{package}/")}
     assert kinds
     for name, kind in kinds.items():
-        dice = chance(sum(name.encode()) + gather)
+        rng = seeded_random(sum(name.encode()) + minimum)
         for _ in range(RUNS):
-            compare(kind, dice)
+            compare(kind, rng)
 
 
-def test_every_operator_was_among_the_choices() -> None:
+def test_every_operator_is_chosen() -> None:
     offered = {
         operator
         for kind in debian_types().values()

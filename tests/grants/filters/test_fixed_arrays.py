@@ -1,13 +1,20 @@
-"""Tables: elements of one size, column by column."""
+"""Arrays of fixed-size elements, treated column by column."""
 
 import numpy as np
 import pytest
 
-from grants.filters.codegen import MISFIT
+from grants.filters.codegen import LAYOUT_ERRORS
 from grants.filters.fixed_arrays import table_rewriter
 from grants.filters.layout import PRIMITIVES, Array, Struct
 from grants.filters.lazy_numpy import Vector
-from grants.filters.treatments import Constant, Each, Keep, Numbers, StructTreatment, Treated
+from grants.filters.treatments import (
+    ArrayTreatment,
+    Constant,
+    FieldTreatment,
+    Keep,
+    Numbers,
+    StructTreatment,
+)
 
 BYTE = PRIMITIVES["uint8"]
 CALLS: list[tuple[int, ...]] = []
@@ -23,20 +30,20 @@ INNER = Struct("t/I", (("a", BYTE), ("b", BYTE)))
 ELEMENT = Struct(
     "t/E", (("k", BYTE), ("x", BYTE), ("y", BYTE), ("i", Array(INNER, 2)), ("z", BYTE))
 )
-TREATED = Treated(BYTE, ADD)
+TREATED = FieldTreatment(BYTE, ADD)
 NODE = StructTreatment(
     ELEMENT,
     (
         Keep(BYTE),
         TREATED,
         TREATED,
-        Each(Array(INNER, 2), StructTreatment(INNER, (TREATED, Keep(BYTE)))),
-        Treated(BYTE, Constant(b"z")),
+        ArrayTreatment(Array(INNER, 2), StructTreatment(INNER, (TREATED, Keep(BYTE)))),
+        FieldTreatment(BYTE, Constant(b"z")),
     ),
 )
 
 
-def test_columns_are_joined() -> None:
+def test_adjacent_columns_are_merged() -> None:
     CALLS.clear()
     rewrite = table_rewriter(NODE, 8)
     message = b"??" + bytes([0, 1, 2, 3, 4, 5, 6, 7]) * 3 + b"?"
@@ -44,11 +51,11 @@ def test_columns_are_joined() -> None:
     assert CALLS == [(3, 3), (3, 1)]  # x, y and the first a in one; the second a
 
 
-def test_counts() -> None:
+def test_a_count_beyond_the_message_is_refused() -> None:
     rewrite = table_rewriter(NODE, 8)
     assert rewrite(b"", 0, 0) == b""
     for count in (1, 2**32):
-        with pytest.raises(MISFIT):
+        with pytest.raises(LAYOUT_ERRORS):
             rewrite(bytes(7), 0, count)
 
 

@@ -28,7 +28,7 @@ def message(a: str, *b: str, c: str = "") -> bytes:
     return text(a) + names + (1).to_bytes(4, "little") + text(c) + bytes(4)
 
 
-def test_pseudonyms() -> None:
+def test_a_pseudonym_is_a_truncated_hmac() -> None:
     rules = {"a": hashed(), "b": hashed(8), "c[*].id": hashed(64, "other")}
     compiled = compile_filter(LAYOUT, filter_rules(rules), KEYS)
     expected = message(
@@ -50,14 +50,14 @@ def test_without_keys_rules_are_checked_and_messages_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "A", "1a", "a/b", "..", "a" * 33, "ä", "a\n", 1, None])
-def test_names_of_keys(name: object) -> None:
-    with pytest.raises(FilterRefused, match="not the name of a key"):
+def test_invalid_key_names_are_refused(name: object) -> None:
+    with pytest.raises(FilterRefused, match="not a key name"):
         check_key_name(name)
-    with pytest.raises(FilterRefused, match="not the name of a key"):
+    with pytest.raises(FilterRefused, match="not a key name"):
         pseudonyms(name, 8, KEYS)
     assert check_key_name("ward-3_b") == "ward-3_b"
 
 
-def test_the_keys_that_are_needed() -> None:
+def test_key_names_of_rules() -> None:
     rules = filter_rules({"a": hashed(), "b": hashed(key="other"), "c": {"redact": {"text": "x"}}})
     assert key_names(rules) == {"ward", "other"}

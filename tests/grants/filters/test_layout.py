@@ -18,7 +18,7 @@ from grants.filters.layout import (
     parse,
     service_md5,
 )
-from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR, chance, layout
+from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR, layout, seeded_random
 
 ROS_PACKAGES = (
     "actionlib_msgs", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "rosgraph_msgs",
@@ -58,13 +58,13 @@ def test_known_checksums() -> None:
     assert parse("geometry_msgs/Polygon", vector).md5 == parse("geometry_msgs/Line", vector).md5
 
 
-def test_comments_blanks_and_order_do_not_count() -> None:
+def test_comments_and_spaces_do_not_change_the_checksum() -> None:
     spaced = "# c\n\n  int32   x # y\nint32 A=1 # one\r\n"
     assert layout(spaced).md5 == layout("int32 A = 1\nint32 x").md5
     assert layout("string S=a # b").md5 != layout("string S=a").md5
 
 
-def test_the_tree() -> None:
+def test_the_layout_tree_of_a_definition() -> None:
     fields = dict(LAYOUT.root.fields)
     header, points, named = fields["header"], fields["points"], fields["named"]
     assert isinstance(header, Struct)
@@ -125,31 +125,31 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_refused(name: str) -> None:
+def test_invalid_definitions_are_refused(name: str) -> None:
     definition, message = REFUSED[name]
     with pytest.raises(DefinitionRefused, match=message):
         parse("t/T", definition)
 
 
 @pytest.mark.parametrize("name", ["T", "t/", "/T", "a/b/c", "t/T\n", "1/T", ""])
-def test_refused_type_names(name: str) -> None:
+def test_invalid_type_names_are_refused(name: str) -> None:
     with pytest.raises(DefinitionRefused, match="not a message type"):
         parse(name, "")
 
 
-def test_a_bomb_is_refused_without_building_it() -> None:
+def test_an_exponential_definition_is_refused_without_expansion() -> None:
     before = time.process_time()
     with pytest.raises(DefinitionRefused, match="more than 4096 fields"):
         parse("t/T", nested(30))
-    assert time.process_time() - before < 5  # unfolded it would take days
+    assert time.process_time() - before < 5  # expanded it would take days
 
 
-def test_mutated_definitions_give_our_errors() -> None:
-    dice = chance(5)
+def test_mutated_definitions_are_parsed_or_refused() -> None:
+    rng = seeded_random(5)
     for _ in range(2000):
         mutated = list(EVERYTHING)
-        for _ in range(dice.randrange(1, 4)):
-            mutated[dice.randrange(len(mutated))] = dice.choice("\n =#/[]A1a\t\x00é")
+        for _ in range(rng.randrange(1, 4)):
+            mutated[rng.randrange(len(mutated))] = rng.choice("\n =#/[]A1a\t\x00é")
         with suppress(DefinitionRefused):
             parse("test_msgs/Everything", "".join(mutated))
 
@@ -162,8 +162,8 @@ def test_the_checksum_of_a_service_is_over_both_parts() -> None:
     assert service_md5(nothing, response) == "937c9679a518e3a18d831e57125ea522"
 
 
-def test_the_checksum_does_not_see_what_the_digest_sees() -> None:
-    """genmsg forgets array brackets behind a message type."""
+def test_the_digest_covers_brackets_the_checksum_omits() -> None:
+    """genmsg omits array brackets after a message type."""
     plain = parse("t/A", f"B x\nt/B y\n{SEPARATOR}\nMSG: t/B\nint8 v\n")
     same = parse("t/A", f"t/B x # first\nB y\n{SEPARATOR}\nMSG: t/B\n# inner\nint8 v\n")
     assert plain.digest == same.digest
@@ -186,11 +186,11 @@ def test_the_checksum_does_not_see_what_the_digest_sees() -> None:
     ("text", "proven"),
     [("string[] a\nfloat64[3] b\ntime c\n", True), ("", True), ("B a", False), ("B[2] a", False)],
 )
-def test_what_a_checksum_proves(text: str, proven: bool) -> None:
+def test_a_checksum_proves_layouts_without_messages(text: str, proven: bool) -> None:
     assert parse("t/A", f"{text}\n{SEPARATOR}\nMSG: t/B\nint8 v\n").is_proven is proven
 
 
-def test_what_one_definition_needs() -> None:
+def test_dependencies_of_a_definition() -> None:
     text = "Header header\nB[] b\nu/C c\nHeader[2] more\nstring s\nint8 X=1"
     assert dependencies("t/A", text) == {"std_msgs/Header", "t/B", "u/C", "t/Header"}
     for bad in ("what is this", "B[-1] b"):

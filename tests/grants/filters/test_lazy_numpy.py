@@ -6,12 +6,12 @@ import numpy
 from grants.filters.lazy_numpy import np
 
 
-def test_names_are_those_of_numpy_and_kept() -> None:
+def test_attributes_are_those_of_numpy_and_cached() -> None:
     assert np.floor is numpy.floor
     assert "floor" in vars(np)
 
 
-def test_numpy_is_imported_only_when_it_is_needed() -> None:
+def test_numpy_is_imported_on_first_use() -> None:
     code = (
         "import sys, grants.guard; assert 'numpy' not in sys.modules\n"
         "from grants.filters.lazy_numpy import np; np.dtype; assert 'numpy' in sys.modules"

@@ -1,23 +1,23 @@
-"""Rewriting: pieces in order, few of them, whatever is treated where."""
+"""Rewriting: pieces in order, and a limited number of them."""
 
 import struct
 from typing import Any
 
 import pytest
 
-from grants.filters.codegen import MISFIT
+from grants.filters.codegen import LAYOUT_ERRORS
 from grants.filters.compile import compile_filter
 from grants.filters.layout import PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate
 from grants.filters.treatments import (
+    ArrayTreatment,
     Constant,
     ContentTreatment,
-    Each,
+    FieldTreatment,
     Keep,
     Node,
     Numbers,
     StructTreatment,
-    Treated,
 )
 from grants.model import filter_rules
 from tests.grants.messages import layout, text
@@ -43,39 +43,51 @@ def rewrite(node: Node, message: bytes) -> bytes:
     return b"".join(generate(node)(message))
 
 
-def test_neighbours_are_one_piece() -> None:
+def test_adjacent_values_are_one_piece() -> None:
     node = struct_of(
-        *[Treated(INT, ADD)] * 2, Treated(INT, Constant(b"wxyz")), Keep(INT), Treated(INT, ADD)
+        *[FieldTreatment(INT, ADD)] * 2,
+        FieldTreatment(INT, Constant(b"wxyz")),
+        Keep(INT),
+        FieldTreatment(INT, ADD),
     )
     pieces = generate(node)(ints(1, 2, 3, 4, 5))
     assert pieces == [ints(2, 3) + b"wxyz", ints(4), ints(6)]
 
 
-def test_constants_alone() -> None:
-    node = struct_of(Treated(INT, Constant(b"abcd")), Treated(INT, Constant(b"efgh")))
+def test_adjacent_constants_are_one_piece() -> None:
+    node = struct_of(FieldTreatment(INT, Constant(b"abcd")), FieldTreatment(INT, Constant(b"efgh")))
     assert generate(node)(ints(1, 2)) == [b"abcdefgh"]
 
 
-def test_two_values_of_one_field() -> None:
+def test_a_time_is_treated_as_two_values() -> None:
     pair = PRIMITIVES["duration"]
-    assert rewrite(struct_of(Treated(pair, SWAP), Keep(INT)), ints(1, 2, 3)) == ints(2, 1, 3)
+    assert rewrite(struct_of(FieldTreatment(pair, SWAP), Keep(INT)), ints(1, 2, 3)) == ints(2, 1, 3)
     for length in (2, 20, None):
         kind = Array(pair, length)
         count = b"" if length else (2).to_bytes(4, "little")
         values = [1, 2] * (length or 2)
         expected = count + ints(*values[::-1])
-        assert rewrite(Each(kind, Treated(pair, SWAP)), count + ints(*values)) == expected
+        assert (
+            rewrite(ArrayTreatment(kind, FieldTreatment(pair, SWAP)), count + ints(*values))
+            == expected
+        )
 
 
-def test_bodies_and_texts() -> None:
-    node = struct_of(Keep(Text()), Treated(Text(), TWICE), Treated(Text(), Constant(text("-"))))
+def test_content_and_text_are_rewritten() -> None:
+    node = struct_of(
+        Keep(Text()), FieldTreatment(Text(), TWICE), FieldTreatment(Text(), Constant(text("-")))
+    )
     assert rewrite(node, text("a") + text("bc") + text("d")) == text("a") + text("bcbc") + text("-")
 
 
-def test_loops_in_loops() -> None:
-    inner = struct_of(Keep(Text()), Treated(INT, ADD), Treated(Text(), TWICE), Keep(INT))
-    outer = struct_of(Keep(INT), Each(Array(inner.kind, None), inner), Treated(INT, ADD))
-    node = struct_of(Keep(INT), Each(Array(outer.kind, 2), outer), Keep(Text()))
+def test_nested_arrays_are_treated_in_nested_loops() -> None:
+    inner = struct_of(
+        Keep(Text()), FieldTreatment(INT, ADD), FieldTreatment(Text(), TWICE), Keep(INT)
+    )
+    outer = struct_of(
+        Keep(INT), ArrayTreatment(Array(inner.kind, None), inner), FieldTreatment(INT, ADD)
+    )
+    node = struct_of(Keep(INT), ArrayTreatment(Array(outer.kind, 2), outer), Keep(Text()))
 
     def message(add: int, times: int) -> bytes:
         item = text("x") + ints(5 + add) + text("ab" * times) + ints(7)
@@ -85,35 +97,41 @@ def test_loops_in_loops() -> None:
     assert rewrite(node, message(0, 1)) == message(1, 2)
 
 
-def table(length: int | None) -> Each:
-    inside: list[Node] = [Keep(INT), Treated(INT, ADD), Treated(INT, Constant(b"wxyz"))]
-    numbers = Each(Array(INT, 3), Treated(INT, ADD))
+def table(length: int | None) -> ArrayTreatment:
+    inside: list[Node] = [
+        Keep(INT),
+        FieldTreatment(INT, ADD),
+        FieldTreatment(INT, Constant(b"wxyz")),
+    ]
+    numbers = ArrayTreatment(Array(INT, 3), FieldTreatment(INT, ADD))
     element = struct_of(
-        *inside, numbers, StructTreatment(Struct("t/S", (("a", INT),)), (Treated(INT, ADD),))
+        *inside, numbers, StructTreatment(Struct("t/S", (("a", INT),)), (FieldTreatment(INT, ADD),))
     )
-    return Each(Array(element.kind, length), element)
+    return ArrayTreatment(Array(element.kind, length), element)
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
-def test_tables(count: int) -> None:
+def test_arrays_of_fixed_size_elements(count: int) -> None:
     head = count.to_bytes(4, "little")
     before = head + ints(1, 2, 3, 4, 5, 6, 7) * count
     after = head + (ints(1, 3) + b"wxyz" + ints(5, 6, 7, 8)) * count
     assert rewrite(table(None), before) == after
     assert rewrite(table(count or 1), before[4:] or ints(1, 2, 3, 4, 5, 6, 7))
     for end in range(len(before)):
-        with pytest.raises(MISFIT):
+        with pytest.raises(LAYOUT_ERRORS):
             rewrite(table(None), before[:end])
 
 
-def test_nothing_enters_the_source_but_numbers() -> None:
+def test_the_source_contains_only_numbers() -> None:
     evil: Any = "x=1\nimport os"
     shape = Struct(evil, ((evil, INT), (evil + "2", Text())))
-    node = StructTreatment(shape, (Treated(INT, ADD), Treated(Text(), Constant(text(evil)))))
+    node = StructTreatment(
+        shape, (FieldTreatment(INT, ADD), FieldTreatment(Text(), Constant(text(evil))))
+    )
     assert rewrite(node, ints(1) + text("a")) == ints(2) + text(evil)
 
 
-def test_a_thousand_fields() -> None:
+def test_a_thousand_fields_are_rewritten() -> None:
     fields = "\n".join(f"float64 f{n}" for n in range(1000))
     rules = {f"f{n}": {"round": {"step": 1}} for n in range(0, 1000, 3)}
     message = struct.pack("<1000d", *[n + 0.25 for n in range(1000)])

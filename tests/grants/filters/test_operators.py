@@ -1,4 +1,4 @@
-"""Operators: parameters, the types they treat, and what they make of values."""
+"""Operators: parameters, the types they treat, and their results."""
 
 import math
 import struct
@@ -10,7 +10,7 @@ import pytest
 from grants.errors import FilterRefused
 from grants.filters.compile import compile_filter
 from grants.filters.layout import PRIMITIVES, Array, Struct, Text
-from grants.filters.operators import OPERATORS, treatment
+from grants.filters.operators import OPERATORS, treatment_for
 from grants.filters.treatments import DESCEND, Constant, Numbers
 from grants.model import FilterRule, filter_rules
 from tests.grants.messages import layout, text
@@ -66,22 +66,22 @@ APPLIED: list[tuple[str, dict[str, object], bytes, bytes]] = [
 
 
 @pytest.mark.parametrize("number", range(len(APPLIED)))
-def test_applied(number: int) -> None:
+def test_an_operator_applied_to_a_field(number: int) -> None:
     fields, treated, before, after = APPLIED[number]
     assert apply(fields, treated, before) == after
-    # Between neighbours, and large enough to be sliced without copies.
+    # Between other fields, and large enough to be sliced without copies.
     tail = bytes(range(256)) * 10
     around = f"uint8 a\n{fields}\nuint8[2560] b"
     assert apply(around, treated, b"a" + before + tail) == b"a" + after + tail
 
 
-def test_every_operator_is_tried_here() -> None:
+def test_every_operator_is_tested_here() -> None:
     elsewhere = {"hash", "pixelate"}  # test_hashing, test_pictures
     tried = {name for _, treated, _, _ in APPLIED for name in treated}
     assert tried | elsewhere == OPERATORS.keys()
 
 
-def test_elements_without_bytes() -> None:
+def test_arrays_of_elements_without_bytes() -> None:
     shape = layout("E[] x", "MSG: t/E")
     for treated in ("zero", "clear", "drop"):
         compiled = compile_filter(shape, filter_rules({"x": {treated: True}}))
@@ -119,8 +119,8 @@ REFUSED: list[tuple[str, dict[str, Any], Any, str]] = [
     ("redact", {}, None, "expected text, found none"),
     ("redact", {"text": 1}, None, "redact needs a text"),
     ("redact", {"text": "x"}, INT, "redact needs a string, not int8"),
-    ("truncate", {"length": 1.5}, None, "whole, not negative length"),
-    ("truncate", {"length": -1}, None, "whole, not negative length"),
+    ("truncate", {"length": 1.5}, None, "non-negative whole length"),
+    ("truncate", {"length": -1}, None, "non-negative whole length"),
     ("truncate", {"length": 1}, INT, "truncate needs a string or an array"),
     ("truncate", {"length": 1}, Array(INT, 3), "truncate needs a string or an array"),
     ("drop", {}, Array(INT, 3), "array of variable length"),
@@ -133,8 +133,8 @@ REFUSED: list[tuple[str, dict[str, Any], Any, str]] = [
     ("round", {"step": 1, "hysteresis": 1}, PRIMITIVES["time"], "needs numbers, not time"),
     ("round", {"step": 1, "hysteresis": 1}, TEXT, "round needs numbers, not string"),
     ("hash", {}, None, "expected key, found none"),
-    ("hash", {"key": "Ward"}, None, "not the name of a key"),
-    ("hash", {"key": "../x"}, None, "not the name of a key"),
+    ("hash", {"key": "Ward"}, None, "not a key name"),
+    ("hash", {"key": "../x"}, None, "not a key name"),
     ("hash", {"key": "a", "length": 0}, None, "length must be a whole number from 1 to 64"),
     ("hash", {"key": "a", "length": 65}, None, "length must be a whole number from 1 to 64"),
     ("hash", {"key": "a", "more": 1}, None, "expected key, found key, more"),
@@ -151,26 +151,29 @@ REFUSED: list[tuple[str, dict[str, Any], Any, str]] = [
 
 
 @pytest.mark.parametrize("number", range(len(REFUSED)))
-def test_refused(number: int) -> None:
+def test_unsuitable_types_and_parameters_are_refused(number: int) -> None:
     operator, parameters, kind, message = REFUSED[number]
     with pytest.raises(FilterRefused, match=message):
-        treatment(FilterRule("x", operator, tuple(sorted(parameters.items()))))(kind)
+        treatment_for(FilterRule("x", operator, tuple(sorted(parameters.items()))))(kind)
 
 
-def test_hints() -> None:
-    for operator, hint in (("cleer", "did you mean 'clear'?"), ("?", "there are clear, round")):
+def test_unknown_operators_have_a_hint() -> None:
+    for operator, hint in (
+        ("cleer", "did you mean 'clear'?"),
+        ("?", "expected one of clear, round"),
+    ):
         with pytest.raises(FilterRefused) as refused:
-            treatment(FilterRule("x", operator))
+            treatment_for(FilterRule("x", operator))
         assert refused.value.hint.startswith(hint)
 
 
-def test_treatments() -> None:
-    clear = treatment(FilterRule("x", "clear"))
+def test_operators_return_treatments() -> None:
+    clear = treatment_for(FilterRule("x", "clear"))
     point = Struct("t/P", (("x", INT), ("s", TEXT)))
     assert clear(point) == DESCEND
     assert clear(Array(point, 2)) == DESCEND
     assert clear(Array(point, None)) == Constant(bytes(4))
-    clamp = treatment(FilterRule("x", "clamp", (("high", 5), ("low", 1))))
+    clamp = treatment_for(FilterRule("x", "clamp", (("high", 5), ("low", 1))))
     assert clamp(point) == DESCEND
     numbers = clamp(PRIMITIVES["uint64"])
     assert isinstance(numbers, Numbers)

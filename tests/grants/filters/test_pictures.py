@@ -1,4 +1,4 @@
-"""Pixelation: against the definition pixel by pixel, and every lie about the picture's form."""
+"""Pixelation: compared pixel by pixel, and every inconsistent image."""
 
 import struct
 
@@ -9,7 +9,7 @@ from grants.filters.compile import compile_filter
 from grants.filters.layout import Layout, parse
 from grants.filters.pictures import PIXEL_SIZES, pixelation
 from grants.model import filter_rules
-from tests.grants.messages import SEPARATOR, chance, layout, text
+from tests.grants.messages import SEPARATOR, layout, seeded_random, text
 
 IMAGE = f"""Header header
 uint32 height
@@ -37,7 +37,7 @@ def treated(message: bytes, /, _shape: Layout = LAYOUT, **parameters: int) -> by
     return b"".join(compile_filter(_shape, rules)(message))
 
 
-def by_definition(
+def pixelated(
     data: bytes, height: int, width: int, size: int, step: int, block: int, region: tuple[int, ...]
 ) -> bytes:
     x, y, wide, high = region
@@ -54,20 +54,22 @@ def by_definition(
 @pytest.mark.parametrize("encoding", ["rgb8", "mono8", "rgba16", "32FC1", "8UC3"])
 @pytest.mark.parametrize("block", [2, 3, 16, 65535])
 @pytest.mark.parametrize("region", [None, (0, 0, 3, 2), (2, 1, 4, 9), (50, 0, 1, 1), (1, 1, 0, 0)])
-def test_by_definition(encoding: str, block: int, region: tuple[int, ...] | None) -> None:
+def test_squares_show_their_first_pixel(
+    encoding: str, block: int, region: tuple[int, ...] | None
+) -> None:
     size = PIXEL_SIZES[encoding]
     named = dict(zip(("x", "y", "width", "height"), region or (), strict=False))
     for height, width, padding in ((1, 1, 0), (5, 7, 0), (7, 6, 3), (33, 18, 1), (0, 4, 0)):
         step = width * size + padding
-        data = chance(height).randbytes(height * step)
-        expected = by_definition(
+        data = seeded_random(height).randbytes(height * step)
+        expected = pixelated(
             data, height, width, size, step, block, region or (0, 0, width, height)
         )
         before, after = (image(height, width, encoding, step, d) for d in (data, expected))
         assert treated(before, LAYOUT, block=block, **named) == after
 
 
-def test_no_columns() -> None:
+def test_images_without_pixels() -> None:
     assert pixelation(4, None)(b"abc", 3, 0, "rgb8", 1) == (bytes(3), 3)
 
 
@@ -85,12 +87,12 @@ def test_no_columns() -> None:
         image(2, 2, "mono8", 2, bytes(4)) + b"\0",
     ],
 )
-def test_a_picture_that_is_not_what_it_says_is_dropped(message: bytes) -> None:
+def test_an_inconsistent_image_is_refused(message: bytes) -> None:
     with pytest.raises(MessageRefused):
         treated(message, block=2)
 
 
-def test_inside_another_message_and_an_array() -> None:
+def test_images_in_a_message_and_in_an_array() -> None:
     fields, header = IMAGE.split(SEPARATOR)
     shape = layout("int32 a\nsensor_msgs/Image one\nsensor_msgs/Image[] many",
                    f"MSG: sensor_msgs/Image\n{fields.rstrip()}", header.strip())  # fmt: skip
@@ -106,7 +108,7 @@ def test_inside_another_message_and_an_array() -> None:
 
 
 @pytest.mark.parametrize("other", ["uint8[] data", "uint32 height\nuint8[] data"])
-def test_only_a_picture_of_the_known_form(other: str) -> None:
+def test_only_image_messages_can_be_pixelated(other: str) -> None:
     for shape in (layout(other), parse("sensor_msgs/Image", other)):
         with pytest.raises(FilterRefused, match="needs the data of a sensor_msgs/Image"):
             treated(b"", shape, block=2)

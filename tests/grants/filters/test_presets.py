@@ -1,4 +1,4 @@
-"""Presets: what they leave is what they say, against somebody who keeps every message."""
+"""Presets: what they reveal to an attacker who keeps every message."""
 
 import itertools
 import math
@@ -15,7 +15,7 @@ from grants.filters.presets import PRESETS, preset
 from grants.guard import Guard
 from grants.model import Restriction, Right, filter_rules
 from rossec.participant.message_types import message_type
-from tests.grants.messages import chance, layout
+from tests.grants.messages import layout, seeded_random
 
 NOW = 1_800_000_000
 SCAN = 10  # messages a second
@@ -42,8 +42,8 @@ def pose(n: int, x: float) -> bytes:
     return stamp + struct.pack("<I3s7d", 3, b"map", x, 0.0, 0.0, 0.6, 0.0, 0.0, 0.8)
 
 
-def watched(restriction: Restriction, walk: list[float]) -> Iterator[tuple[int, float]]:
-    """The moments and positions an attacker sees of a walk at 10 messages a second."""
+def observed(restriction: Restriction, walk: list[float]) -> Iterator[tuple[int, float]]:
+    """The times and positions an attacker receives of a walk at 10 messages a second."""
     one = guard(restriction)
     for n, x in enumerate(walk):
         pieces = one.apply(pose(n, x), NOW + n // SCAN)
@@ -57,42 +57,42 @@ def only_rounded(step: float) -> Restriction:
     )
 
 
-def trembling(x: float, minutes: int = 10) -> list[float]:
+def noisy(x: float, minutes: int = 10) -> list[float]:
     """A robot that stands at `x`, seen by a sensor with 5 cm of noise."""
-    dice = chance(7)
-    return [x + dice.gauss(0, 0.05) for _ in range(minutes * 60 * SCAN)]
+    rng = seeded_random(7)
+    return [x + rng.gauss(0, 0.05) for _ in range(minutes * 60 * SCAN)]
 
 
-def test_averaging() -> None:
-    """The mean of what is seen tells no more than one message: the cell."""
+def test_averaging_reveals_only_the_cell() -> None:
+    """The mean of all messages reveals no more than one message: the cell."""
     for x in (0.4, 3.137, -5.3):
-        positions = {seen for _, seen in watched(COARSE, trembling(x))}
+        positions = {seen for _, seen in observed(COARSE, noisy(x))}
         assert positions == {math.floor(x / 2 + 0.5) * 2.0}
 
 
-def test_the_border_of_a_cell() -> None:
-    """1 cm beside a border flips betray the place to rounding alone; hysteresis keeps still."""
-    walk = trembling(0.99)
-    betrayed = [seen for _, seen in watched(only_rounded(2.0), walk)]
+def test_hysteresis_hides_the_border_of_a_cell() -> None:
+    """1 cm beside a border changes reveal the position without hysteresis, not with it."""
+    walk = noisy(0.99)
+    betrayed = [seen for _, seen in observed(only_rounded(2.0), walk)]
     share = sum(seen == 2.0 for seen in betrayed) / len(betrayed)
-    # The share of flips is the normal distribution at the border: the attack works.
+    # The share of changes is the normal distribution at the border: the attack works.
     deviation = abs(share - 0.5 * math.erfc(0.01 / 0.05 / math.sqrt(2)))
     assert deviation < 0.03
-    assert {seen for _, seen in watched(COARSE, walk)} <= {0.0, 2.0}
-    assert len({seen for _, seen in watched(COARSE, walk)}) == 1
+    assert {seen for _, seen in observed(COARSE, walk)} <= {0.0, 2.0}
+    assert len({seen for _, seen in observed(COARSE, walk)}) == 1
 
 
-def test_timing_of_a_straight_drive() -> None:
-    """At full rate the moment of a change is exact; the preset's rate leaves 5 s of doubt."""
+def test_the_rate_hides_the_time_of_a_change() -> None:
+    """At full rate the time of a change is exact; the preset's rate leaves 5 s of uncertainty."""
     walk = [0.5 * n / SCAN for n in range(60 * SCAN)]  # 0.5 m/s
-    exact = list(watched(only_rounded(2.0), walk))
+    exact = list(observed(only_rounded(2.0), walk))
     changes = [n for (_, a), (n, b) in itertools.pairwise(exact) if a != b]
     assert max(abs((walk[n] % 2) - 1) for n in changes) < 0.06
-    coarse = [n for n, _ in watched(COARSE, walk)]
+    coarse = [n for n, _ in observed(COARSE, walk)]
     assert all(b - a >= 5 * SCAN for a, b in itertools.pairwise(coarse))
 
 
-def test_coarse_position_leaves_no_relative() -> None:
+def test_coarse_position_treats_related_fields() -> None:
     one = guard(COARSE)
     made = one.apply(pose(1234, 0.3), NOW)
     assert made is not None
@@ -113,7 +113,7 @@ def test_coarse_position_leaves_no_relative() -> None:
         ("anonymous-diagnostics", "diagnostic_msgs/DiagnosticArray"),
     ],
 )
-def test_they_fit_their_types(name: str, type_name: str) -> None:
+def test_presets_fit_their_types(name: str, type_name: str) -> None:
     of = shape(type_name)
     restriction = preset(name).restriction(of)
     message = bytes(message_type(type_name).serialize(message_type(type_name).create()))
@@ -121,7 +121,7 @@ def test_they_fit_their_types(name: str, type_name: str) -> None:
     assert treated is not None
 
 
-def test_presence_only_leaves_nothing() -> None:
+def test_presence_only_clears_every_field() -> None:
     of = shape("sensor_msgs/Image")
     kind = message_type("sensor_msgs/Image")
     full = kind.create(height=1, width=1, encoding="mono8", step=1)
@@ -130,11 +130,11 @@ def test_presence_only_leaves_nothing() -> None:
     assert not any(b"".join(treated))
 
 
-def test_blurred_camera() -> None:
-    """A picture with details keeps one pixel of every square; one of unknown form is dropped."""
+def test_blurred_camera_keeps_one_pixel_per_square() -> None:
+    """A picture with details keeps one pixel of every square; an inconsistent one is dropped."""
     of, kind = shape("sensor_msgs/Image"), message_type("sensor_msgs/Image")
     one = guard(preset("blurred-camera").restriction(of), of)
-    data = np.frombuffer(chance(1).randbytes(64 * 64), np.uint8)
+    data = np.frombuffer(seeded_random(1).randbytes(64 * 64), np.uint8)
     full = kind.create(height=64, width=64, encoding="mono8", step=64, data=data)
     treated = one.apply(kind.serialize(full), NOW)
     assert treated is not None
@@ -143,18 +143,18 @@ def test_blurred_camera() -> None:
         one.apply(kind.serialize(kind.create(encoding="bayer_rggb8")), NOW + 1)
 
 
-def test_every_preset_says_what_it_leaves() -> None:
+def test_every_preset_states_what_it_reveals() -> None:
     assert list(PRESETS) == [
         "coarse-position", "presence-only", "anonymous-diagnostics", "blurred-camera",
     ]  # fmt: skip
     for entry in PRESETS.values():
         assert entry.hides
-        assert entry.leaves
+        assert entry.reveals
 
 
-def test_refusals() -> None:
+def test_unknown_presets_and_types_are_refused() -> None:
     with pytest.raises(FilterRefused, match="no preset 'coarse'") as refused:
         preset("coarse")
-    assert refused.value.hint.startswith("there are coarse-position")
-    with pytest.raises(FilterRefused, match="the preset does not exist for t/T"):
+    assert refused.value.hint.startswith("expected one of coarse-position")
+    with pytest.raises(FilterRefused, match="the preset does not support t/T"):
         preset("coarse-position").restriction(layout("int32 a"))

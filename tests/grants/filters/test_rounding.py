@@ -1,4 +1,4 @@
-"""Rounding: the formula, the range, and arrays bit for bit like single values."""
+"""Rounding: the formula, the range, and arrays equal single values bit for bit."""
 
 import math
 import struct
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from grants.errors import FilterRefused
 from grants.filters.layout import PRIMITIVES
-from grants.filters.rounding import hold, round_floats, round_integers, round_times
+from grants.filters.rounding import round_floats, round_integers, round_times, with_hysteresis
 from grants.memory import HysteresisState
 
 STEPS = st.floats(min_value=1e-320, max_value=1e308) | st.sampled_from([0.1, 0.5, 1.0, 2.0, 1e40])
@@ -25,7 +25,7 @@ def bits(kind: str, values: list[Any]) -> bytes:
 
 @pytest.mark.parametrize("kind", FLOATS)
 @given(data=st.data(), step=STEPS)
-def test_floats(kind: str, data: st.DataObject, step: float) -> None:
+def test_floats_follow_the_formula(kind: str, data: st.DataObject, step: float) -> None:
     values = data.draw(st.lists(FLOATS[kind], max_size=12))
     scalar, vector = round_floats(PRIMITIVES[kind], step)
     rounded = [scalar(value) for value in values]
@@ -39,7 +39,7 @@ def test_floats(kind: str, data: st.DataObject, step: float) -> None:
             assert after == math.floor(before / step + 0.5) * step or abs(after) <= abs(before)
 
 
-def test_floats_at_the_end_of_the_range() -> None:
+def test_floats_stay_in_their_range() -> None:
     scalar, vector = round_floats(PRIMITIVES["float32"], 2e38)
     assert scalar(3.4e38) == 2e38
     assert vector(np.array([3.4e38, -3.4e38])).tolist() == [2e38, -2e38]
@@ -52,7 +52,7 @@ def test_floats_at_the_end_of_the_range() -> None:
 
 @pytest.mark.parametrize("kind", INTEGERS)
 @given(data=st.data())
-def test_integers(kind: str, data: st.DataObject) -> None:
+def test_integers_follow_the_formula(kind: str, data: st.DataObject) -> None:
     primitive = PRIMITIVES[kind]
     values_of = np.iinfo(f"<{primitive.code}")
     low, high = int(values_of.min), int(values_of.max)
@@ -69,7 +69,7 @@ def test_integers(kind: str, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("step", [0.5, 256, 2.5, 1e300])
-def test_integer_steps(step: float) -> None:
+def test_invalid_integer_steps_are_refused(step: float) -> None:
     with pytest.raises(FilterRefused, match="a step for uint8 must be whole and at most 255"):
         round_integers(PRIMITIVES["uint8"], step)
 
@@ -87,7 +87,9 @@ def test_integer_steps(step: float) -> None:
         ("duration", 60, (-(2**31), 0), (-2147483640, 0)),
     ],
 )
-def test_times(kind: str, step: float, before: tuple[int, int], after: tuple[int, int]) -> None:
+def test_times_are_rounded_exactly(
+    kind: str, step: float, before: tuple[int, int], after: tuple[int, int]
+) -> None:
     scalar, vector = round_times(PRIMITIVES[kind], step)
     assert scalar(*before) == after
     dtype = "<u4" if kind == "time" else "<i4"
@@ -95,7 +97,7 @@ def test_times(kind: str, step: float, before: tuple[int, int], after: tuple[int
 
 
 @pytest.mark.parametrize("step", [1e-10, 2.0**31, 1e300])
-def test_time_steps(step: float) -> None:
+def test_invalid_time_steps_are_refused(step: float) -> None:
     with pytest.raises(FilterRefused, match="between 1e-9 and 2"):
         round_times(PRIMITIVES["time"], step)
 
@@ -103,22 +105,22 @@ def test_time_steps(step: float) -> None:
 PLAIN = (lambda value: value if not math.isfinite(value) else math.floor(value + 0.5), 1.0, 0.2)
 
 
-def test_hysteresis() -> None:
-    fresh = hold(lambda value: math.floor(value + 0.5), 1, 0.2)
+def test_hysteresis_keeps_the_cell_near_its_border() -> None:
+    fresh = with_hysteresis(lambda value: math.floor(value + 0.5), 1, 0.2)
     one, other = fresh(HysteresisState()), fresh(HysteresisState())
     assert [one(x) for x in (0.4, 0.6, 0.7, 0.71, 0.31, 0.3, 0.29)] == [0, 0, 0, 1, 1, 1, 0]
-    assert other(0.6) == 1  # a memory of its own
+    assert other(0.6) == 1  # has its own state
 
 
-def test_hysteresis_passes_and_forgets_what_is_no_number() -> None:
-    held = hold(*PLAIN)(HysteresisState())
+def test_hysteresis_passes_nan_and_infinity_without_storing_them() -> None:
+    held = with_hysteresis(*PLAIN)(HysteresisState())
     assert held(0.6) == 1.0
     assert math.isnan(held(math.nan))
     assert held(math.inf) == math.inf
     assert held(0.4) == 1.0
 
 
-def test_hysteresis_of_whole_numbers() -> None:
+def test_hysteresis_of_integers() -> None:
     scalar, _ = round_integers(PRIMITIVES["int32"], 10)
-    held = hold(scalar, 10, 2)(HysteresisState())
+    held = with_hysteresis(scalar, 10, 2)(HysteresisState())
     assert [held(value) for value in (4, 6, 7, 8, 3, 2)] == [0, 0, 0, 10, 10, 0]

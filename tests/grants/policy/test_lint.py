@@ -107,13 +107,13 @@ def test_hysteresis_is_advised_where_it_exists(monkeypatch: pytest.MonkeyPatch) 
 def test_whether_round_knows_hysteresis_is_asked_of_the_operator(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "treatment", lambda _: None)
+    monkeypatch.setattr(module, "treatment_for", lambda _: None)
     assert module._knows_hysteresis()
 
     def refuse(_: object) -> None:
         raise GrantError("no such parameter")
 
-    monkeypatch.setattr(module, "treatment", refuse)
+    monkeypatch.setattr(module, "treatment_for", refuse)
     assert not module._knows_hysteresis()
 
 

@@ -73,8 +73,8 @@ def test_a_preset_brings_its_own_rate() -> None:
     ((message, hint),) = found(
         "{id: a, who: x, allow: {subscribe: /scan}, filter: {use: coarse-position}}"
     )
-    assert message.startswith("coarse-position: the preset does not exist for sensor_msgs/Laser")
-    assert hint.startswith("it is for geometry_msgs/PoseStamped")
+    assert message.startswith("coarse-position: the preset does not support sensor_msgs/Laser")
+    assert hint.startswith("it supports geometry_msgs/PoseStamped")
 
 
 def test_a_condition_on_time_needs_no_type() -> None:

@@ -167,7 +167,7 @@ def test_an_interrupted_restoration_changes_nothing(
         raise KeyboardInterrupt
 
     data = back_up(home, PASSPHRASE)
-    monkeypatch.setattr(files, "settle", interrupted)
+    monkeypatch.setattr(files, "commit_directory", interrupted)
     with pytest.raises(KeyboardInterrupt):
         restore(tmp_path / "new", data, PASSPHRASE, NOW)
     assert not list((tmp_path / "new").iterdir())
@@ -188,7 +188,7 @@ def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
     newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
     over = ("ca", "restore", target, "--over", "home", "--forget", "6")
     done = shell.unlocked(*over, "--list", str(newest))
-    assert "1 revocations newer than the backup and were taken over" in done.out
+    assert "1 revocations newer than the backup were taken over" in done.out
     assert "was revoked after the backup" not in done.err
     again = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3")
     assert "what was revoked after the backup is valid again" in again.err

@@ -40,7 +40,11 @@ def test_a_second_one_in_the_same_place_is_refused(home: AuthorityHome) -> None:
 
 @pytest.mark.parametrize(
     "step",
-    ["ca.store.record.Store.create", "ca.keys.key_files.write_private", "rossec.files.settle"],
+    [
+        "ca.store.record.Store.create",
+        "ca.keys.key_files.write_private",
+        "rossec.files.commit_directory",
+    ],
 )
 def test_an_interrupted_beginning_never_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str

@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.discovery.budget import MAX_PROVEN, MAX_SOURCES, AttemptBucket, Budget
+from rossec.discovery.budget import MAX_SOURCES, MAX_VERIFIED, AttemptBucket, Budget
 from rossec.errors import AnnouncementRefused
 
 
@@ -37,8 +37,8 @@ def test_an_address_has_a_share_and_all_have_a_total() -> None:
 def test_who_proved_itself_is_bounded_by_its_share_alone() -> None:
     budget = Budget(share=5, total=12)
     assert spend(budget, "good", 1) == 1
-    budget.proved("good")
-    budget.proved("good")
+    budget.note_verified("good")
+    budget.note_verified("good")
     assert [spend(budget, name, 9) for name in "abc"] == [5, 5, 1]
     assert spend(budget, "good", 9) == 4
 
@@ -48,9 +48,9 @@ def test_so_many_addresses_and_no_more() -> None:
     for number in range(MAX_SOURCES + 9):
         spend(budget, f"s{number}", 1)
     assert len(budget._shares) == MAX_SOURCES
-    for number in range(MAX_PROVEN + 9):
-        budget.proved(f"s{number}")
-    assert len(budget._proven) == MAX_PROVEN
+    for number in range(MAX_VERIFIED + 9):
+        budget.note_verified(f"s{number}")
+    assert len(budget._verified) == MAX_VERIFIED
 
 
 def test_it_is_said() -> None:

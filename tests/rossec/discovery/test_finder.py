@@ -81,8 +81,8 @@ def test_a_program_is_started_with_the_master_that_was_found(
     hosts: Hosts, home: Site, master: subprocess.Popen[str]
 ) -> None:
     code = (
-        "import asyncio, os; from rossec.discovery.choose import settle_master;"
-        "print(asyncio.run(settle_master(os.environ, '/robot'))['ROS_MASTER_URI'])"
+        "import asyncio, os; from rossec.discovery.choose import discover_master;"
+        "print(asyncio.run(discover_master(os.environ, '/robot'))['ROS_MASTER_URI'])"
     )
     env = {**os.environ, "ROSSEC_HOME": str(home.root), "ROS_MASTER_URI": "discover:"}
     command = hosts.far.at(sys.executable, "-c", code)
@@ -95,7 +95,7 @@ def test_another_domains_master_is_not_found(
 ) -> None:
     done = run(elsewhere, hosts.far, "discover", "--seconds", "3")
     assert done.returncode == 1
-    assert "no master of this trust domain was heard, but" in done.stderr
+    assert "no master of this trust domain was found, but" in done.stderr
     assert "not signed by the authority of trust domain" in done.stderr
     assert "Traceback" not in done.stderr
 
@@ -291,4 +291,4 @@ def test_an_error_of_the_socket_ends_a_look() -> None:
 
 async def test_a_uri_that_is_set_is_kept(home: Site) -> None:
     environ = {"ROS_MASTER_URI": "http://robot:11311"}
-    assert await choose.settle_master(environ, None) == environ
+    assert await choose.discover_master(environ, None) == environ

@@ -66,7 +66,7 @@ async def test_only_one_waits(tmp_path: Path) -> None:
 
 
 async def test_a_socket_left_behind_is_in_nobodys_way(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as left, control._place(tmp_path) as path:
+    with socket.socket(socket.AF_UNIX) as left, control._socket_path(tmp_path) as path:
         left.bind(path)
     assert (tmp_path / "enrolling.sock").exists()
     async with serving(tmp_path, lambda _: {"new": "one"}):
@@ -74,7 +74,7 @@ async def test_a_socket_left_behind_is_in_nobodys_way(tmp_path: Path) -> None:
 
 
 async def say(directory: Path, line: bytes) -> bytes:
-    with control._place(directory) as path:
+    with control._socket_path(directory) as path:
         reader, writer = await asyncio.open_unix_connection(path)
     writer.write(line)
     try:

@@ -12,7 +12,7 @@ from rossec.inprocess.genpy_types import (
     max_message_size,
     max_unit_size,
 )
-from rossec.net.bounds import JOINED
+from rossec.net.bounds import BATCH_LIMIT
 from rossec.participant.message_types import message_type
 from rossec.ros.header import HEADER_LIMIT
 
@@ -28,7 +28,7 @@ def test_a_class_defines_name_checksum_and_layout() -> None:
 
 def test_sizes_follow_the_type() -> None:
     assert max_message_size(Twist) == HEADER_LIMIT
-    assert max_unit_size(Twist) == HEADER_LIMIT + JOINED
+    assert max_unit_size(Twist) == HEADER_LIMIT + BATCH_LIMIT
     for kind in (AnyMsg, String):
         assert max_message_size(kind) == ChannelLimits.unit
         assert max_unit_size(kind) > ChannelLimits.unit

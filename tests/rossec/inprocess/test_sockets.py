@@ -104,7 +104,7 @@ def test_a_socket_connects_sends_and_receives(
     assert right.recv_into(buffer) == 5
     right.sendall(bytes(buffer))
     assert left.recv(10) == b"hello"
-    assert not left.send_now(b"x") or left.send_now(b"y")
+    assert not left.try_send(b"x") or left.try_send(b"y")
     left.setblocking(False)
     assert left.gettimeout() == 0.0
     with pytest.raises(BlockingIOError):
@@ -149,9 +149,9 @@ def test_nothing_is_sent_directly_before_the_channel_was_read(
     local_identity: LocalIdentity, listening: RosSocket
 ) -> None:
     left, right = connected(local_identity, listening)
-    assert not left.send_now(b"first"), "nothing was read from the channel yet"
+    assert not left.try_send(b"first"), "nothing was read from the channel yet"
     left.sendall(b"first")
-    assert left.send_now(b"second")
+    assert left.try_send(b"second")
     assert right.recv(10) + right.recv(10) == b"firstsecond"
     for sock in (left, right):
         sock.close()
@@ -164,7 +164,7 @@ def test_a_socket_that_is_not_connected_raises(local_identity: LocalIdentity) ->
     sock.settimeout(1.0)
     assert sock.gettimeout() == 1.0
     assert not sock.unsent
-    assert not sock.send_now(b"x")
+    assert not sock.try_send(b"x")
     sock.shutdown()
     sock.close()
 
@@ -251,7 +251,7 @@ def test_a_plain_peer_that_is_allowed(
     assert sock.is_plain
     with pytest.raises(ChannelClosed, match="not authenticated"):
         sock.handshake()
-    assert not sock.send_now(b"s")
+    assert not sock.try_send(b"s")
     assert not sock.unsent
     sock.sendall(b"s")
     assert sock.recv(10) == b"plain"

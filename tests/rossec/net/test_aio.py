@@ -441,9 +441,9 @@ async def test_the_end_of_the_socket_is_told() -> None:
     async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         told: list[str] = []
-        stream.when_lost(lambda: told.append("then"))
+        stream.when_closed(lambda: told.append("then"))
         await stream.close()
-        stream.when_lost(lambda: told.append("later"))
+        stream.when_closed(lambda: told.append("later"))
         assert told == ["then", "later"]
 
 
@@ -504,7 +504,7 @@ async def test_a_peer_that_does_not_answer_the_close_is_cut_off(
     there.transport.pause_reading()
     closing = asyncio.get_running_loop().create_task(stream.close())
     await asyncio.sleep(0)
-    stream._driver._look()  # a timer that was set for something earlier
+    stream._driver._on_timer()  # a timer that was set for something earlier
     assert not stream._driver.transport.closed
     async with asyncio.timeout(30):
         await closing
@@ -628,13 +628,13 @@ async def test_accepting_goes_on_when_descriptors_come_back(
         return [Exhausted(fileno=sock.detach())]
 
     monkeypatch.setattr(server_module, "bind", bind_exhausted)
-    monkeypatch.setattr(server_module, "_REST", 0.01)
+    monkeypatch.setattr(server_module, "_ACCEPT_PAUSE", 0.01)
     async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         await still_works(server)
     assert "too many open files" in caplog.text
     closed = socket.socket()
     closed.close()
-    server._watch(closed)  # nothing to watch, nothing happens
+    server._add_reader(closed)  # nothing to watch, nothing happens
 
 
 async def test_addresses_are_those_of_the_connection(server: SecureServer[FakeIdentity]) -> None:
@@ -678,14 +678,14 @@ async def test_small_units_wait_for_a_peer_that_lags() -> None:
         stream.abort("done")
 
 
-async def poured_from(server: SecureServer[FakeIdentity], sink: list[bytes]) -> None:
+async def forwarded_from(server: SecureServer[FakeIdentity], sink: list[bytes]) -> None:
     """Everything that comes back, with a receiver that lags after each."""
     async with await call(server) as stream:
         await stream.drain()
         for number in range(20):
-            assert stream.push(bytes([number]) * 1000)
+            assert stream.write_nowait(bytes([number]) * 1000)
 
-        def push(unit: bytes) -> bool:
+        def write_nowait(unit: bytes) -> bool:
             sink.append(unit)
             return False
 
@@ -694,26 +694,26 @@ async def poured_from(server: SecureServer[FakeIdentity], sink: list[bytes]) -> 
             if sum(map(len, sink)) == 20_000:
                 await stream.close()
 
-        await stream.pour(push, drain)
+        await stream.forward(write_nowait, drain)
 
 
 async def test_what_is_poured_comes_in_order(server: SecureServer[FakeIdentity]) -> None:
     sink: list[bytes] = []
     with pytest.raises(ChannelClosed):
-        await poured_from(server, sink)
+        await forwarded_from(server, sink)
     assert b"".join(sink) == b"".join(bytes([number]) * 1000 for number in range(20))
 
 
 async def test_a_receiver_that_fails_ends_the_pouring(server: SecureServer[FakeIdentity]) -> None:
     async with await call(server) as stream:
 
-        def push(_: bytes) -> bool:
+        def write_nowait(_: bytes) -> bool:
             raise ArithmeticError
 
-        pouring = asyncio.ensure_future(stream.pour(push, stream.drain))
+        forwarding = asyncio.ensure_future(stream.forward(write_nowait, stream.drain))
         await asyncio.sleep(0)
-        stream.push(b"x")
+        stream.write_nowait(b"x")
         with pytest.raises(ArithmeticError):
-            await pouring
+            await forwarding
     with pytest.raises(ChannelClosed):
-        stream.push(b"late")
+        stream.write_nowait(b"late")

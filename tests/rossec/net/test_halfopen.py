@@ -8,24 +8,24 @@ from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[HalfOpenSlot], list[str]]:
     """A place from each address, and who was closed to make room, by the name `address-number`."""
-    places, closed = [], []
+    slots, closed = [], []
     for number, address in enumerate(addresses):
-        place = count.admit(address)
-        assert place is not None
+        slot = count.admit(address)
+        assert slot is not None
         name = f"{address}-{number}"
-        place.close = lambda name=name: closed.append(name)
-        places.append(place)
-    return places, closed
+        slot.close = lambda name=name: closed.append(name)
+        slots.append(slot)
+    return slots, closed
 
 
 def test_a_place_is_held_until_it_is_settled_once() -> None:
     count = HalfOpenCount(HalfOpen(per_address=1, total=2))
-    (place,), closed = taken(count, "a")
+    (slot,), closed = taken(count, "a")
     assert count.admit("a") is None
-    place.linger()
-    place.settle()
-    place.settle()
-    place.linger()
+    slot.linger()
+    slot.release()
+    slot.release()
+    slot.linger()
     assert len(count) == 0
     assert count.admit("a") is not None
     assert closed == []
@@ -75,20 +75,20 @@ def test_where_nobody_lingers_the_source_with_most_makes_room() -> None:
 
 def test_what_cannot_be_closed_makes_no_room() -> None:
     count = HalfOpenCount(HalfOpen(per_address=2, total=2))
-    places = [count.admit("a"), count.admit("a")]
-    for place in places:
-        assert place is not None
-        place.linger()
+    slots = [count.admit("a"), count.admit("a")]
+    for slot in slots:
+        assert slot is not None
+        slot.linger()
     assert count.admit("a") is None
     assert count.admit("b") is None
 
 
 def test_a_place_goes_with_its_socket_at_the_latest() -> None:
     count = HalfOpenCount(HalfOpen(per_address=1, total=1))
-    place = count.admit("a")
-    assert place is not None
+    slot = count.admit("a")
+    assert slot is not None
     sock = socket.socket()
-    place.bind(sock)
+    slot.bind(sock)
     sock.close()
     del sock
     gc.collect()

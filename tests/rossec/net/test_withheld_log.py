@@ -40,7 +40,7 @@ def test_a_cause_is_said_once_in_a_minute(
     warn(MessageError("again"))
     warn(MessageError("and again"))
     assert caplog.messages[1:] == [
-        "/order: withheld a message of /eve: again (999 more like this since it was said last)"
+        "/order: withheld a message of /eve: again (999 more like this since it was logged last)"
     ]
     assert {record.name for record in caplog.records} == {"rossec.node"}
 

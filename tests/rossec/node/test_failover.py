@@ -1,4 +1,4 @@
-"""A master that is started again: who is back first is told of nobody, and hangs up on nobody."""
+"""A restarted master: a node that reconnects first keeps its connections."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -22,10 +22,10 @@ def registered(site: Site, kind: Kind) -> list[str]:
     return [node.name for node in site.master._registry.registered_nodes(kind, TOPIC)]
 
 
-async def test_a_subscriber_that_is_back_first_hangs_up_on_nobody(
+async def test_a_subscriber_that_reconnects_first_keeps_its_connections(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every message arrives, over the connection that was there (`undisturbed`)."""
+    """Every message arrives, over the same connection (`undisturbed`)."""
     absent = Absent(monkeypatch)
     async with undisturbed(site) as witness:
         absent.names = {"/robot"}
@@ -38,7 +38,7 @@ async def test_a_subscriber_that_is_back_first_hangs_up_on_nobody(
         await witness.goes_on()
 
 
-async def test_who_says_goodbye_is_let_go_of_at_once(
+async def test_a_publisher_that_unregisters_is_dropped_at_once(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site.publish("/robot", TOPIC)

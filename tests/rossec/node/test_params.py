@@ -1,4 +1,4 @@
-"""Parameters of nodes against a real master: read, written, followed, refused."""
+"""Parameters of nodes against a real master: read, written, subscribed to, refused."""
 
 import asyncio
 import contextlib
@@ -39,7 +39,7 @@ async def viewer(site: Site) -> AsyncIterator[Node]:
         yield viewer
 
 
-async def test_what_is_set_is_got(robot: Node) -> None:
+async def test_a_parameter_is_set_and_read(robot: Node) -> None:
     params = robot.params
     for value in (True, 7, 0.5, "text", b"bytes", [1, ["two"]], {"a": {"b": 1}}):
         await params.set("~value", value)
@@ -53,7 +53,7 @@ async def test_what_is_set_is_got(robot: Node) -> None:
     assert await params.names() == []
 
 
-async def test_what_is_not_set(robot: Node) -> None:
+async def test_an_unset_parameter_has_no_value(robot: Node) -> None:
     with pytest.raises(ParameterUnset, match="/robot/none is not set") as caught:
         await robot.params.get("~none")
     assert "rossec param list" in caught.value.hint
@@ -64,14 +64,14 @@ async def test_what_is_not_set(robot: Node) -> None:
     assert await robot.params.search("none") is None
 
 
-async def test_what_may_not_be_touched(robot: Node, viewer: Node) -> None:
+async def test_a_parameter_without_the_right_is_refused(robot: Node, viewer: Node) -> None:
     await robot.params.set("~value", 1)
     with pytest.raises(AnswerRefused, match="param-set on /robot/value"):
         await viewer.params.set("/robot/value", 2)
     with pytest.raises(AnswerRefused, match="param-set"):
         await viewer.params.delete("/robot/value")
     with pytest.raises(AnswerRefused, match="param-get"):
-        await viewer.params.get("/speed", 1)  # the default is for what is unset, not for a refusal
+        await viewer.params.get("/speed", 1)  # a refusal is not "unset"
     with pytest.raises(AnswerRefused, match="param-get"):
         await viewer.params.has("/speed")
     with pytest.raises(AnswerRefused, match="param-get"):
@@ -83,7 +83,7 @@ async def test_what_may_not_be_touched(robot: Node, viewer: Node) -> None:
     assert await robot.params.get("~value") == 1
 
 
-async def test_the_nearest_in_the_namespaces_above(robot: Node) -> None:
+async def test_a_search_finds_the_parameter_in_the_nearest_namespace(robot: Node) -> None:
     await robot.params.set("/speed", 1)
     assert await robot.params.search("speed") == "/speed"
     await robot.params.set("~speed", 2)
@@ -95,7 +95,7 @@ async def follow(subscription: ParameterSubscription, seen: list[Any]) -> None:
         seen += [value]
 
 
-async def test_a_parameter_is_followed(robot: Node, viewer: Node) -> None:
+async def test_a_subscription_yields_changes_of_a_parameter(robot: Node, viewer: Node) -> None:
     await robot.params.set("~value", 1)
     subscription = await viewer.params.subscribe("/robot/value")
     seen: list[Any] = []
@@ -123,7 +123,7 @@ async def test_a_parameter_is_followed(robot: Node, viewer: Node) -> None:
     assert subscription.updates == updates
 
 
-async def test_a_node_hears_of_its_own_changes_and_ends_with_itself(robot: Node) -> None:
+async def test_a_subscription_yields_own_changes_and_ends_with_the_node(robot: Node) -> None:
     await robot.params.set("~value", 1)
     one, other = [await robot.params.subscribe(name) for name in ("~value", "/robot")]
     seen: list[Any] = []
@@ -142,7 +142,7 @@ async def test_a_node_hears_of_its_own_changes_and_ends_with_itself(robot: Node)
     await twice.close()
 
 
-async def test_a_restarted_master_tells_of_changes_again(
+async def test_a_subscription_continues_after_a_restart_of_the_master(
     site: Site, robot: Node, viewer: Node
 ) -> None:
     await robot.params.set("~value", 1)
@@ -161,10 +161,12 @@ async def test_a_restarted_master_tells_of_changes_again(
     await until(lambda: subscription.value == 3)
 
 
-async def test_names_that_are_none(robot: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_malformed_list_of_names_is_refused(
+    robot: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def answer(*_: object) -> object:
         return ["/a", 1]
 
     monkeypatch.setattr(robot._session._client, "ask", answer)
-    with pytest.raises(AnswerMalformed, match="no list of text"):
+    with pytest.raises(AnswerMalformed, match="not a list of str"):
         await robot.params.names()

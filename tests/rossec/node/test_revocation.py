@@ -1,4 +1,4 @@
-"""On revocation both ends cut: services as topics, and nothing more of parameters arrives."""
+"""A parameter subscription receives no updates after its grant is revoked."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -7,8 +7,9 @@ import pytest
 
 from grants.model import Right
 from rossec.master.state.registry import Kind
-from tests.rossec.node.test_node import tell_master, until
+from tests.support.poses import tell_master
 from tests.support.site import Site
+from tests.support.witness import until
 
 
 @pytest.fixture

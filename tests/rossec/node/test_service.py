@@ -1,4 +1,4 @@
-"""The server's side of a service, over real sockets: handlers, turns, restrictions."""
+"""The server side of a service, over real sockets: handlers, concurrency, restrictions."""
 
 import asyncio
 from typing import Any
@@ -14,7 +14,7 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 
-async def test_many_calls_at_once(lamp: Node, hall: Node) -> None:
+async def test_concurrent_calls_are_answered(lamp: Node, hall: Node) -> None:
     running: list[int] = []
     most = 0
 
@@ -39,7 +39,7 @@ async def test_a_service_without_fields(lamp: Node, hall: Node) -> None:
     await hall.client("/lamp/off", "std_srvs/Empty")()
 
 
-async def test_what_a_handler_says_and_what_it_does_not(
+async def test_a_caller_receives_service_failed_and_no_other_exception(
     lamp: Node, hall: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
     said: list[BaseException | object] = [
@@ -67,7 +67,7 @@ async def test_what_a_handler_says_and_what_it_does_not(
     assert "secret" in caplog.text
 
 
-async def test_a_handler_that_takes_too_long(lamp: Node, hall: Node) -> None:
+async def test_a_call_to_a_slow_handler_fails(lamp: Node, hall: Node) -> None:
     async def never(_: Any) -> None:
         await asyncio.Event().wait()
 
@@ -79,31 +79,31 @@ async def test_a_handler_that_takes_too_long(lamp: Node, hall: Node) -> None:
     client = hall.client(LAMP, BOOL, persistent=True, deadline=0.5)
     with pytest.raises(ServiceFailed, match="did not answer in time"):
         await client(data=True)
-    await until(lambda: not client.links)  # the answer might still come: never used again
+    await until(lambda: not client.links)  # a late answer could arrive: not used again
 
 
 @pytest.mark.parametrize("side", ["caller", "provider"])
-async def test_each_call_is_judged_anew(
+async def test_each_call_is_authorized_again(
     lamp: Node, hall: Node, side: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before the watch looks: what has ended is met by the call itself."""
+    """The call itself checks for expiry, before the watchdog does."""
     service = await lamp.service(LAMP, BOOL, switch)
     client = hall.client(LAMP, BOOL, persistent=True)
     await called(client, data=True)
     for node in (lamp, hall):
         monkeypatch.setattr(node._watchdog, "close_terminated", lambda _: None)
-    (link,) = (client if side == "caller" else service).links
-    monkeypatch.setattr(link, "ends", 0)
+    (connection,) = (client if side == "caller" else service).links
+    monkeypatch.setattr(connection, "ends", 0)
     with pytest.raises(ChannelError, match="expired" if side == "caller" else None):
         await client(data=True)
     await until(lambda: not service.links and not client.links)
 
 
-async def test_conditions_and_filters_of_the_caller(site: Site, lamp: Node) -> None:
-    heard: list[bool] = []
+async def test_conditions_and_filters_of_the_caller_are_applied(site: Site, lamp: Node) -> None:
+    received: list[bool] = []
 
     def listen(request: Any) -> dict[str, object]:
-        heard.append(request.data)
+        received.append(request.data)
         return switch(request)
 
     await lamp.service(LAMP, BOOL, listen)
@@ -120,9 +120,9 @@ async def test_conditions_and_filters_of_the_caller(site: Site, lamp: Node) -> N
         ):
             await client(data=True)
         assert await called(client, data=False) == "on is False"
-        with pytest.raises(ServiceFailed, match="rossec: "):  # not one request
+        with pytest.raises(ServiceFailed, match="rossec: "):  # malformed
             await client.call_bytes(b"too long")
-    assert heard == [False, False]
+    assert received == [False, False]
     async with site.node("/dumb") as dumb:
         response = await dumb.client(LAMP, BOOL)(data=True)
         assert (response.success, response.message) == (True, "")
@@ -143,13 +143,13 @@ async def test_conditions_and_filters_of_the_caller(site: Site, lamp: Node) -> N
             await client(data=True)
 
 
-async def test_a_request_that_does_not_end(
+async def test_an_incomplete_request_times_out(
     lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(provider, "REQUEST_DEADLINE", 0.05)
     service = await lamp.service(LAMP, BOOL, switch)
     client = hall.client(LAMP, BOOL, persistent=True)
     await called(client, data=True)
-    (link,) = client.links
-    await link.stream.send(b"\1\0")
+    (connection,) = client.links
+    await connection.stream.send(b"\1\0")
     await until(lambda: not service.links and not client.links)

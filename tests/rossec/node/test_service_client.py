@@ -1,4 +1,4 @@
-"""The client's side of a service, over real sockets: connections kept, checked and given up."""
+"""The client side of a service, over real sockets: persistent connections, probes, restrictions."""
 
 import asyncio
 from typing import Any
@@ -16,18 +16,18 @@ from tests.support.witness import until
 TRIGGER = "std_srvs/Trigger"
 
 
-async def test_a_kept_connection(lamp: Node, hall: Node) -> None:
+async def test_a_persistent_connection_is_used_again(lamp: Node, hall: Node) -> None:
     service = await lamp.service(LAMP, BOOL, switch)
     async with hall.client(LAMP, BOOL, persistent=True) as client:
         assert await called(client, data=True) == "on is True"
-        (link,) = service.links
-        async with asyncio.TaskGroup() as group:  # calls take turns
+        (connection,) = service.links
+        async with asyncio.TaskGroup() as group:  # one call at a time
             for _ in range(5):
                 group.create_task(called(client, data=True))
-        assert service.links == {link}
-        link.stream.abort("the network broke")
+        assert service.links == {connection}
+        connection.stream.abort("the network broke")
         await until(lambda: not client.links)
-        assert await called(client, data=False) == "on is False"  # over a new one
+        assert await called(client, data=False) == "on is False"  # over a new connection
     await until(lambda: not service.links)
     with pytest.raises(ChannelError, match="closed"):
         await client(data=True)
@@ -42,13 +42,11 @@ async def test_types_must_agree(lamp: Node, hall: Node) -> None:
         hall.client(LAMP, "std_srvs/SetBoool")
 
 
-async def test_restrictions_of_the_provider_are_the_caller_s_to_apply(
-    site: Site, hall: Node
-) -> None:
-    heard: list[bool] = []
+async def test_the_caller_applies_the_restrictions_of_the_provider(site: Site, hall: Node) -> None:
+    received: list[bool] = []
 
     def listen(request: Any) -> dict[str, object]:
-        heard.append(request.data)
+        received.append(request.data)
         return switch(request)
 
     site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("SetBoolRequest", "!msg.data"))
@@ -59,10 +57,10 @@ async def test_restrictions_of_the_provider_are_the_caller_s_to_apply(
         with pytest.raises(ServiceRefused, match="does not allow this request"):
             await client(data=True)
         assert await called(client, data=False) == ""
-    assert heard == [False]
+    assert received == [False]
 
 
-async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None:
+async def test_a_probe_requests_the_header_only(lamp: Node, hall: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
     fields, provider = await hall.services.probe(LAMP)
     assert provider.name == "/lamp"
@@ -73,10 +71,10 @@ async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None
     )
 
 
-async def test_messages_that_arrive_in_parts(
+async def test_messages_may_arrive_in_several_units(
     site: Site, lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Units are what somebody sent at once: a frame may need several of them."""
+    """A frame may be sent in several units."""
     service = await lamp.service(LAMP, BOOL, switch)
     client = hall.client(LAMP, BOOL, persistent=True)
     send = SecureStream.send

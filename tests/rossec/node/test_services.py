@@ -1,4 +1,4 @@
-"""Services of nodes against a real master over real sockets: who may ask what, and what is cut."""
+"""Services of nodes against a real master over real sockets: rights, revocation, restarts."""
 
 import asyncio
 
@@ -29,14 +29,14 @@ async def test_a_call_is_answered(lamp: Node, hall: Node) -> None:
     await until(lambda: not service.links and not client.links)
 
 
-async def test_names_are_resolved(site: Site, lamp: Node) -> None:
+async def test_service_names_are_resolved(site: Site, lamp: Node) -> None:
     await lamp.service("~on", BOOL, switch)
     site.grant("/hall", Right.CALL, LAMP)
     async with site.node("/hall", "light:=/lamp/on") as hall:
         assert await called(hall.client("light", BOOL), data=True) == "on is True"
 
 
-async def test_mistakes_of_the_program(lamp: Node, hall: Node) -> None:
+async def test_invalid_arguments_are_refused(lamp: Node, hall: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
     with pytest.raises(ConfigurationError, match="provided by this node already"):
         await lamp.service(LAMP, BOOL, switch)
@@ -47,7 +47,7 @@ async def test_mistakes_of_the_program(lamp: Node, hall: Node) -> None:
         hall.client(LAMP, BOOL, deadline=0)
 
 
-async def test_there_is_no_provider(lamp: Node, hall: Node) -> None:
+async def test_a_call_without_a_provider_is_refused(lamp: Node, hall: Node) -> None:
     with pytest.raises(ServiceUnavailable, match=f"no node provides {LAMP}"):
         await hall.client(LAMP, BOOL)(data=True)
     with pytest.raises(ServiceUnavailable, match=r"within 0\.1 s"):
@@ -60,7 +60,7 @@ async def test_there_is_no_provider(lamp: Node, hall: Node) -> None:
         await hall.client(LAMP, BOOL)(data=True)
 
 
-async def test_without_the_right_to_call(site: Site, lamp: Node) -> None:
+async def test_a_caller_without_the_right_is_refused(site: Site, lamp: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
     site.enroll("/eve")
     async with site.node("/eve") as eve:
@@ -70,11 +70,11 @@ async def test_without_the_right_to_call(site: Site, lamp: Node) -> None:
             await eve.wait_for_service(LAMP, timeout=20)
 
 
-async def test_without_the_right_to_provide(site: Site, hall: Node) -> None:
+async def test_a_provider_without_the_right_is_refused(site: Site, hall: Node) -> None:
     async with site.node("/eve") as eve:
         with pytest.raises(RossecError, match="provide"):
             await eve.service(LAMP, BOOL, switch)
-        with pytest.raises(RossecError, match="provide"):  # the first try left nothing behind
+        with pytest.raises(RossecError, match="provide"):  # the first attempt left no registration
             await eve.service(LAMP, BOOL, switch)
 
 
@@ -82,7 +82,7 @@ async def tell(site: Site, node: Node, revoked: bytes) -> None:
     await node._session.call("rossec.updateRevocations", site.revoke(revoked))
 
 
-async def test_a_revoked_caller_is_cut(site: Site, lamp: Node) -> None:
+async def test_the_connection_of_a_revoked_caller_is_closed(site: Site, lamp: Node) -> None:
     right = site.grant("/hall", Right.CALL, LAMP)
     service = await lamp.service(LAMP, BOOL, switch)
     async with site.node("/hall") as hall:
@@ -91,12 +91,12 @@ async def test_a_revoked_caller_is_cut(site: Site, lamp: Node) -> None:
         assert len(service.links) == 1
         await tell(site, lamp, right)
         await until(lambda: not service.links and not client.links)
-        await hall._session._heartbeat()  # a node that registers nothing hears with its heartbeat
+        await hall._session._heartbeat()  # without registrations it learns of it by its heartbeat
         with pytest.raises((RossecError, GrantError)):
             await called(client, data=True)
 
 
-async def test_a_revoked_provider_is_cut(site: Site, hall: Node) -> None:
+async def test_the_connection_of_a_revoked_provider_is_closed(site: Site, hall: Node) -> None:
     right = site.grant("/lamp", Right.PROVIDE, LAMP)
     async with site.node("/lamp") as lamp:
         service = await lamp.service(LAMP, BOOL, switch)
@@ -107,18 +107,18 @@ async def test_a_revoked_provider_is_cut(site: Site, hall: Node) -> None:
         await until(lambda: not service.links and not client.links)
 
 
-async def test_a_right_that_is_gone_does_not_cost_the_others(
+async def test_a_revoked_right_does_not_affect_other_registrations(
     site: Site, hall: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gone = site.grant("/lamp", Right.PROVIDE, "/lamp/off")
+    revoked = site.grant("/lamp", Right.PROVIDE, "/lamp/off")
     site.grant("/lamp", Right.PROVIDE, LAMP)
     async with site.node("/lamp") as lamp:
         await lamp.service("/lamp/off", BOOL, switch)
         await lamp.service(LAMP, BOOL, switch)
-        newest = site.revoke(gone)
+        newest = site.revoke(revoked)
         await site.restart_master()
         await until(lambda: "/lamp/off is not registered again" in caplog.text)
-        await until(lambda: hall.revocations.data == newest)  # it has met the new master
+        await until(lambda: hall.revocations.data == newest)  # it has connected to the new master
         await hall.wait_for_service(LAMP, timeout=20)
         with pytest.raises(ServiceUnavailable):
             await hall.client("/lamp/off", BOOL)(data=True)
@@ -126,7 +126,9 @@ async def test_a_right_that_is_gone_does_not_cost_the_others(
         await hall.wait_for_service("/lamp/off", timeout=20)
 
 
-async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_known_services_and_their_providers(
+    lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
     await lamp.service(LAMP, BOOL, switch)
     assert await hall.services.known() == {LAMP: ["/lamp"]}
     nonsenses: list[object] = [7, [[], []], [[], [], 7], [[], [], [7]], [[], [], [[LAMP, "x"]]]]
@@ -136,11 +138,11 @@ async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyP
             return value
 
         monkeypatch.setattr(hall._session._client, "ask", answer)
-        with pytest.raises(AnswerMalformed, match="a system state that is none"):
+        with pytest.raises(AnswerMalformed, match="an invalid system state"):
             await hall.services.known()
 
 
-async def test_a_restarted_master_knows_the_service_again(
+async def test_a_service_is_registered_again_with_a_restarted_master(
     site: Site, lamp: Node, hall: Node
 ) -> None:
     await lamp.service(LAMP, BOOL, switch)

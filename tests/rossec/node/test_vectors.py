@@ -1,4 +1,4 @@
-"""The vectors of what is inside the channel: connection headers, calls and the grants in them."""
+"""The vectors inside the channel: connection headers, calls and the grants in them."""
 
 import json
 from dataclasses import replace
@@ -44,7 +44,7 @@ def fresh(site: Site) -> Revocations:
 
 
 @pytest.mark.parametrize("vector", load("presented"), ids=lambda vector: vector["name"])
-def test_what_a_peer_shows(site: Site, vector: dict[str, Any]) -> None:
+def test_the_connection_headers_of_the_vectors(site: Site, vector: dict[str, Any]) -> None:
     anchor = replace(site.anchor, public_key=make_grants.CA.public_key)
     peer = replace(site.identity("/heating"), thumbprint=make_grants.DRAFT.holder)
     access, shown = Access(anchor, fresh(site)), bytes.fromhex(vector["data"])
@@ -58,7 +58,7 @@ def test_what_a_peer_shows(site: Site, vector: dict[str, Any]) -> None:
     assert array_is_refused == (vector["verdict"] == "malformed")
 
 
-def test_what_the_first_units_hold() -> None:
+def test_the_first_units_of_the_vectors() -> None:
     subscriber, without, call = (bytes.fromhex(vector["data"]) for vector in load("units"))
     fields = header.decode(subscriber[4:])
     assert fields["topic"] == TOPIC.encode()

@@ -1,4 +1,4 @@
-"""Calls under another name, beside stock's own arithmetic."""
+"""Calls with another caller_id, compared with how stock resolves names."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ from rossec.participant.caller_names import (
         ("lookupNode", ("", "n"), "/n"),
     ],
 )
-def test_a_relative_name_means_what_it_meant_to_who_asked(
+def test_a_relative_name_is_resolved_for_the_original_caller(
     method: str, params: tuple[Any, ...], meant: str
 ) -> None:
     found = resolve_params(method, params, params[0])
@@ -40,12 +40,12 @@ def test_a_relative_name_means_what_it_meant_to_who_asked(
         ("getParam", ("/ns/tool",)),
         ("getParam", ("/ns/tool", 7)),
         ("getParam", ("/ns/tool", "")),
-        ("getPublishedTopics", ("/ns/tool", "")),  # everything, not the namespace
+        ("getPublishedTopics", ("/ns/tool", "")),  # all topics, not those of the namespace
         ("searchParam", ("/ns/tool", "x")),
         ("getSystemState", ("/ns/tool",)),
     ],
 )
-def test_the_rest_stays_as_it_is(method: str, params: tuple[Any, ...]) -> None:
+def test_other_calls_are_not_changed(method: str, params: tuple[Any, ...]) -> None:
     assert resolve_params(method, params, "/ns/tool") == params
 
 
@@ -61,7 +61,7 @@ def test_the_rest_stays_as_it_is(method: str, params: tuple[Any, ...]) -> None:
         ("getParam", ("/x", "a"), None),
     ],
 )
-def test_what_is_searched_from_the_askers_namespace(
+def test_the_key_searched_from_the_namespace_of_the_caller(
     method: str, params: tuple[Any, ...], key: str | None
 ) -> None:
     assert searched_key(method, params) == key
@@ -73,7 +73,7 @@ SET = ["/x", "/a/x", "/a/b/y", "/a/tool/x", "/x/z", "/a/b/tool/y/z"]
 
 @pytest.mark.parametrize("caller", CALLERS)
 @pytest.mark.parametrize("key", ["x", "y", "y/z", "x/z", "none"])
-def test_the_places_are_those_the_master_looks_at(caller: str, key: str) -> None:
+def test_the_names_searched_are_those_the_master_searches(caller: str, key: str) -> None:
     for name in SET:
         tree = Parameters()
         tree.set(name, 1)
@@ -82,11 +82,11 @@ def test_the_places_are_those_the_master_looks_at(caller: str, key: str) -> None
         assert there == [found for place, found in looked_at if tree.has(place)]
 
 
-def test_a_name_without_end_is_not_climbed_without_end() -> None:
+def test_the_names_searched_for_a_long_caller_are_bounded() -> None:
     assert len(list(search_places("/a" * 10_000, "x"))) < 200
 
 
-def test_what_an_answer_means_for_the_search() -> None:
+def test_an_answer_ends_or_continues_the_search() -> None:
     assert search_result([1, "Found [/x]", "/x"], "/x/y") == [1, "Found [/x/y]", "/x/y"]
     assert search_result([-1, "Cannot find parameter [/x] in an upwards search", ""], "/x") is None
     finals: list[list[object]] = [[-1, "rossec: revoked", 0], [0, "Internal failure", 0], ["odd"]]

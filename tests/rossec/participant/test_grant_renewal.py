@@ -1,4 +1,4 @@
-"""When grants are renewed, and that only good tokens are held."""
+"""When grants are renewed, and that only valid tokens are held."""
 
 import time
 from itertools import pairwise
@@ -99,7 +99,7 @@ def world() -> World:
     return World()
 
 
-def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
+def test_a_grant_is_due_at_about_two_thirds_of_its_lifetime(world: World) -> None:
     world.hold()
     [held] = world.access.held_grants()
     assert 0.55 * HOUR <= due_at(held) - world.now <= 0.77 * HOUR
@@ -109,21 +109,21 @@ def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
     assert world.renewals.due(due_at(held) + RETRY) == [held]
 
 
-def test_what_was_refused_is_asked_for_again_in_time(world: World) -> None:
-    """Of a ticket of a minute some 20 s are left then: a pause of a minute would be its end."""
+def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> None:
+    """A ticket of a minute has some 20 s left: after a pause of a minute it would have expired."""
     world.hold(lifetime=60)
     [held] = world.access.held_grants()
     asked = [second for second in range(60) if world.renewals.due(world.now + second)]
     assert asked[0] == due_at(held) - world.now
     assert len(asked) >= 4
     assert max(late - early for early, late in pairwise(asked)) <= 7
-    assert world.renewals.due(world.now + 60) == [held]  # and now that it has expired: no hurry
+    assert world.renewals.due(world.now + 60) == [held]  # expired: the longest pause
     assert world.renewals.due(world.now + 60 + RETRY - 1) == []
     assert world.renewals.due(world.now + 60 + RETRY) == [held]
 
 
-async def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -> None:
-    """What was renewed a moment ago is not held back as if it had been refused."""
+async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: World) -> None:
+    """The pause after a refusal does not apply to a renewed grant."""
     delegation = Delegation(
         "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
     )
@@ -136,11 +136,11 @@ async def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: Wo
         await renew(world.answer, world.renewals, now)
         [held] = world.access.held_grants()
         least = min(least, held.grant.expires - now)
-    assert least >= 12  # seconds: some tries more, had the master been out of reach
+    assert least >= 12  # seconds: enough for more tries if the master is out of reach
     assert 13 <= len(world.calls) <= 22
 
 
-def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
+def test_a_grant_is_not_due_beyond_its_cap_or_when_revoked(world: World) -> None:
     data = world.hold()
     assert world.renewals.due(world.now + DAY) == []
     world.at(0, world.site.revoke(data))
@@ -149,7 +149,7 @@ def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
     assert world.renewals.due(world.now + 2 * HOUR) == []
 
 
-async def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
+async def test_a_new_epoch_makes_all_renewed_grants_due(world: World) -> None:
     world.hold()
     assert await renew(world.answer, world.renewals, world.at(HOUR)) == 1
     assert world.renewals.due(world.now + HOUR + 1) == []
@@ -162,7 +162,7 @@ async def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
     assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
 
 
-def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
+def test_a_call_renews_a_limited_number_of_grants_the_first_to_expire_first(world: World) -> None:
     for n in range(MAX_PER_CALL + 1):
         world.hold(lifetime=HOUR + n)
     due = world.renewals.due(world.now + 2 * HOUR)
@@ -172,7 +172,7 @@ def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
 
-async def test_a_grant_that_has_expired_lives_again(world: World) -> None:
+async def test_an_expired_grant_is_renewed(world: World) -> None:
     data = world.hold()
     now = world.at(2 * HOUR)
     assert world.access.current(now) == []
@@ -200,14 +200,14 @@ async def test_nothing_is_requested_before_it_is_due(world: World) -> None:
 
 
 @pytest.mark.parametrize("answer", [5, [], [b"", b""]])
-async def test_an_answer_that_is_none(world: World, answer: object) -> None:
+async def test_a_malformed_answer_is_refused(world: World, answer: object) -> None:
     world.hold()
     with pytest.raises(AnswerMalformed):
         await renew(answering(answer), world.renewals, world.at(HOUR))
 
 
 @pytest.mark.parametrize("token", [b"", 5, b"garbage"])
-async def test_what_is_not_renewed_is_not_held(
+async def test_an_invalid_token_is_not_held(
     world: World, token: object, caplog: pytest.LogCaptureFixture
 ) -> None:
     world.hold()
@@ -217,13 +217,13 @@ async def test_what_is_not_renewed_is_not_held(
     assert ("is invalid" in caplog.text) == (token == b"garbage")
 
 
-def test_only_grants_of_this_node_come_back(world: World) -> None:
-    stray = world.site.grant(world.node, P, lifetime=60, cap=DAY)
+def test_a_renewed_grant_of_another_node_is_refused(world: World) -> None:
+    unknown = world.site.grant(world.node, P, lifetime=60, cap=DAY)
     with pytest.raises(GrantMissing, match="is not held by this node"):
-        world.access.hold_renewed(world.renewed(stray), world.now)
+        world.access.hold_renewed(world.renewed(unknown), world.now)
 
 
-def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> None:
+def test_tokens_of_a_revoked_delegation_are_refused(world: World) -> None:
     data = world.hold(lifetime=60)
     token = world.renewed(data)
     assert world.delegate.id is not None
@@ -236,8 +236,8 @@ def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> N
         )
 
 
-def test_a_revoked_master_confirms_nothing(world: World) -> None:
-    """Whoever stole its key could otherwise keep the list fresh that a new one would replace."""
+def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:
+    """A stolen key could otherwise confirm a list that a newer one replaces."""
     fresh = world.revocations.fresh_until
     with pytest.raises(Revoked):
         world.at(20, world.site.revoke(world.master.identity.thumbprint))
@@ -249,9 +249,9 @@ def test_a_revoked_master_confirms_nothing(world: World) -> None:
         world.revocations.check_fresh(world.now + 25)
 
 
-def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: Path) -> None:
+def test_a_peer_that_does_not_know_the_master_refuses_a_renewed_grant(tmp_path: Path) -> None:
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
-    stranger = Access(world.site.anchor, world.revocations)
+    other = Access(world.site.anchor, world.revocations)
     with pytest.raises(GrantError, match="the master's key is not known"):
-        stranger.hold_renewed(token, int(time.time()))
+        other.hold_renewed(token, int(time.time()))

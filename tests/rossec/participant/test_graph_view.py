@@ -1,4 +1,4 @@
-"""What a watcher makes of answers, good and bad."""
+"""The graph a watcher builds from valid and malformed answers."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def answer(**changes: Any) -> dict[str, Any]:
     return {**said, **changes}
 
 
-def test_whole_then_differences() -> None:
+def test_the_whole_graph_is_followed_by_differences() -> None:
     view = GraphView()
     assert view.next_params == ("", 0)
     first = view.take(answer())
@@ -29,7 +29,7 @@ def test_whole_then_differences() -> None:
     assert view.facts == {tuple(B)}
 
 
-def test_a_restart_tells_only_what_is_different() -> None:
+def test_a_restart_of_the_master_reports_differences_only() -> None:
     view = GraphView()
     view.take(answer(added=[A]))
     change = view.take(answer(instance="y", added=[A, B]))
@@ -45,7 +45,7 @@ def test_a_restart_tells_only_what_is_different() -> None:
         answer(added=[[*A, "four"]]), answer(added=[[1, "two", "three"]]),
     ],
 )  # fmt: skip
-def test_an_answer_that_is_none_changes_nothing(broken: object) -> None:
+def test_a_malformed_answer_changes_nothing(broken: object) -> None:
     view = GraphView()
     view.take(answer())
     before = vars(view).copy()

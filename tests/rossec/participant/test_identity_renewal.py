@@ -1,4 +1,4 @@
-"""An identity renewed by its node: on the disk in one step, live from the next connection on."""
+"""An identity renewed by its node: replaced on the disk, used from the next connection on."""
 
 import time
 from pathlib import Path
@@ -24,8 +24,9 @@ from rossec.participant.identity_renewal import (
     IdentityRenewal,
     renew_identity,
 )
-from tests.rossec.node.test_node import POSE, first, pose, until
+from tests.support.poses import POSE, first, pose
 from tests.support.site import DAY, Site
+from tests.support.witness import until
 
 LIFE = 20 * DAY
 NOW = int(time.time())
@@ -34,7 +35,7 @@ BEGIN = NOW - 15 * DAY
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    """A site whose nodes were enrolled 15 days ago for 20."""
+    """A site whose nodes were enrolled 15 days ago for 20 days."""
     return Site(tmp_path / "site", clock=lambda: BEGIN)
 
 
@@ -51,7 +52,7 @@ def answering(value: object) -> MasterCall:
     return call
 
 
-def test_due_after_two_thirds_of_its_life(site: Site) -> None:
+def test_an_identity_is_due_after_two_thirds_of_its_lifetime(site: Site) -> None:
     _, _, asks = renewal(site)
     due = BEGIN + LIFE * 2 // 3
     assert asks.request(due - 1) is None
@@ -60,7 +61,7 @@ def test_due_after_two_thirds_of_its_life(site: Site) -> None:
     assert asks.request(NOW + RETRY) is not None
 
 
-def test_a_short_life_is_asked_for_more_often(site: Site) -> None:
+def test_an_identity_with_a_short_lifetime_is_requested_more_often(site: Site) -> None:
     home = site.enroll("/brief", 120)
     asks = IdentityRenewal(home, LiveCredentials(home.credentials()), BEGIN)
     assert asks.request(BEGIN + 79) is None
@@ -68,7 +69,7 @@ def test_a_short_life_is_asked_for_more_often(site: Site) -> None:
     assert asked == list(range(BEGIN + 80, BEGIN + 120, 6))
 
 
-async def test_the_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
+async def test_a_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
     home, credentials, asks = renewal(site)
     before = credentials.certificate
 
@@ -87,7 +88,7 @@ async def test_the_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
     assert credentials.id_cred == home.credentials().id_cred
 
 
-async def test_a_lost_answer_is_asked_for_again(site: Site) -> None:
+async def test_a_request_with_a_lost_answer_is_repeated(site: Site) -> None:
     _, credentials, asks = renewal(site)
     answers = [renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + RETRY)]
     assert answers[0] == answers[1]
@@ -95,7 +96,7 @@ async def test_a_lost_answer_is_asked_for_again(site: Site) -> None:
     assert credentials.current.chain[0] == from_pem(answers[0])[0]
 
 
-def test_what_an_operator_installed_meanwhile_is_taken_up(site: Site) -> None:
+def test_an_identity_installed_by_an_operator_is_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
     before = credentials.certificate
     site._clock = lambda: NOW
@@ -106,10 +107,10 @@ def test_what_an_operator_installed_meanwhile_is_taken_up(site: Site) -> None:
     assert asks.request(NOW + 14 * DAY) is not None
 
 
-def test_what_is_no_successor_is_not_taken_up(site: Site) -> None:
+def test_an_identity_that_expires_earlier_is_not_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
     before = credentials.certificate
-    site.renew("/robot", DAY)  # shorter, and over by now
+    site.renew("/robot", DAY)  # shorter, and expired by now
     assert asks.request(NOW) is not None
     site._clock = lambda: NOW
     site.renew("/robot", DAY)
@@ -120,7 +121,7 @@ def test_what_is_no_successor_is_not_taken_up(site: Site) -> None:
 
 
 @pytest.mark.parametrize("bundle", [b"garbage", b""])
-async def test_what_is_no_identity_changes_nothing(
+async def test_a_malformed_identity_changes_nothing(
     site: Site, bundle: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     home, credentials, asks = renewal(site)
@@ -134,7 +135,9 @@ async def test_what_is_no_identity_changes_nothing(
         asks.take(5, NOW)
 
 
-async def test_a_master_that_renews_nothing(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_refusal_of_the_master_is_logged(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
     async def call(method: str, *params: object) -> object:
         raise AnswerRefused("rossec: this master renews no identities")
 
@@ -155,7 +158,7 @@ def below(site: Site) -> SigningAuthority:
     return SigningAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
 
 
-async def test_nodes_go_on_with_what_the_master_signed(site: Site) -> None:
+async def test_nodes_work_with_identities_signed_by_the_master(site: Site) -> None:
     for name in ("/robot", "/viewer", "/master"):
         site.enroll(name, LIFE)
     site.publish("/robot", "/robot/pose", lifetime=LIFE)
@@ -169,5 +172,7 @@ async def test_nodes_go_on_with_what_the_master_signed(site: Site) -> None:
             publisher.publish(pose(publisher))
             subscriber = await viewer.subscriber("/robot/pose", POSE)
             await first(subscriber, within=20)
-            [link] = subscriber.links
-            assert link.stream.peer.issuers == (site.intermediate.authority.issuer.thumbprint,)
+            [connection] = subscriber.links
+            assert connection.stream.peer.issuers == (
+                site.intermediate.authority.issuer.thumbprint,
+            )

@@ -1,4 +1,4 @@
-"""One store of memories for the nodes of a process."""
+"""One memory store for the nodes of a process."""
 
 from grants.decision import Decision
 from grants.model import Right
@@ -6,7 +6,7 @@ from rossec.participant.limit_memory import memory_scope
 from tests.support.recall import HOLDER
 
 
-def test_it_outlives_who_asked() -> None:
+def test_the_memory_outlives_the_node() -> None:
     decision = Decision(Right.SUBSCRIBE, "/a", (HOLDER,), 100, ())
     memory = memory_scope("/one")(decision)
     assert memory_scope("/one")(decision) is memory

@@ -1,4 +1,4 @@
-"""The session with the master: what a node does with a master that knows less than it does."""
+"""The session with a master whose revocation list is older than the node's."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from tests.support.site import DAY, Site
 from tests.support.witness import until
 
 
-async def test_a_master_that_lost_its_list_gets_it_back(
+async def test_a_master_that_lost_its_list_receives_it_from_a_node(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     site = Site(tmp_path / "site")
@@ -28,7 +28,7 @@ async def test_a_master_that_lost_its_list_gets_it_back(
         await until(lambda: "the newer one: was its home restored from a backup?" in caplog.text)
 
 
-async def test_what_cannot_be_handed_over_is_not(
+async def test_a_list_that_is_missing_a_tree_or_not_newer_is_not_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with Site(tmp_path / "site").running() as site, site.node("/robot") as robot:

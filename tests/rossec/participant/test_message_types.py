@@ -15,7 +15,7 @@ STANDARD = [
 
 
 @pytest.mark.parametrize("name", STANDARD)
-def test_a_zero_message_survives_the_wire(name: str) -> None:
+def test_a_zero_message_is_serialized_and_deserialized(name: str) -> None:
     kind = message_type(name)
     data = bytes(kind.serialize(kind.create()))
     assert bytes(kind.serialize(kind.deserialize(data))) == data
@@ -39,38 +39,38 @@ def test_create_sets_fields() -> None:
     assert message_type("std_msgs/String").create(data="hello").data == "hello"
 
 
-def test_an_unknown_field_names_those_there_are() -> None:
+def test_the_error_for_an_unknown_field_lists_the_fields() -> None:
     with pytest.raises(MessageError, match="no field 'dta' in std_msgs/String") as caught:
         message_type("std_msgs/String").create(dta="x")
     assert caught.value.hint == "it has data"
 
 
 @pytest.mark.parametrize("name", ["std_msgs/Nothing", "nowhere/Thing"])
-def test_an_unknown_type(name: str) -> None:
+def test_an_unknown_type_is_refused(name: str) -> None:
     with pytest.raises(MessageError, match="unknown message type") as caught:
         message_type(name)
     assert "register_type" in caught.value.hint
 
 
 @pytest.mark.parametrize("name", ["String", "std_msgs/", "/String", "std_msgs/msg/String", ""])
-def test_a_name_that_is_none(name: str) -> None:
+def test_an_invalid_type_name_is_refused(name: str) -> None:
     with pytest.raises(MessageError, match="not a message type name"):
         message_type(name)
 
 
-def test_a_value_of_a_wrong_type_is_our_error() -> None:
+def test_a_value_of_a_wrong_type_is_refused() -> None:
     kind = message_type("std_msgs/String")
     with pytest.raises(MessageError, match="cannot serialize this as std_msgs/String"):
         kind.serialize(kind.create(data=7))
 
 
 @pytest.mark.parametrize("data", [b"", b"\x05\0\0\0ab", b"\x01\0\0\0a-tail"])
-def test_bytes_that_are_no_message(data: bytes) -> None:
+def test_malformed_bytes_are_refused(data: bytes) -> None:
     with pytest.raises(MessageError, match="not one std_msgs/String"):
         message_type("std_msgs/String").deserialize(data)
 
 
-def test_a_type_of_ones_own() -> None:
+def test_a_registered_type() -> None:
     kind = register_type("house_msgs/Lamp", "std_msgs/Header header\nuint8 level\nstring[] rooms\n")
     assert isinstance(kind, MessageType)
     message = kind.create(level=7, rooms=["attic"])
@@ -78,7 +78,7 @@ def test_a_type_of_ones_own() -> None:
     assert (again.level, again.rooms) == (7, ["attic"])
 
 
-def test_a_definition_that_is_none() -> None:
+def test_an_invalid_definition_is_refused() -> None:
     with pytest.raises(MessageError, match="cannot register house_msgs/Bad"):
         register_type("house_msgs/Bad", "this is no definition ::")
 

@@ -1,4 +1,4 @@
-"""What a node takes for its own address."""
+"""Which addresses are a node's own."""
 
 import pytest
 
@@ -14,7 +14,7 @@ def own() -> OwnAddresses:
     return own
 
 
-def test_its_own_places(own: OwnAddresses) -> None:
+def test_own_addresses_are_recognized(own: OwnAddresses) -> None:
     assert own.is_own(("robot.LOCAL", 4001))
     assert own.own_dials_for(("robot.local", 4000)) is own.dials
     for other in ("robot.local", 4002), ("other", 4000), ("", 4000):
@@ -22,17 +22,17 @@ def test_its_own_places(own: OwnAddresses) -> None:
         assert own.own_dials_for(other) is None
 
 
-def test_while_it_listens_nowhere() -> None:
+def test_no_address_is_own_without_a_port() -> None:
     assert not OwnAddresses().is_own(("", 0))
 
 
-def test_ipv6_with_and_without_brackets() -> None:
+def test_an_ipv6_address_is_own_with_and_without_brackets() -> None:
     own = OwnAddresses()
     own.add_ports("[fd00::A]", 4000)
     assert own.is_own(("fd00::a", 4000))
 
 
-def test_nobody_else_leads_it_to_itself(own: OwnAddresses) -> None:
+def test_a_redirect_from_another_node_to_itself_is_refused(own: OwnAddresses) -> None:
     own.check_redirect(("other", 1), ("other", 2))
     own.check_redirect(("robot.local", 4000), ("robot.local", 4001))
     own.check_redirect(("robot.local", 4000), ("other", 1))

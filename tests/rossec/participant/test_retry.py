@@ -1,4 +1,4 @@
-"""The pauses after a loss."""
+"""The pauses before reconnecting."""
 
 import pytest
 
@@ -6,20 +6,20 @@ from rossec.participant.retry import FAST_PERIOD, FIRST, Retry
 
 
 @pytest.mark.parametrize("rand", [0.0, 0.5, 0.999])
-def test_for_half_a_minute_a_second_at_most_and_then_five(rand: float) -> None:
+def test_pauses_are_a_second_at_most_for_half_a_minute_and_then_five(rand: float) -> None:
     retry, now, pauses = Retry(lambda: rand), 1000.0, []
     while now < 1000 + 2 * FAST_PERIOD:
         pauses.append((now, retry.pause(now)))
         now += pauses[-1][1]
-    cut = 1 - rand / 2
-    assert pauses[0][1] == FIRST * cut
+    factor = 1 - rand / 2
+    assert pauses[0][1] == FIRST * factor
     assert [pause for at, pause in pauses if at < 1000 + FAST_PERIOD][2:] == pytest.approx(
-        [cut] * (len([at for at, _ in pauses if at < 1000 + FAST_PERIOD]) - 2)
+        [factor] * (len([at for at, _ in pauses if at < 1000 + FAST_PERIOD]) - 2)
     )
-    assert pauses[-1][1] == 5 * cut
+    assert pauses[-1][1] == 5 * factor
 
 
-def test_a_success_ends_the_loss() -> None:
+def test_a_success_resets_the_pauses() -> None:
     retry = Retry(lambda: 0)
     assert [retry.pause(now) for now in (0.0, 40, 41, 42, 43, 44)] == [0.25, 0.5, 1, 2, 4, 5]
     retry.succeeded()

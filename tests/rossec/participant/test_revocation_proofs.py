@@ -1,4 +1,4 @@
-"""Where revocations are a tree: what a node asks for, and a whole site that runs on proofs."""
+"""Where revocations are a tree: which proofs a node requests, and a site that works with them."""
 
 import time
 from collections.abc import AsyncIterator
@@ -15,10 +15,11 @@ from rossec.errors import AnswerMalformed
 from rossec.participant.connections import STALE_GRACE, termination_reason
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
-from tests.rossec.node.test_node import POSE, first, pose, tell_master, until
-from tests.rossec.participant.test_connections import Linked
+from tests.rossec.participant.test_connections import FakeConnection
 from tests.support.authority import Site as Authority
+from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import Site
+from tests.support.witness import until
 
 LISTING = TreeEntries([n.to_bytes(16) for n in range(1, 9)])
 HERE, ABSENT = (1).to_bytes(16), b"x" * 16
@@ -51,7 +52,7 @@ def answering(value: object) -> MasterCall:
     return call
 
 
-async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
+async def test_a_wanted_proof_is_requested_once(held: Revocations) -> None:
     assert await prove(answer, held) == 2
     assert await prove(answer, held) == 0
     now = int(time.time())
@@ -60,7 +61,7 @@ async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
         held.check(HERE, now)
 
 
-async def test_only_so_many_at_once(held: Revocations) -> None:
+async def test_a_call_requests_a_limited_number_of_proofs(held: Revocations) -> None:
     for n in range(100, 100 + MAX_PER_CALL):
         with pytest.raises(RevocationsStale):
             held.check(n.to_bytes(16), int(time.time()))
@@ -69,31 +70,35 @@ async def test_only_so_many_at_once(held: Revocations) -> None:
 
 
 @pytest.mark.parametrize("said", [5, [b"one"], [b"", b"", b""]])
-async def test_an_answer_that_is_none(held: Revocations, said: object) -> None:
+async def test_a_malformed_answer_is_refused(held: Revocations, said: object) -> None:
     with pytest.raises(AnswerMalformed):
         await prove(answering(said), held)
 
 
 @pytest.mark.parametrize("said", [[], [b"", 5], [b"x", b"y"]])
-async def test_without_proof_nothing_is_known(held: Revocations, said: object) -> None:
+async def test_an_entry_without_a_valid_proof_stays_unknown(
+    held: Revocations, said: object
+) -> None:
     assert await prove(answering(said), held) == 0
     with pytest.raises(RevocationsStale):
         held.check(ABSENT, int(time.time()))
 
 
-def test_a_link_lives_as_long_without_a_proof_as_without_news(held: Revocations) -> None:
+def test_a_connection_without_a_proof_has_the_same_grace_period_as_without_timestamps(
+    held: Revocations,
+) -> None:
     now = int(time.time())
     last = held.status_valid_until(b"g" * 16) + STALE_GRACE
-    assert termination_reason(Linked(ends=last + 99), held, now) is None
+    assert termination_reason(FakeConnection(ends=last + 99), held, now) is None
     assert held.current is not None
-    held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # news go on, proofs do not
-    assert termination_reason(Linked(ends=last + 99), held, last - 1) is None
-    assert "no proof" in (termination_reason(Linked(ends=last + 99), held, last) or "")
+    held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # but no new proof
+    assert termination_reason(FakeConnection(ends=last + 99), held, last - 1) is None
+    assert "no proof" in (termination_reason(FakeConnection(ends=last + 99), held, last) or "")
 
 
 @pytest.fixture
 async def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Site]:
-    """A site whose authority signs trees, as from the 4097th revocation on."""
+    """A site whose authority signs trees, as it does from the 4097th revocation on."""
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     site = Site(tmp_path / "site")
     site.revoke(bytes(32))
@@ -101,7 +106,7 @@ async def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
         yield site
 
 
-async def test_a_whole_site_runs_on_proofs(site: Site) -> None:
+async def test_nodes_work_with_proofs(site: Site) -> None:
     site.publish("/robot", "/robot/pose")
     right = site.subscribe("/viewer", "/robot/pose")
     site.grant("/other", Right.SUBSCRIBE, "/robot/pose")
@@ -114,8 +119,8 @@ async def test_a_whole_site_runs_on_proofs(site: Site) -> None:
         assert len(publisher.links) == 2
         await tell_master(site, robot, site.revoke(right))
         await until(lambda: len(publisher.links) == 1, within=20)
-        [link] = publisher.links
-        assert link.stream.peer.name == "/other"
+        [connection] = publisher.links
+        assert connection.stream.peer.name == "/other"
     assert site.master is not None
     await site.restart_master()
     async with site.node("/robot") as robot:

@@ -1,4 +1,4 @@
-"""Which restriction of a right holds for which message of a call; no connection."""
+"""Which restriction of a right applies to which message of a call; no connection."""
 
 import secrets
 from pathlib import Path
@@ -28,13 +28,13 @@ def guard(*restrictions: Restriction) -> ServiceGuard:
     return ServiceGuard(KIND, decision, no_key, fresh())
 
 
-def test_without_restrictions_everything_passes() -> None:
+def test_a_right_without_restrictions_allows_every_message() -> None:
     both = guard()
     assert b"".join(both.request(ON, NOW)) == ON
     assert b"".join(both.response(ANSWER, NOW)) == ANSWER
 
 
-def test_a_request_condition_holds_for_requests() -> None:
+def test_a_condition_for_the_request_type_applies_to_requests() -> None:
     both = guard(Restriction("std_srvs/SetBoolRequest", ("!msg.data",)))
     assert b"".join(both.request(OFF, NOW)) == OFF
     with pytest.raises(ServiceRefused, match="/lamp/on does not allow this request, or not now"):
@@ -42,7 +42,7 @@ def test_a_request_condition_holds_for_requests() -> None:
     assert b"".join(both.response(ANSWER, NOW)) == ANSWER
 
 
-def test_a_response_filter_holds_for_responses() -> None:
+def test_a_filter_for_the_response_type_applies_to_responses() -> None:
     rules = filter_rules({"message": {"clear": True}})
     both = guard(Restriction("std_srvs/SetBoolResponse", ("msg.success",), rules))
     assert b"".join(both.request(ON, NOW)) == ON
@@ -51,7 +51,7 @@ def test_a_response_filter_holds_for_responses() -> None:
         both.response(b"\0\0\0\0\0", NOW)
 
 
-def test_a_request_may_be_rewritten() -> None:
+def test_a_filter_rewrites_a_request() -> None:
     rules = filter_rules({"data": {"clear": True}})
     assert b"".join(guard(Restriction("std_srvs/SetBoolRequest", (), rules)).request(ON, 1)) == OFF
 
@@ -66,12 +66,12 @@ def test_a_rate_counts_once_for_each_call() -> None:
 
 
 @pytest.mark.parametrize("kind", ["std_srvs/SetBool", "std_srvs/TriggerResponse", "a/Request"])
-def test_a_restriction_for_another_type_refuses(kind: str) -> None:
+def test_a_restriction_for_another_type_is_refused(kind: str) -> None:
     with pytest.raises(RestrictionMismatch, match=f"messages of type {kind}"):
         guard(Restriction(kind, ("now > timestamp('2020-01-01T00:00:00Z')",)))
 
 
-def test_a_key_that_is_not_there_refuses(tmp_path: Path) -> None:
+def test_a_missing_pseudonym_key_is_refused(tmp_path: Path) -> None:
     rules = filter_rules({"message": {"hash": {"key": "door", "length": 8}}})
     hashed = Restriction("std_srvs/SetBoolResponse", (), rules)
     with pytest.raises(ConfigurationError, match="no key door"):
@@ -81,17 +81,17 @@ def test_a_key_that_is_not_there_refuses(tmp_path: Path) -> None:
     assert len(b"".join(both.response(ANSWER, NOW))) == 5 + 8
 
 
-def test_the_end_of_the_right_and_bytes_that_are_no_message() -> None:
+def test_an_expired_right_and_malformed_bytes_are_refused() -> None:
     both = guard(Restriction("std_srvs/SetBoolRequest", ("!msg.data",)))
-    for treat in (both.request, both.response):
+    for apply in (both.request, both.response):
         with pytest.raises(GrantExpired):
-            treat(OFF, NOW + 10)
+            apply(OFF, NOW + 10)
     rules = filter_rules({"message": {"clear": True}})
     with pytest.raises(MessageRefused):
         guard(Restriction("std_srvs/SetBoolResponse", (), rules)).response(b"", NOW)
 
 
-def test_a_filter_for_a_field_that_is_not_there() -> None:
+def test_a_filter_for_an_unknown_field_is_refused() -> None:
     rules = filter_rules({"massage": {"clear": True}})
     with pytest.raises(FilterRefused):
         guard(Restriction("std_srvs/SetBoolResponse", (), rules))

@@ -81,26 +81,26 @@ def test_a_server_needs_the_right_to_provide(pair: Pair) -> None:
         pair.admit_door(bare)
 
 
-def test_names_are_those_of_the_certificates(pair: Pair) -> None:
+def test_a_callerid_must_match_the_certificate(pair: Pair) -> None:
     with pytest.raises(CallerMismatch):
         pair.admit_hall({**pair.request(), "callerid": b"/door"})
     with pytest.raises(CallerMismatch):
         pair.admit_door({**pair.answer(), "callerid": b"/hall"})
 
 
-def test_a_refusal_is_passed_on(pair: Pair) -> None:
+def test_an_error_of_the_server_is_quoted(pair: Pair) -> None:
     with pytest.raises(ConnectionHeaderRefused, match=r"^/door refuses: closed$"):
         pair.admit_door({"error": b"closed"})
 
 
-def test_a_header_without_a_service(pair: Pair) -> None:
+def test_a_header_without_a_service_is_refused(pair: Pair) -> None:
     question = pair.request()
     del question["service"]
     with pytest.raises(ConnectionHeaderRefused, match="'service'"):
         pair.admit_hall(question)
 
 
-def test_headers_of_both_sides_fit_each_other(pair: Pair) -> None:
+def test_headers_of_client_and_server(pair: Pair) -> None:
     kind = service_handshake.ExpectedService("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
     asked = service_handshake.client_header(
         "/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True
@@ -116,7 +116,7 @@ def test_headers_of_both_sides_fit_each_other(pair: Pair) -> None:
     assert answer["request_type"] == b"std_srvs/SetBoolRequest"
 
 
-def test_a_probe_expects_nothing(pair: Pair) -> None:
+def test_a_probe_matches_any_type(pair: Pair) -> None:
     asked = service_handshake.client_header(
         "/hall", SERVICE, service_handshake.ANY, pair.hall_access, NOW, probe=True
     )
@@ -129,7 +129,7 @@ def test_a_probe_expects_nothing(pair: Pair) -> None:
     ("value", "means"),
     [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)],
 )
-def test_flags_as_stock_clients_write_them(value: bytes, means: bool) -> None:
+def test_flags_are_read_as_stock_clients_write_them(value: bytes, means: bool) -> None:
     assert service_handshake.is_set({"probe": value}, "probe") is means
     assert not service_handshake.is_set({}, "probe")
 

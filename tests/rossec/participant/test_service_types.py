@@ -23,7 +23,7 @@ def test_a_part_without_fields() -> None:
         kind.request.create(structure_needs_at_least_one_member=1)
 
 
-def test_every_standard_type_is_one() -> None:
+def test_every_standard_type_is_registered() -> None:
     assert len(_STANDARD) == 14
     for name in _STANDARD:
         assert len(service_type(name).md5sum) == 32
@@ -39,7 +39,7 @@ def test_md5sums_are_those_of_the_installed_packages() -> None:
         assert service_type(name).md5sum == stock._md5sum, name
 
 
-def test_a_type_of_ones_own() -> None:
+def test_a_registered_type() -> None:
     kind = register_service_type(
         "house_srvs/Dim", "# how bright\nuint8 LEVEL=3\nuint8 level\n---\nstd_msgs/Header header\n"
     )
@@ -64,7 +64,7 @@ def test_definitions_that_are_refused(name: str, text: str, why: str) -> None:
         register_service_type(name, text)
 
 
-def test_all_of_a_definition_or_nothing() -> None:
+def test_both_parts_of_a_definition_are_registered_or_none() -> None:
     with pytest.raises(MessageError):
         register_service_type("house_srvs/Half", "uint8 a\n---\nNobody b")
     assert register_service_type("house_srvs/Half", "uint16 a\n---\n").name == "house_srvs/Half"
@@ -78,7 +78,7 @@ def test_a_part_of_a_service_is_a_message_type() -> None:
         part_type("std_srvs/NopeRequest")
 
 
-def test_an_unknown_type() -> None:
+def test_an_unknown_type_is_refused() -> None:
     with pytest.raises(MessageError, match="unknown service type 'std_srvs/Nope'") as caught:
         service_type("std_srvs/Nope")
     assert "register_service_type" in caught.value.hint

@@ -13,24 +13,24 @@ Call = tuple[object, ...]
 
 
 class Node:
-    """Records what the slave API asks of the node."""
+    """Records the events of the slave API."""
 
     def __init__(self) -> None:
-        self.heard: list[Call] = []
+        self.received: list[Call] = []
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        self.heard.append((topic, uris))
+        self.received.append((topic, uris))
 
     def parameter_changed(self, key: str, value: object) -> None:
-        self.heard.append((key, value))
+        self.received.append((key, value))
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         if revocations == b"older":
             raise RollbackRefused("older than one seen")
-        self.heard.append((revocations, timestamp, master.name))
+        self.received.append((revocations, timestamp, master.name))
 
     def shutdown_requested(self, reason: str) -> None:
-        self.heard.append((reason,))
+        self.received.append((reason,))
 
     def topic_endpoint(self) -> tuple[str, int]:
         return "robot.local", 40000
@@ -72,7 +72,7 @@ MASTER_CALLS: list[Call] = [
 
 
 @pytest.mark.parametrize("given", MASTER_CALLS)
-async def test_the_master_may_steer_the_node(node: Node, identity: Identity, given: Call) -> None:
+async def test_the_master_may_control_the_node(node: Node, identity: Identity, given: Call) -> None:
     master = replace(identity, name="/master")
     answer = await call(node, master, str(given[0]), "/master", *given[1:])
     assert isinstance(answer, list)
@@ -80,23 +80,25 @@ async def test_the_master_may_steer_the_node(node: Node, identity: Identity, giv
 
 
 @pytest.mark.parametrize("given", MASTER_CALLS)
-async def test_nobody_else_may(node: Node, identity: Identity, given: Call) -> None:
+async def test_no_other_peer_may_control_the_node(
+    node: Node, identity: Identity, given: Call
+) -> None:
     for claimed in ("/viewer", "/master"):
         answer = await call(node, identity, str(given[0]), claimed, *given[1:])
         assert isinstance(answer, list)
         assert (answer[0], "for the master alone" in str(answer[1])) == (-1, True)
-    assert node.heard == []
+    assert node.received == []
 
 
-async def test_what_the_master_says_arrives(node: Node, identity: Identity) -> None:
+async def test_calls_of_the_master_reach_the_node(node: Node, identity: Identity) -> None:
     master = replace(identity, name="/master")
     await call(node, master, "publisherUpdate", "/master", "/t", ["http://a:1", 5])
     await call(node, master, "rossec.revocationUpdate", "/master", b"list", b"stamp")
     await call(node, master, "shutdown", "/master", "replaced")
-    assert node.heard == [("/t", ["http://a:1"]), (b"list", b"stamp", "/master"), ("replaced",)]
+    assert node.received == [("/t", ["http://a:1"]), (b"list", b"stamp", "/master"), ("replaced",)]
 
 
-async def test_any_node_may_ask_where_topics_are(node: Node, identity: Identity) -> None:
+async def test_any_node_may_call_request_topic(node: Node, identity: Identity) -> None:
     asked = "requestTopic", "/viewer", "/whatever"
     assert await call(node, identity, *asked, [["TCPROS"]]) == [
         1, "ready", ["TCPROS", "robot.local", 40000],
@@ -104,7 +106,7 @@ async def test_any_node_may_ask_where_topics_are(node: Node, identity: Identity)
 
 
 @pytest.mark.parametrize("protocols", [[], [["UDPROS", b"", "h", 1, 1500]], ["TCPROS"]])
-async def test_no_transport_but_tcpros(
+async def test_only_tcpros_is_offered(
     node: Node, identity: Identity, protocols: list[object]
 ) -> None:
     answer = await call(node, identity, "requestTopic", "/viewer", "/t", protocols)
@@ -122,19 +124,23 @@ async def test_no_transport_but_tcpros(
         (("format", "/viewer"), "no such method"),
     ],
 )
-async def test_calls_that_are_none(node: Node, identity: Identity, given: Call, said: str) -> None:
+async def test_malformed_calls_are_refused(
+    node: Node, identity: Identity, given: Call, said: str
+) -> None:
     answer = await call(node, identity, str(given[0]), *given[1:])
     assert isinstance(answer, list)
     assert (answer[0], said in str(answer[1])) == (-1, True)
 
 
-async def test_a_refused_list_is_an_answer_not_a_crash(node: Node, identity: Identity) -> None:
+async def test_a_refused_list_is_reported_in_the_answer(node: Node, identity: Identity) -> None:
     master = replace(identity, name="/master")
     answer = await call(node, master, "rossec.revocationUpdate", "/master", b"older", b"")
     assert answer == [-1, "rossec: older than one seen", 0]
 
 
-async def test_an_anonymous_node_asks_under_its_own_names(node: Node, identity: Identity) -> None:
+async def test_an_anonymous_node_may_use_names_its_certificate_covers(
+    node: Node, identity: Identity
+) -> None:
     rviz = replace(identity, wildcard=True)
     for name, code in (("/viewer_17", 1), ("/viewer", 1), ("/robot", -1), ("/master", -1)):
         answer = await call(node, rviz, "requestTopic", name, "/t", [["TCPROS"]])

@@ -1,4 +1,4 @@
-"""A restricted right on a topic, and what it means for the messages of one type."""
+"""The guard of a restricted right on a topic."""
 
 from pathlib import Path
 from typing import Any
@@ -34,29 +34,29 @@ def keyed(name: str) -> bytes:
     return name.encode().ljust(32, b".")
 
 
-def test_without_restrictions_there_is_nothing_to_apply(setup: AgentSetup) -> None:
+def test_a_right_without_restrictions_needs_no_guard(setup: AgentSetup) -> None:
     assert guard_for(NOTHING, decision(setup, None), keyed, memory_scope("/viewer")) is None
 
 
-def test_conditions_and_filters(setup: AgentSetup) -> None:
+def test_a_guard_applies_conditions_and_filters(setup: AgentSetup) -> None:
     rules = filter_rules({"data": {"hash": {"key": "names", "length": 8}}})
     restriction = Restriction("std_msgs/String", ('msg.data != "no"',), rules)
     guard = guard_for(WORD, decision(setup, restriction), keyed, memory_scope("/viewer"))
     assert guard is not None
     assert guard(b"\x02\0\0\0no", setup.site.now()) is None
-    treated = guard(b"\x04\0\0\0anna", setup.site.now())
-    assert treated is not None
-    assert len(b"".join(treated)) == 12
+    filtered = guard(b"\x04\0\0\0anna", setup.site.now())
+    assert filtered is not None
+    assert len(b"".join(filtered)) == 12
 
 
-def test_what_only_counts_or_looks_at_the_clock_needs_no_definition(setup: AgentSetup) -> None:
+def test_a_restriction_by_rate_or_time_needs_no_definition(setup: AgentSetup) -> None:
     restricted = decision(setup, Restriction(None, ("now.getHours() >= 0",), rate=1.0))
     guard = guard_for(NOTHING, restricted, keyed, memory_scope("/viewer"))
     assert guard is not None
     assert guard(b"anything", setup.site.now()) == [b"anything"]
 
 
-def test_what_cannot_be_told_is_refused(setup: AgentSetup) -> None:
+def test_a_definition_of_another_type_or_md5sum_is_refused(setup: AgentSetup) -> None:
     restricted = decision(setup, Restriction("std_msgs/String", ("true",)))
     with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         guard_for(

@@ -84,7 +84,7 @@ def test_headers_hold_what_ros_expects(pair: Pair) -> None:
     assert latched["latching"] == b"1"
 
 
-def test_a_name_is_what_the_certificate_says(pair: Pair) -> None:
+def test_a_callerid_must_match_the_certificate_of_the_peer(pair: Pair) -> None:
     with pytest.raises(CallerMismatch, match="certified as /robot calls itself /viewer"):
         pair.admit_viewer(pair.request(), pair.robot)
     with pytest.raises(CallerMismatch):
@@ -96,7 +96,7 @@ def test_a_name_is_what_the_certificate_says(pair: Pair) -> None:
     ("value", "said"),
     [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")],
 )
-def test_a_header_that_is_not_in_order(
+def test_a_malformed_header_is_refused(
     pair: Pair, key: str, value: bytes | None, said: str
 ) -> None:
     fields = pair.request()
@@ -107,19 +107,19 @@ def test_a_header_that_is_not_in_order(
         pair.admit_viewer(fields)
 
 
-def test_a_grant_for_another_topic_does_not_help(pair: Pair) -> None:
+def test_a_subscriber_with_a_grant_for_another_topic_is_refused(pair: Pair) -> None:
     with pytest.raises(GrantMissing):
         pair.admit_viewer(pair.request() | {"topic": b"/robot/camera"})
 
 
-def test_a_publisher_must_prove_its_right_too(pair: Pair) -> None:
+def test_a_publisher_without_a_grant_is_refused(pair: Pair) -> None:
     fields = pair.answer()
     del fields["rossec_grants"]
     with pytest.raises(GrantMissing):
         pair.admit_robot(fields)
 
 
-def test_a_publisher_must_answer_what_was_asked(pair: Pair) -> None:
+def test_an_answer_for_another_topic_is_refused(pair: Pair) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="another topic"):
         pair.admit_robot(pair.answer() | {"topic": b"/robot/camera"})
 
@@ -151,7 +151,7 @@ def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) ->
     assert "same version" in caught.value.hint
 
 
-def test_an_anonymous_node_goes_by_a_name_its_certificate_covers(pair: Pair) -> None:
+def test_an_anonymous_node_may_use_a_name_its_certificate_covers(pair: Pair) -> None:
     rviz = replace(pair.viewer, wildcard=True)
     pair.admit_viewer(pair.request() | {"callerid": b"/viewer_17"}, rviz)
     for name in (b"/robot", b"/master", b"/viewer_", b"/viewer_1/a"):

@@ -10,17 +10,17 @@ from rossec.ros.header import FrameReader, frame
 NOW = 1_000_000
 
 
-def waits(framing: Framing) -> bool:
-    return framing.waits
+def incomplete(framing: Framing) -> bool:
+    return framing.incomplete
 
 
 def test_messages_are_cut_as_the_reader_cuts_them() -> None:
     framing = Framing(FrameReader())
-    assert waits(framing) is False
+    assert incomplete(framing) is False
     assert framing.feed(frame(b"one") + frame(b"two")[:5], NOW) == [b"one"]
-    assert waits(framing) is True
+    assert incomplete(framing) is True
     assert framing.feed(frame(b"two")[5:], NOW) == [b"two"]
-    assert waits(framing) is False
+    assert incomplete(framing) is False
     with pytest.raises(FrameRefused):
         Framing(FrameReader(10)).feed(frame(bytes(11)), NOW)
 

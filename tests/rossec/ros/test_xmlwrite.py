@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.ros import xmlwrite
-from rossec.ros.xmlwrite import Written
+from rossec.ros.xmlwrite import EncodedList
 from tests.rossec.ros.test_xmlscan import values
 
 
@@ -38,7 +38,7 @@ def test_times_are_left_to_the_library() -> None:
 
 def test_a_written_list_is_the_list() -> None:
     plain = [1, "state", [["/a", ["/n"]], []]]
-    written = Written([["/a", ["/n"]], []])
+    written = EncodedList([["/a", ["/n"]], []])
     assert written == plain[2]
     assert xmlwrite.response([1, "state", written]) == library(plain)
 

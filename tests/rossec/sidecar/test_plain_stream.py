@@ -19,7 +19,7 @@ class Sink:
         self.free = asyncio.Event()
         self.arrived = asyncio.Event()
 
-    def write(self, data: memoryview) -> bool:
+    def write_nowait(self, data: memoryview) -> bool:
         self.got += data
         self.arrived.set()
         return not self.lags
@@ -47,7 +47,7 @@ DATA = bytes(range(256)) * 8000
 async def test_forwarding_keeps_the_order(lags: bool) -> None:
     left, right = pair()
     sink = Sink(lags=lags)
-    forwarding = asyncio.ensure_future(right.pour(sink.write, sink.drain))
+    forwarding = asyncio.ensure_future(right.forward(sink.write_nowait, sink.drain))
     sending = asyncio.ensure_future(left.send(DATA))
     await sink.arrived.wait()
     if lags:
@@ -69,7 +69,7 @@ async def test_an_error_while_forwarding_is_raised_by_forward() -> None:
     def fail(_: memoryview) -> bool:
         raise ArithmeticError
 
-    forwarding = asyncio.ensure_future(right.pour(fail, Sink().drain))
+    forwarding = asyncio.ensure_future(right.forward(fail, Sink().drain))
     await asyncio.sleep(0)
     await left.send(b"x")
     with pytest.raises(ArithmeticError):
@@ -82,7 +82,7 @@ async def test_writing_to_a_closed_connection_fails() -> None:
     left, right = pair()
     left.abort()
     with pytest.raises(ChannelClosed):
-        left.push(b"x")
+        left.write_nowait(b"x")
     right.abort()
 
 
@@ -98,15 +98,15 @@ async def test_units_are_read_and_sent_without_waiting() -> None:
     await received.wait()
     there = stream.has_unit, stream.next_unit(), stream.has_unit
     assert there == (True, b"ping", False)
-    assert stream.send_at_once(b"pong")
+    assert stream.try_send(b"pong")
     assert right.recv(4) == b"pong"
-    assert stream.send_at_once(b"x" * 50_000_000)
-    assert not stream.send_at_once(b"more")  # the program lags
+    assert stream.try_send(b"x" * 50_000_000)
+    assert not stream.try_send(b"more")  # the program lags
     right.close()
     stream.abort()
     await until(lambda: _ended(stream))
     with pytest.raises(ChannelClosed):
-        stream.send_at_once(b"late")
+        stream.try_send(b"late")
 
 
 def _ended(stream: PlainStream) -> bool:

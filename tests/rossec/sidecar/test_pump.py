@@ -112,7 +112,7 @@ class LaggingPeer:
         self.received: list[bytes] = []
         self.lags = False
 
-    def push(self, data: bytes) -> bool:
+    def write_nowait(self, data: bytes) -> bool:
         self.received.append(data)
         self.lags = True
         return False

@@ -39,7 +39,7 @@ def test_a_node_is_enrolled_by_its_code(shell: Shell, host: str) -> None:
     assert lines[2:5] == [
         f"  from a screen code at {robot.where}",
         "  /robot1/camera is new here",
-        "  there is no policy: it gets nothing by itself",
+        "  there is no policy: it is granted nothing",
     ]
     assert lines[5] == f"digits {trusted.digits[:3]} {trusted.digits[3:]}"
     assert lines[-1] == "enrolled /robot1/camera"

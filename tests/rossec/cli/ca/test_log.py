@@ -28,7 +28,7 @@ def test_everything_that_was_done(shell: Shell) -> None:
 def test_a_log_in_order_verifies(shell: Shell) -> None:
     said = shell("ca", "log", "verify")
     assert "entries, all as they were written" in said.out
-    assert "a head kept elsewhere shows more" in said.err
+    assert "a head kept elsewhere proves more" in said.err
     shell.enroll("/robot")
     kept = shell.root / "head"
     assert shell.unlocked("ca", "log", "head", "--out", str(kept)).out.startswith("head of ")

@@ -14,7 +14,7 @@ def asked(shell: Shell, name: str = "/robot") -> str:
 
 
 def test_nobody_asks(shell: Shell) -> None:
-    assert shell("ca", "requests").out == "nobody asks for anything\n"
+    assert shell("ca", "requests").out == "no open requests\n"
     assert shell("ca", "requests", "--json").out == "[]\n"
     assert "/ca" in shell("ca", "requests", "--all").out
 
@@ -67,7 +67,7 @@ def test_no(shell: Shell) -> None:
 
 def test_what_is_no_request(shell: Shell) -> None:
     for command in ("approve", "deny"):
-        refused(shell("ca", command, "xx"), "'xx' is no request", "rossec ca requests")
+        refused(shell("ca", command, "xx"), "'xx' is not a request id", "rossec ca requests")
         refused(shell("ca", command, "ffff"), "0 requests begin", "rossec ca requests")
         refused(shell("ca", command, ""), "requests begin with", "rossec ca requests")
 
@@ -93,7 +93,7 @@ def test_the_master_hears_of_a_replaced_key(shell: Shell, monkeypatch: object) -
         return
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rossec.cli.ca.requests.deliver", delivered)
+        patch.setattr("rossec.cli.shared.delivery.deliver", delivered)
         said = shell.unlocked("ca", "approve", request_id, "--replace-key", "/robot")
     assert said.out.endswith("the replaced key is revoked\nthe master has the new list\n")
 

@@ -48,7 +48,7 @@ def test_a_part_of_a_service_may_be_restricted() -> None:
 def test_mistakes_show_at_once() -> None:
     with pytest.raises(FilterRefused, match="no field 'positon'"):
         restrictions(POSE, rules((), ("pose.positon=1",), ()), (), None, None)
-    with pytest.raises(FilterRefused, match="the preset does not exist for std_msgs/String"):
+    with pytest.raises(FilterRefused, match="the preset does not support std_msgs/String"):
         restrictions("std_msgs/String", {}, (), None, "coarse-position")
     with pytest.raises(ConfigurationError, match="need the message type"):
         restrictions(None, {}, (), 1.0, None)

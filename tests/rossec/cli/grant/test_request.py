@@ -49,7 +49,7 @@ def test_the_policy_says_yes(site: Shell, tmp_path: Path) -> None:
     assert rest[-1] == "2 allowed, 0 for you, 1 denied: see `rossec grant pending`"
     assert len(list((site.node("/heating") / "grants").iterdir())) == 1
     assert len(list((tmp_path / "out").iterdir())) == 1
-    assert site("grant", "pending").out == "nobody asks for anything\n"
+    assert site("grant", "pending").out == "no open requests\n"
 
 
 def test_a_request_is_carried_as_a_file(site: Shell, tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_nobody_answers_in_time(site: Shell) -> None:
     ask(site, "--call", "/lift")
     site("grant", "pending")
     time.sleep(2.1)
-    assert site("grant", "pending").out == "nobody asks for anything\n"
+    assert site("grant", "pending").out == "no open requests\n"
 
 
 def test_what_is_not_asked(site: Shell) -> None:

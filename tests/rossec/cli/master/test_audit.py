@@ -66,9 +66,11 @@ def test_no_file_and_what_was_left_out(shell: Shell) -> None:
 
 
 def test_a_key_that_is_none_and_one_that_was(shell: Shell) -> None:
-    refused(shell("audit", "--verify", "--key", "zz"), "is no thumbprint", "64 hexadecimal digits")
+    refused(
+        shell("audit", "--verify", "--key", "zz"), "is not a thumbprint", "64 hexadecimal digits"
+    )
     said = shell("audit", "--verify", "--key", "00" * 32)
-    assert "an older master began it" in said.err
+    assert "it is of an older version" in said.err
     empty = shell.root / "empty.log"
     empty.touch()
     assert "in 0 lines" in shell("audit", "--verify", str(empty)).err

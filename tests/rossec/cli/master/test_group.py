@@ -1,63 +1,10 @@
-"""`rossec master` as far as it goes without running for long; the rest is in tests/integration."""
-
-import subprocess
-import sys
-from pathlib import Path
-
+import click
 import pytest
 
-from rossec.authority import intermediate_home
-from rossec.authority.local_list import LocalList
-from rossec.authority.renewals import sign_intermediate
-from tests.support.commands import Shell, refused
-from tests.support.site import Site
+from rossec.cli.master.group import master
+from tests.rossec.cli.tables import check_table
 
 
-@pytest.fixture
-def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
-    return Shell(tmp_path / "home", capsys)
-
-
-def test_without_a_running_master_there_is_nobody_to_ask(shell: Shell) -> None:
-    for verb in ("status", "stop"):
-        refused(shell("master", verb), "the master does not answer", "--admin")
-
-
-def test_a_wrong_configuration_is_refused(shell: Shell) -> None:
-    config = shell.root / "master.yaml"
-    config.write_text("log: json\nprot: 1\n")
-    refused(shell("master", "--config", str(config)), f"{config}:2: there is no setting", "port")
-
-
-def test_a_node_that_is_not_enrolled_is_no_master(shell: Shell) -> None:
-    refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
-
-
-def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> None:
-    """Its master waits for the root's, as one on any other host."""
-    site = Site(shell.root / "site")
-    request = intermediate_home.begin(shell.root, "home", "secret").read_bytes()
-    _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
-    intermediate_home.install(shell.root, bundle, "secret", site.now())
-    assert LocalList(shell.root).newest() is None
-    refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
-
-
-_CARRIED = """
-import sys
-held = set(sys.modules)  # what measures coverage has its own
-from rossec.cli.main import rossec
-from rossec.net.aio.server import bind
-assert rossec.get_command(None, "master") is not None
-for listener in bind("127.0.0.1", 0):
-    listener.close()
-heavy = ["numpy", "ruamel", "sqlite3", "zoneinfo", "difflib", "encodings.idna"]
-heavy += ["grants.filters.layout", "grants.conditions.compile", "rossec.node"]
-print([name for name in heavy if name in sys.modules.keys() - held])
-"""
-
-
-def test_a_master_carries_nothing_of_the_rest() -> None:
-    """What it imports is more than two thirds of its memory."""
-    command = [sys.executable, "-I", "-c", _CARRIED]
-    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "[]\n"
+@pytest.mark.parametrize("group", [master], ids=lambda group: group.name)
+def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
+    check_table(group)

@@ -1,13 +1,7 @@
 import asyncio
 import os
 import re
-import secrets
-import signal
 import socket
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import pytest
 
@@ -16,77 +10,13 @@ from ca.enrollment import qr
 from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.errors import HintedError
 from rossec.cli.main import run
-from rossec.enrollment import address, authority, control
+from rossec.enrollment import address, control
 from rossec.enrollment.scan import code_in
 from rossec.home import NodeHome
+from tests.rossec.cli.node.operators import SITE, Operator, after
 from tests.support.commands import Shell, refused
-from tests.support.enrolling import clock, fresh
+from tests.support.enrolling import clock
 from tests.support.pki import Site
-
-SITE = Site.create(now=clock())
-
-
-class Operator(threading.Thread):
-    """Somebody at the authority, who sees the node's code and calls it; `then` gets the digits."""
-
-    def __init__(
-        self, shell: Shell, then: Callable[["Operator", str], object], *, site: Site = SITE
-    ) -> None:
-        super().__init__()
-        self.png = shell.root / "code.png"
-        self.node = shell.node("/robot")
-        self.port = 0
-        self.site = site
-        self.core: AuthorityEnrollment | None = None
-        self.error: Exception | None = None
-        self._then = then
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        return ("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(self.png))
-
-    def show(self, digits: str) -> None:
-        self._then(self, digits)
-
-    def confirm(self, digits: str) -> None:
-        control.ask(self.node, {"do": "confirm", "digits": digits})
-
-    def run(self) -> None:
-        until = time.monotonic() + 30
-        while not self.png.exists():
-            assert time.monotonic() < until
-            time.sleep(0.01)
-        code = qr.parse(code_in(self.png.read_bytes()))
-        host, port = address.split(code.address) if code.address else ("127.0.0.1", self.port)
-        self.core = AuthorityEnrollment(code, "home")
-        try:
-            asyncio.run(self.enroll(self.core, host, port))
-        except (HintedError, OSError) as error:
-            self.error = error
-
-    async def enroll(self, core: AuthorityEnrollment, host: str, port: int) -> None:
-        await authority.fetch(core, host, port, clock)
-        core.approve(clock())
-        leaf = self.site.authority.issue(
-            core.csr, now=clock(), serial=secrets.randbits(120), wildcard=core.request.wildcard
-        )
-        offer = core.offer([leaf], self.site.root, fresh(), clock())
-        await authority.deliver(core, offer, host, port, clock, self.show)
-
-
-def after(action: Callable[[], object], until: Callable[[], bool]) -> threading.Thread:
-    """Do something as soon as something else has happened."""
-
-    def work() -> None:
-        limit = time.monotonic() + 30
-        while not until():
-            assert time.monotonic() < limit
-            time.sleep(0.01)
-        action()
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    return thread
 
 
 def test_a_node_is_enrolled(empty: Shell) -> None:
@@ -155,54 +85,6 @@ def test_nothing_waits_to_be_confirmed(shell: Shell) -> None:
         refused(said, "no enrollment of this node is waiting", "rossec node enroll")
 
 
-@pytest.fixture
-def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A terminal is standard input; what is written to the descriptor was typed."""
-    written, screen = os.openpty()
-    with os.fdopen(screen) as stdin:
-        monkeypatch.setattr("sys.stdin", stdin)
-        monkeypatch.setattr("rossec.cli.node.enroll_screen.is_live", lambda: True)
-        yield written
-    os.close(written)
-
-
-@contextmanager
-def typist(keyboard: int, answer: str) -> Iterator[Callable[..., None]]:
-    """Gives what makes a person answer, again and again: what comes before a question is lost."""
-    asked, ended = threading.Event(), threading.Event()
-
-    def types() -> None:
-        asked.wait()
-        while not ended.wait(0.05):
-            os.write(keyboard, answer.encode())
-
-    person = threading.Thread(target=types)
-    person.start()
-    try:
-        yield lambda *_: asked.set()
-    finally:
-        ended.set()
-        asked.set()
-        person.join()
-
-
-@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1)])
-def test_the_person_at_the_terminal(empty: Shell, keyboard: int, answer: str, code: int) -> None:
-    with typist(keyboard, answer) as begins:
-        operator = Operator(empty, begins)
-        operator.start()
-        said = empty(*operator.words)
-        operator.join()
-    assert said.code == code, said.err
-    assert "does the authority show the same digits? [y/N]: " in said.err
-    assert re.search(r"[45]:[0-9]{2} left ", said.err)
-    assert (operator.node / "node.pem").exists() == (code == 0)
-    assert (operator.node / "ca.pem").exists() == (code == 0)
-    if code == 1:
-        assert "rossec: error: the digits were not confirmed" in said.err
-        assert "the node has ended the enrollment" in str(operator.error)
-
-
 def test_another_authority_is_not_trusted_as_well(empty: Shell) -> None:
     operator = Operator(empty, Operator.confirm)
     operator.start()
@@ -257,38 +139,10 @@ def test_anonymous_nodes(empty: Shell) -> None:
             super().__init__(code, domain, wildcard=True)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tests.rossec.cli.node.test_enroll.AuthorityEnrollment", Either)
+        patch.setattr("tests.rossec.cli.node.operators.AuthorityEnrollment", Either)
         assert empty(*operator.words, "--anonymous").code == 0
         operator.join()
     assert NodeHome.of(empty.root, "/robot").identity(clock()).covers("/robot_1_2")
-
-
-def test_strangers_are_reported(empty: Shell) -> None:
-    def knock(operator: Operator, digits: str) -> None:
-        assert operator.core is not None
-        for _ in range(12):
-            with socket.create_connection(address.split(operator.core._code.address)) as stranger:
-                stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
-                while stranger.recv(100):
-                    pass
-        operator.confirm(digits)
-
-    operator = Operator(empty, knock)
-    operator.start()
-    said = empty(*operator.words)
-    operator.join()
-    assert said.code == 0
-    assert said.err.count("rossec: refused 127.0.0.1: a message of 1195725856 octets") == 10
-    assert said.err.count("further callers are refused without a word") == 1
-
-
-def test_stopping(empty: Shell) -> None:
-    png = empty.root / "code.png"
-    stopper = after(lambda: os.kill(os.getpid(), 15), png.exists)
-    said = empty("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(png))
-    stopper.join()
-    refused(said, "the enrollment was stopped")
-    assert not (empty.node("/robot") / "enrolling.sock").exists()
 
 
 def test_a_second_enrollment_of_one_node(empty: Shell) -> None:
@@ -353,24 +207,3 @@ def test_a_request_of_another_key(empty: Shell) -> None:
     request = (empty.node("/door") / "node.csr").read_bytes()
     (empty.node("/robot") / "node.csr").write_bytes(request)
     refused(empty("node", "labels", "/robot", "--out", str(empty.root / "x")), "for another key")
-
-
-def test_what_was_typed_before_the_digits_confirms_nothing(empty: Shell, keyboard: int) -> None:
-    os.write(keyboard, b"y\n")
-    with typist(keyboard, "n\n") as begins:
-        operator = Operator(empty, begins)
-        operator.start()
-        said = empty(*operator.words)
-        operator.join()
-    assert "rossec: error: the digits were not confirmed" in said.err
-    assert not (operator.node / "ca.pem").exists()
-
-
-@pytest.mark.parametrize("label", [False, True])
-def test_a_picture_with_a_secret_is_for_the_owner_alone(empty: Shell, label: bool) -> None:
-    picture = empty.root / "code.png"
-    words = ("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(picture))
-    stopper = after(lambda: os.kill(os.getpid(), signal.SIGTERM), picture.exists)
-    refused(empty(*words, *["--label", "--port", "0"] * label), "the enrollment was stopped")
-    stopper.join()
-    assert picture.stat().st_mode & 0o777 == (0o644 if label else 0o600)

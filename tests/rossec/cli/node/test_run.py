@@ -1,11 +1,6 @@
-"""`rossec run` and `rossec sidecar`: what the command line makes of its words."""
-
-import json
 import os
 import signal
-import socket
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -13,22 +8,8 @@ from typing import Any
 import pytest
 
 from rossec.cli import main
+from tests.rossec.cli.node.processes import BIN, started
 from tests.support.site import Site
-
-BIN = str(Path(sys.executable).parent / "rossec")
-
-
-@pytest.fixture
-def became(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the process would have become."""
-    found: dict[str, Any] = {}
-
-    def execve(path: str, arguments: list[str], env: dict[str, str]) -> None:
-        found.update(json.loads(arguments[-1]), path=path, flags=arguments[1:-1], env=env)
-        raise OSError(0, "replaced")
-
-    monkeypatch.setattr(os, "execve", execve)
-    return found
 
 
 def test_run(became: dict[str, Any]) -> None:
@@ -53,28 +34,11 @@ def test_without_a_name_each_node_uses_its_own(became: dict[str, Any]) -> None:
     assert (became["identity"], became["each"]) == (None, True)
 
 
-def test_sidecar(became: dict[str, Any]) -> None:
-    main.run(["sidecar", "--user", "root", "--user", "4711", "-p", "4000"], {})
-    assert became["users"] == [0, 4711]
-    assert became["port"] == 4000
-    assert became["command"] == []
-
-
-def test_mistakes(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.run(["sidecar", "--user", "no-such-user"], {}) == 2
-    assert main.run(["sidecar", "--user", "4294967295"], {}) == 2
+def test_a_wrong_command_line_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["run", "--as", "robot", "prog"], {}) == 1
     assert main.run(["run"], {}) == 2
     said = capsys.readouterr().err
-    assert "no user 'no-such-user' on this host" in said
     assert "rossec: error: 'robot' is not an absolute ROS name" in said
-
-
-def started(arguments: list[str], **env: str) -> subprocess.CompletedProcess[str]:
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
-    return subprocess.run(
-        [BIN, *arguments], env=kept | env, text=True, capture_output=True, timeout=30, check=False
-    )
 
 
 def test_the_program_runs_with_loopback_in_its_environment(tmp_path: Path) -> None:
@@ -129,32 +93,3 @@ def test_ctrl_c_ends_it_without_a_word_while_it_looks_for_a_master(tmp_path: Pat
         assert running.wait(30) == -signal.SIGINT
         assert running.stderr is not None
         assert running.stderr.read() == ""
-
-
-@pytest.mark.parametrize(
-    ("uri", "words"),
-    [
-        ("http://far:11311", ["rossec: error: cannot listen at 127.0.0.1 port", "--port"]),
-        ("http://localhost:{}", ["is the sidecar's own address", "where the secured master is"]),
-    ],
-)
-def test_a_port_that_cannot_be_the_sidecars(tmp_path: Path, uri: str, words: list[str]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as roscore:
-        port = roscore.getsockname()[1]
-        if "far" not in uri:
-            roscore.close()
-        done = started(["sidecar", "-p", str(port)],
-                       ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI=uri.format(port))  # fmt: skip
-    assert done.returncode == 1
-    assert all(word in done.stderr for word in words), done.stderr
-
-
-def test_a_service_ends_with_a_signal(tmp_path: Path) -> None:
-    with subprocess.Popen(
-        [BIN, "sidecar", "-p", "0"], text=True, stdout=subprocess.PIPE,
-        env={**os.environ, "ROSSEC_HOME": str(tmp_path)},
-    ) as running:  # fmt: skip
-        assert running.stdout is not None
-        assert running.stdout.readline().startswith("sidecar at http://127.0.0.1:")
-        running.terminate()
-        assert running.wait(20) == 0

@@ -89,7 +89,9 @@ def test_what_is_no_bag(shell: Shell, options: tuple[str, ...], tmp_path: Path) 
     bad = tmp_path / "bad.bag"
     bad.write_text("no bag")
     refused(
-        shell("simulate", *options[:4], "--bag", str(bad)), "is no whole ROS 1 bag", "rosbag record"
+        shell("simulate", *options[:4], "--bag", str(bad)),
+        "is not a complete ROS 1 bag",
+        "rosbag record",
     )
 
 
@@ -101,7 +103,7 @@ def test_a_bag_with_a_wrong_byte(shell: Shell, options: tuple[str, ...], bag: Pa
         bad.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
         said = shell("simulate", *options[:4], "--bag", str(bad))
         if said.code:
-            refused(said, "bad.bag is no whole ROS 1 bag: ", "see: rosbag record")
+            refused(said, "bad.bag is not a complete ROS 1 bag: ", "see: rosbag record")
             refusals.add(said.err)
     assert len(refusals) > 3
 

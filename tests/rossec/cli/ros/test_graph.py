@@ -84,7 +84,7 @@ async def test_following_a_master_through_its_restart(
     async with site.running():
         assert site.master is not None
         following = asyncio.ensure_future(
-            module._follow(
+            module._print_changes(
                 Environment(site.environ), NodeHome.of(site.root, "/desk"), site.master.uri, as_json
             )
         )
@@ -92,11 +92,11 @@ async def test_following_a_master_through_its_restart(
             await robot.publisher("/robot/pose", POSE)
             await until(lambda: "publisher" in "".join(said))
             await site.restart_master()
-            await until(lambda: any("no news of the graph" in text for text in notes))
+            await until(lambda: any("no graph changes received" in text for text in notes))
             if as_json:
                 await until(lambda: any(json.loads(line)["restarted"] for line in said))
             else:
-                await until(lambda: "the master has begun anew" in notes)
+                await until(lambda: "the master has restarted" in notes)
         said.clear()
         following.cancel()
 
@@ -104,7 +104,7 @@ async def test_following_a_master_through_its_restart(
 async def follow(site: Site) -> None:
     assert site.master is not None
     home = NodeHome.of(site.root, "/desk")
-    await module._follow(Environment(site.environ), home, site.master.uri, as_json=False)
+    await module._print_changes(Environment(site.environ), home, site.master.uri, as_json=False)
 
 
 async def test_who_watches_renews_its_identity_and_goes_on(
@@ -159,13 +159,13 @@ async def test_the_same_trouble_is_told_once(site: Site, monkeypatch: pytest.Mon
     monkeypatch.setattr(module, "note", notes.append)
     monkeypatch.setattr(module, "say", said.append)
     monkeypatch.setattr(module, "_PAUSE", 0.01)
-    monkeypatch.setattr(module, "_LONGEST", 0.04)
+    monkeypatch.setattr(module, "_MAX_PAUSE", 0.04)
     site.publish("/robot", "/robot/pose")
     async with site.running(), site.node("/robot") as robot:
         await robot.publisher("/robot/pose", POSE)
         following = asyncio.ensure_future(follow(site))
         await until(lambda: "publisher" in "".join(said))
-        monkeypatch.setattr(module, "_watching", lambda *_: Unreachable())
+        monkeypatch.setattr(module, "_connected", lambda *_: Unreachable())
         await site.restart_master()
         await until(lambda: len(tries) > 5)
         following.cancel()
@@ -174,6 +174,6 @@ async def test_the_same_trouble_is_told_once(site: Site, monkeypatch: pytest.Mon
 
 async def test_nobody_to_follow(site: Site) -> None:
     with pytest.raises(HintedError):
-        await module._follow(
+        await module._print_changes(
             Environment(site.environ), site.enroll("/desk"), "http://127.0.0.1:1/", as_json=False
         )

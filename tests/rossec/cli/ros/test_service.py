@@ -83,7 +83,7 @@ def test_a_type_of_ones_own(site: Site, capsys: pytest.CaptureFixture[str], tmp_
     assert json.loads(out) == {"levels": [1.5], "names": [{"data": "bulb"}], "pair": [0, 0]}
     assert "hint: give --type" in said(site, capsys, *call, code=1)
     file.write_bytes(b"\xff")
-    assert "is no text" in said(site, capsys, *call, "--type", "hall_srvs/Dim", code=1)
+    assert "is not text" in said(site, capsys, *call, "--type", "hall_srvs/Dim", code=1)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_type_of_ones_own(site: Site, capsys: pytest.CaptureFixture[str], tmp_
         (("info", "/lamp/on", "--as", "/eve"), "call on /lamp/on", ""),
         (("call", "/lamp/none", "--as", "/hall"), "no node provides /lamp/none", "start its"),
         (("call", "/lamp/on", "{dat: 1}", "--as", "/hall"), "no field 'dat'", "it has data"),
-        (("call", "/lamp/on", "{", "--as", "/hall"), "is no YAML", ""),
+        (("call", "/lamp/on", "{", "--as", "/hall"), "cannot parse", ""),
         (
             ("call", "/lamp/on", "--type", "a/B", "--as", "/hall"),
             "unknown service type",

@@ -12,14 +12,14 @@ PATH = Path("a.csr")
 
 
 def refuse(batch: Batch, error: Exception) -> None:
-    with batch.one(PATH):
+    with batch.item(PATH):
         raise error
 
 
 def test_one_of_several(capsys: pytest.CaptureFixture[str]) -> None:
     batch = Batch(3)
     refuse(batch, StoreError("is known", "see there"))
-    with batch.one(PATH):
+    with batch.item(PATH):
         pass
     refuse(batch, StoreError("is known"))
     said = capsys.readouterr().err.splitlines()
@@ -28,14 +28,14 @@ def test_one_of_several(capsys: pytest.CaptureFixture[str]) -> None:
         "rossec: error: a.csr: is known",
     ]  # fmt: skip
     with pytest.raises(ConfigurationError, match="2 of 3 were refused"):
-        batch.end()
+        batch.finish()
 
 
 def test_all_well() -> None:
     batch = Batch(2)
-    with batch.one(PATH):
+    with batch.item(PATH):
         pass
-    batch.end()
+    batch.finish()
 
 
 @pytest.mark.parametrize(("total", "error"), [(1, StoreError("x")), (5, RecordUnusable("full"))])

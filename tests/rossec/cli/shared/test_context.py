@@ -43,4 +43,4 @@ def test_ctrl_c_is_no_answer(
 
 
 def test_moments_are_utc() -> None:
-    assert context.moment(1_795_000_000) == "2026-11-18 11:06:40 UTC"
+    assert context.format_time(1_795_000_000) == "2026-11-18 11:06:40 UTC"

@@ -65,4 +65,6 @@ def test_a_message_that_is_none(content: object, error: str) -> None:
 
 
 def test_content_that_is_no_yaml(empty: Shell) -> None:
-    refused(empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "is no YAML")
+    refused(
+        empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse"
+    )

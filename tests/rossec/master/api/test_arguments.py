@@ -11,7 +11,7 @@ from rossec.master.api import arguments as arg
         "http://h:1/", "http://h:65535", "http://[::1]:1/", "http://10.0.0.1:1/path",
     ],
 )  # fmt: skip
-def test_uris_that_can_be_dialled(value: str) -> None:
+def test_uris_with_host_and_port(value: str) -> None:
     assert arg.uri("caller_api", "http")(value, "/n") == value
 
 
@@ -24,13 +24,13 @@ def test_uris_that_can_be_dialled(value: str) -> None:
         "http://0.0.0.0:1/", "http://127.1:1/", "http://224.0.0.1:1/",
     ],
 )  # fmt: skip
-def test_uris_that_cannot(value: str) -> None:
+def test_uris_that_no_connection_can_use(value: str) -> None:
     with pytest.raises(arg.ArgumentRefused, match="is not an RPC URI"):
         arg.uri("caller_api", "http")(value, "/n")
 
 
 @pytest.mark.parametrize("value", [None, "", 5, [], b"http://h:1/"])
-def test_what_is_no_text_is_no_uri(value: object) -> None:
+def test_a_uri_is_text(value: object) -> None:
     with pytest.raises(arg.ArgumentRefused, match="is not an XMLRPC URI"):
         arg.uri("caller_api", "http")(value, "/n")
 
@@ -68,12 +68,12 @@ def test_keys_are_well_formed_names(value: str) -> None:
         arg.key("key")(value, "/n")
 
 
-def test_the_root_is_a_key_and_searching_takes_anything() -> None:
+def test_the_root_is_a_key_and_a_search_key_is_not_resolved() -> None:
     assert arg.key("key")("/", "/n") == "/"
     assert arg.search_key("key")("a" * 300, "/n") == "a" * 255
 
 
-def test_values() -> None:
+def test_arguments_of_other_types() -> None:
     assert arg.not_none("value")(0, "/n") == 0
     with pytest.raises(arg.ArgumentRefused, match="must be specified"):
         arg.not_none("value")(None, "/n")

@@ -28,7 +28,7 @@ def element(method: str, *params: object) -> dict[str, object]:
     return {"methodName": method, "params": list(params)}
 
 
-def test_who_the_master_is(api: MasterApi) -> None:
+def test_uri_and_pid_of_the_master(api: MasterApi) -> None:
     assert ask(api, caller("/a"), "getUri", "/a") == [1, "", "http://m:1/"]
     assert ask(api, caller("/a"), "getPid", "/a") == [1, "", 7]
 

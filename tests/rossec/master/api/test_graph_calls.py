@@ -26,7 +26,7 @@ def register(api: MasterApi, name: str, topic: str) -> None:
     api.call("registerPublisher", params, everything(name), 0)
 
 
-def test_the_same_caller_is_shown_what_changed(api: MasterApi) -> None:
+def test_the_same_caller_receives_changes(api: MasterApi) -> None:
     who = everything("/viewer")
     assert state(api, who) == EMPTY
     register(api, "/a", "/t")
@@ -37,7 +37,7 @@ def test_the_same_caller_is_shown_what_changed(api: MasterApi) -> None:
     assert state(api, who) == EMPTY
 
 
-def test_nobody_is_shown_what_was_kept_for_another(api: MasterApi) -> None:
+def test_a_cached_state_is_not_sent_to_another_caller(api: MasterApi) -> None:
     """It is kept by the number of an object, which the next one may get."""
     register(api, "/a", "/t")
     rich, poor = everything("/rich"), caller("/poor")
@@ -48,7 +48,7 @@ def test_nobody_is_shown_what_was_kept_for_another(api: MasterApi) -> None:
 
 
 @pytest.mark.parametrize("limit", ["_MAX_CACHED_STATES", "_MAX_CACHED_ENTRIES"])
-def test_what_is_kept_is_bounded(
+def test_the_caches_are_bounded(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch, limit: str
 ) -> None:
     monkeypatch.setattr(f"rossec.master.api.graph_calls.{limit}", 2)

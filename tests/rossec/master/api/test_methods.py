@@ -6,7 +6,7 @@ from rossec.master.api.methods import CallRequest
 from tests.rossec.master.fakes import caller
 
 
-def test_what_a_check_returned_is_what_a_handler_reads() -> None:
+def test_a_handler_reads_checked_arguments() -> None:
     request = CallRequest(caller("/a"), ("/a", b"bytes"), 0)
     assert request.binary(1) == b"bytes"
     with pytest.raises(TypeError):

@@ -73,7 +73,7 @@ def test_multicall_events_are_all_delivered(api: MasterApi) -> None:
         ("rossec.updateRevocations", (b"list",)),
     ],
 )
-def test_what_is_costly_comes_once_in_a_multicall(
+def test_expensive_methods_are_allowed_once_in_a_multicall(
     api: MasterApi, method: str, params: tuple[object, ...]
 ) -> None:
     again = element(method, "/a", *params)
@@ -94,7 +94,7 @@ def test_a_multicall_in_a_multicall_is_refused(api: MasterApi) -> None:
 @pytest.mark.parametrize(
     "broken", [5, {}, {"methodName": 1, "params": []}, {"methodName": "getPid"}, ["getPid"]]
 )
-def test_a_broken_element_spoils_only_itself(api: MasterApi, broken: object) -> None:
+def test_a_malformed_element_affects_no_other(api: MasterApi, broken: object) -> None:
     bad, good = ask(api, caller("/a"), "system.multicall", [broken, element("getPid", "/a")])
     assert "needs methodName and params" in bad["faultString"]
     assert good == [[1, "", 7]]
@@ -115,7 +115,7 @@ def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
         api.call("system.multicall", params, caller("/a"), 0)
 
 
-def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) -> None:
+def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
     who = caller("/a", {})
     calls = [
         element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
@@ -129,7 +129,7 @@ def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) ->
     assert Denied("/a", Right.PARAM_SET, "/x") in events
 
 
-def test_some_are_made_at_a_time_with_the_rights_of_that_time(api: MasterApi) -> None:
+def test_each_turn_uses_the_rights_of_that_time(api: MasterApi) -> None:
     calls = [element("setParam", "/a", f"/p{number}", 1) for number in range(7)]
     multicall, outcome = Multicall([calls]), []
     # Between the first and the last look its grant was revoked.
@@ -154,7 +154,7 @@ def test_a_query_in_a_multicall_takes_as_many_turns_as_it_needs(api: MasterApi) 
     assert turns == 1 + 6 + 1
 
 
-def test_what_a_query_found_with_rights_it_has_lost_does_not_count(api: MasterApi) -> None:
+def test_a_query_restarts_when_rights_change(api: MasterApi) -> None:
     """Also for one that may come once only, and begins a second time."""
     for number in range(2 * NAMES_PER_YIELD):
         ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
@@ -178,7 +178,7 @@ def after(times: int) -> Callable[[], bool]:
     "changes",
     [element("rossec.updateRevocations", "/a", b"list"), element("rossec.presentGrants", "/a", [])],
 )
-def test_what_changes_rights_is_the_last_of_a_step(api: MasterApi, changes: Any) -> None:
+def test_an_element_that_changes_rights_ends_the_step(api: MasterApi, changes: Any) -> None:
     multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])
     api.run_multicall(multicall, caller("/a"), 0)
     outcome: Any = multicall.answer
@@ -187,16 +187,16 @@ def test_what_changes_rights_is_the_last_of_a_step(api: MasterApi, changes: Any)
     assert multicall.done
 
 
-def test_an_empty_one_is_done(api: MasterApi) -> None:
+def test_an_empty_multicall_is_done(api: MasterApi) -> None:
     assert Multicall([[]]).done
     assert ask(api, caller("/a"), "system.multicall", []) == []
 
 
-def test_what_is_costly_is_there(api: MasterApi) -> None:
+def test_expensive_methods_exist(api: MasterApi) -> None:
     assert set(api.methods) >= MULTICALL_ONCE > {WATCH}
 
 
-def test_as_many_as_may_be_asked_are_answered(api: MasterApi) -> None:
+def test_a_multicall_at_the_limit_is_answered(api: MasterApi) -> None:
     """What fits into a call of setParam fits into its answer."""
     calls = [
         element("setParam", "/a", f"/a/robot/with/a/name/parameter{number}", 1)

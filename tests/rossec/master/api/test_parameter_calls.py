@@ -37,7 +37,7 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[Mast
     return tuple(event for event in outcome.events if not isinstance(event, PersistParameter))
 
 
-def test_every_change_is_to_be_kept_and_nothing_else(api: MasterApi) -> None:
+def test_changes_and_only_changes_are_persisted(api: MasterApi) -> None:
     def kept(method: str, *params: object) -> list[MasterEvent]:
         outcome = api.call(method, ("/a", *params), everything("/a"), 0)
         return [event for event in outcome.events if isinstance(event, PersistParameter)]
@@ -47,18 +47,18 @@ def test_every_change_is_to_be_kept_and_nothing_else(api: MasterApi) -> None:
     assert kept("deleteParam", "k") == kept("setParam", "/", 1) == kept("getParam", "k") == []
 
 
-def test_everybody_but_the_setter_hears_of_a_change(api: MasterApi) -> None:
+def test_all_subscribers_but_the_setter_are_notified_of_a_change(api: MasterApi) -> None:
     assert ask(api, everything("/a"), "setParam", "/ns/k", 1) == (ParameterChanged(B, "/ns/k/", 1),)
     assert ask(api, everything("/a"), "setParam", "/other", 1) == ()
 
 
-def test_everybody_hears_of_a_deletion(api: MasterApi) -> None:
+def test_all_subscribers_are_notified_of_a_deletion(api: MasterApi) -> None:
     ask(api, everything("/a"), "setParam", "/ns/k", 1)
     events = ask(api, everything("/a"), "deleteParam", "/ns/k")
     assert events == (ParameterChanged(A, "/ns/k/", {}), ParameterChanged(B, "/ns/k/", {}))
 
 
-def test_a_lost_right_ends_the_news(api: MasterApi, statements: FakeStatements) -> None:
+def test_updates_end_with_the_right(api: MasterApi, statements: FakeStatements) -> None:
     statements.callers["/b"] = caller("/b", {"/ns/open": Right.PARAM_GET})
     tree = {"open": 1, "secret": 2}
     assert ask(api, everything("/a"), "setParam", "/ns", tree) == ()
@@ -73,7 +73,7 @@ def test_unsubscribing(api: MasterApi) -> None:
     assert ask(api, everything("/a"), "setParam", "/ns/k", 1) == ()
 
 
-def test_a_new_slave_api_takes_the_subscription_along(api: MasterApi) -> None:
+def test_a_new_slave_api_replaces_the_subscription(api: MasterApi) -> None:
     moved = NodeRef("/b", "http://b:2/", b"/b")
     ask(api, everything("/b"), "subscribeParam", moved.uri, "/ns")
     [event] = ask(api, everything("/a"), "setParam", "/ns/k", 1)
@@ -92,7 +92,7 @@ def test_an_illegal_name_in_a_tree_is_named_whatever_the_rights(
 
 
 @pytest.mark.parametrize("method", ["getParam", "subscribeParam"])
-def test_what_is_much_too_long_is_not_written_out(api: MasterApi, method: str) -> None:
+def test_a_value_much_too_long_is_not_encoded(api: MasterApi, method: str) -> None:
     for number in range(3):
         ask(api, everything("/a"), "setParam", f"/long/p{number}", "x" * (BODY_LIMIT - 100))
     params = ("/long",) if method == "getParam" else (A.uri, "/long")
@@ -104,7 +104,7 @@ def test_what_is_much_too_long_is_not_written_out(api: MasterApi, method: str) -
     )
 
 
-def test_names_that_no_answer_can_carry_are_not_collected(
+def test_a_list_of_names_too_long_for_an_answer_is_refused_early(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parameter_calls, "_MAX_ENCODED", 5000)
@@ -115,7 +115,7 @@ def test_names_that_no_answer_can_carry_are_not_collected(
         api.call("getParamNames", ("/a",), everything("/a"), 0)
 
 
-def test_a_search_looks_for_something_that_may_be_read(api: MasterApi) -> None:
+def test_a_search_finds_only_readable_parameters(api: MasterApi) -> None:
     tree = {f"p{number}": 1 for number in range(3 * NAMES_PER_YIELD)}
     for key in ("/x", "/ns/x"):
         ask(api, everything("/a"), "setParam", key, tree)
@@ -132,7 +132,7 @@ def test_a_search_looks_for_something_that_may_be_read(api: MasterApi) -> None:
     assert search("/ns/n", "/x", "/x/p1") == "/x"
 
 
-def test_one_key_cannot_fill_the_room_that_is_for_all() -> None:
+def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
     api = MasterApi(
         Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000
     )
@@ -157,7 +157,7 @@ def test_one_key_cannot_fill_the_room_that_is_for_all() -> None:
     assert put("/a", "/a/more", 4000) == "parameter /a/more set", "all of it is gone"
 
 
-def test_a_key_that_is_many_nodes_is_judged_once_for_a_change(
+def test_a_key_with_many_nodes_is_authorized_once_for_a_change(
     api: MasterApi, statements: FakeStatements, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else one call judges a large tree as often as its caller has nodes."""

@@ -30,13 +30,13 @@ class Told(FakeStatements):
     ("method", "params"),
     [("rossec.revocations", ("/eve",)), ("rossec.revocationsSince", ("/eve", b"digest"))],
 )
-def test_it_is_told_the_whole_list_and_no_confirmation(
+def test_the_whole_list_is_sent_without_a_timestamp(
     method: str, params: tuple[object, ...]
 ) -> None:
     assert answer_revoked(Told(), 7, method, params) == [1, "revocations", [b"list", b""]]
 
 
-def test_it_is_told_what_a_tree_shows_within_the_bound_of_others() -> None:
+def test_proofs_are_limited_as_for_other_callers() -> None:
     asked: list[object] = [bytes(32), "no entry", *[bytes(32)] * PROOF_LIMIT]
     [code, status, proofs] = answer_revoked(Told(), 7, "rossec.revocationProofs", ("/eve", asked))
     assert (code, status) == (1, "proofs")
@@ -51,12 +51,12 @@ def test_it_is_told_what_a_tree_shows_within_the_bound_of_others() -> None:
         ("rossec.trl", ("/eve", b"")), ("system.multicall", ([],)), ("getPid", ("/eve",)),
     ],
 )  # fmt: skip
-def test_everything_else_ends_the_connection(method: str, params: tuple[object, ...]) -> None:
+def test_any_other_call_ends_the_connection(method: str, params: tuple[object, ...]) -> None:
     with pytest.raises(HangUp, match="the identity is revoked"):
         answer_revoked(Told(), 7, method, params)
 
 
-def test_each_identity_has_a_share_and_so_has_all_that_is_below_one_intermediate() -> None:
+def test_connections_are_limited_for_each_identity_and_each_intermediate() -> None:
     hearers, one = RevokedConnections(), (b"one", b"above")
     assert [hearers.admit(one) for _ in range(MAX_CONNECTIONS + 1)] == [True] * MAX_CONNECTIONS + [
         False
@@ -69,7 +69,7 @@ def test_each_identity_has_a_share_and_so_has_all_that_is_below_one_intermediate
     assert not hearers.admit(others[-1])
 
 
-def test_it_is_answered_a_few_times_on_one_connection() -> None:
+def test_calls_on_one_connection_are_limited() -> None:
     calls = RevokedCalls(Told(), lambda: 7)
     for _ in range(MAX_CALLS):
         assert calls.answer("rossec.revocations", ("/eve",), None)[2] == [b"list", b""]

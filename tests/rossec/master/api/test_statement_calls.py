@@ -28,7 +28,7 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
     return api.call(method, params, who, 0).answer
 
 
-def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
+def test_presented_grants_are_counted(api: MasterApi, statements: FakeStatements) -> None:
     outcome = api.call("rossec.presentGrants", ("/a", [b"one", b"two"]), caller("/a"), 0)
     assert outcome.answer == [1, "grants accepted", 2]
     assert outcome.events == (GrantsPresented("/a"),)
@@ -37,7 +37,7 @@ def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
     assert good_and_bad == [1, "grants presented, but refused: forged", 3]
 
 
-def test_a_node_without_one_good_grant_keeps_its_session(api: MasterApi) -> None:
+def test_a_node_without_a_valid_grant_keeps_its_session(api: MasterApi) -> None:
     outcome = api.call("rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
     assert outcome.answer == [1, "grants presented, but refused: forged; forged", 0]
     assert outcome.events == (GrantsPresented("/a", ("forged", "forged")),)
@@ -50,7 +50,7 @@ def test_grants_are_a_bounded_list_of_base64(api: MasterApi, value: object) -> N
     assert status.startswith("ERROR: parameter [grants] must")
 
 
-def test_revocations(api: MasterApi) -> None:
+def test_revocations_are_returned_with_a_timestamp(api: MasterApi) -> None:
     who = caller("/a")
     assert ask(api, who, "rossec.revocations", "/a")[2] == [b"", b""]
     outcome = api.call("rossec.updateRevocations", ("/a", b"list 2"), who, 0)
@@ -71,7 +71,7 @@ def test_grants_are_renewed_one_by_one(api: MasterApi) -> None:
     assert ask(api, caller("/a"), "rossec.renewGrants", "/a", [b"one"])[1] == "grants renewed"
 
 
-def test_a_delegation_is_taken_if_it_is_newer(api: MasterApi) -> None:
+def test_a_newer_delegation_is_accepted(api: MasterApi) -> None:
     answers = [
         ask(api, caller("/a"), "rossec.updateDelegation", "/a", data)
         for data in (b"newer", b"older", b"forged")
@@ -79,7 +79,7 @@ def test_a_delegation_is_taken_if_it_is_newer(api: MasterApi) -> None:
     assert [answer[::2] for answer in answers] == [[1, 1], [1, 0], [-1, 0]]
 
 
-def test_the_list_is_sent_only_to_who_has_not_got_it(
+def test_the_list_is_sent_only_to_nodes_without_it(
     api: MasterApi, statements: FakeStatements
 ) -> None:
     statements.lists.append(b"list 1")
@@ -93,7 +93,7 @@ def full_set(answer: Any) -> object:
     return value[0]
 
 
-def test_a_node_is_shown_of_the_list_what_concerns_it(api: MasterApi) -> None:
+def test_a_node_receives_the_entries_that_pertain_to_it(api: MasterApi) -> None:
     node = caller("/a", {"/t": Right.PUBLISH})
     query = encode({})
     assert full_set(ask(api, node, "rossec.trl", "/a", query)) == []
@@ -108,7 +108,7 @@ def test_a_node_is_shown_of_the_list_what_concerns_it(api: MasterApi) -> None:
     assert full_set(ask(api, admin, "rossec.trl", "/admin", query)) == [b"one", b"two"]
 
 
-def test_a_query_that_is_none(api: MasterApi) -> None:
+def test_a_malformed_query_is_refused(api: MasterApi) -> None:
     answer = ask(api, everything("/a"), "rossec.trl", "/a", b"garbage")
     assert (answer[0], answer[2]) == (-1, b"")
     assert answer[1].startswith("rossec: not a query")
@@ -125,7 +125,7 @@ def test_a_tree_and_its_proofs(api: MasterApi) -> None:
     assert answer[2] == [b"proof of x", b"proof of y"]
 
 
-def test_an_identity_is_renewed_or_the_reason_is_told(api: MasterApi) -> None:
+def test_an_identity_is_renewed_or_the_reason_is_returned(api: MasterApi) -> None:
     method = "rossec.renewIdentity"
     assert ask(api, caller("/a"), method, "/a", b"x") == [1, "identity renewed", b"bundle of x"]
     assert ask(api, caller("/a"), method, "/a", b"forged") == [

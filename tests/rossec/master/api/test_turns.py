@@ -29,14 +29,14 @@ def test_a_turn_ends_by_the_clock() -> None:
     assert not turns.begin()()
 
 
-def test_work_goes_on_where_it_was_left() -> None:
+def test_work_resumes_where_it_was_suspended() -> None:
     left = work(3)
     assert [advance(left, lambda: True) for _ in range(4)] == [None, None, None, CallOutcome(3)]
     assert advance(work(3), never_expires) == CallOutcome(3)
     assert run_to_end(work(0)) == run_to_end(work(0)) == CallOutcome(0)
 
 
-def test_what_work_raises_is_raised() -> None:
+def test_an_exception_in_the_work_is_raised() -> None:
     def broken() -> Work:
         yield
         raise ValueError("no")

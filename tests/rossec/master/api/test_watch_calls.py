@@ -53,7 +53,7 @@ def do(api: MasterApi, name: str, method: str, *params: object) -> None:
     assert ask(api, everything(name), method, *params)[0] == 1
 
 
-def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
+def test_the_whole_state_is_sent_first_then_changes(api: MasterApi) -> None:
     watcher = Watcher(api)
     assert watcher.look() == ([], [], True)
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
@@ -81,7 +81,7 @@ def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
     assert watcher.view.version == 8  # each change of the state counts, types and URIs too
 
 
-def test_what_came_and_went_between_two_looks_is_not_told(api: MasterApi) -> None:
+def test_a_change_undone_between_two_calls_is_not_sent(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
@@ -96,7 +96,7 @@ def test_the_right_is_graph_on_the_master(api: MasterApi) -> None:
     assert status.startswith("rossec: /watcher needs the right graph on /master")
 
 
-def test_only_what_may_be_seen_is_told(api: MasterApi) -> None:
+def test_only_visible_facts_are_sent(api: MasterApi) -> None:
     rights = {"/master": Right.GRAPH, "/scan": Right.SUBSCRIBE}
     watcher = Watcher(api, caller("/watcher", rights))
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
@@ -150,7 +150,7 @@ def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> N
     assert sum(map(len, api.watch_calls._views.values())) <= MAX_VIEWS
 
 
-def test_who_is_gone_is_forgotten(api: MasterApi) -> None:
+def test_views_of_disconnected_keys_are_discarded(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
     api.watch_calls.keep_only(frozenset({watcher.who.thumbprint}))
@@ -160,6 +160,6 @@ def test_who_is_gone_is_forgotten(api: MasterApi) -> None:
 
 
 @pytest.mark.parametrize("params", [("", "1"), (1, 1), ("", -1), ("", True), ("",), ("", 0, 0)])
-def test_a_question_that_is_none(api: MasterApi, params: tuple[object, ...]) -> None:
+def test_a_malformed_call_is_refused(api: MasterApi, params: tuple[object, ...]) -> None:
     answer: Any = api.call(WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
     assert (answer[0], answer[2]) == (-1, {})

@@ -34,7 +34,9 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-async def test_it_answers_its_user(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+async def test_the_user_of_the_master_is_answered(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO, "rossec.audit")
     assert mode(path) == 0o600
     assert await asyncio.to_thread(ask, path, "status") == {"calls": 5}
@@ -43,7 +45,7 @@ async def test_it_answers_its_user(path: Path, caplog: pytest.LogCaptureFixture)
         await asyncio.to_thread(ask, path, "format the disk")
 
 
-async def test_another_user_hears_nothing(
+async def test_another_user_gets_no_answer(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def refuse(*_: object) -> int:
@@ -72,14 +74,14 @@ async def test_garbage_ends_the_connection(path: Path, data: bytes) -> None:
     assert await asyncio.to_thread(ask, path, "status") == {"calls": 5}
 
 
-async def test_whoever_says_nothing_is_cut_off(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_silent_connection_is_closed(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEADLINE", 0.05)
     reader, writer = await asyncio.open_unix_connection(path)
     assert await reader.read() == b""
     writer.close()
 
 
-async def test_only_one_master_listens_but_a_dead_one_is_replaced(path: Path) -> None:
+async def test_only_one_master_listens_and_a_stale_socket_is_replaced(path: Path) -> None:
     with pytest.raises(ConfigurationError, match="another master"):
         await AdminPort(path, {}).start()
     left = path.with_name("left.sock")
@@ -91,18 +93,18 @@ async def test_only_one_master_listens_but_a_dead_one_is_replaced(path: Path) ->
     await port.close()
 
 
-def test_nobody_is_there(tmp_path: Path) -> None:
+def test_a_command_without_a_running_master_fails(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="does not answer") as caught:
         ask(tmp_path / "admin.sock", "status")
     assert "--admin" in caught.value.hint
 
 
-def test_what_is_no_socket_is_refused() -> None:
+def test_a_transport_without_a_socket_is_refused() -> None:
     with pytest.raises(PeerUserRefused):
         module._raw_socket(None)
 
 
-async def test_a_path_too_long_for_a_socket_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="too long a name for a socket") as caught:
+async def test_a_path_too_long_for_a_socket_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="too long for the path of a socket") as caught:
         await AdminPort(tmp_path / ("d" * 108), {}).start()
     assert "ROSSEC_HOME" in caught.value.hint

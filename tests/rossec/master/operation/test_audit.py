@@ -51,7 +51,7 @@ def test_lines_are_chained_and_for_the_owner_alone(book: Book) -> None:
     assert verify([]) == FIRST
 
 
-def test_whatever_is_changed_shows(book: Book) -> None:
+def test_every_change_is_detected(book: Book) -> None:
     for text in ("one", "two", "three"):
         book.write(text)
     one, two, three = book.entries()
@@ -80,7 +80,7 @@ def test_whatever_is_changed_shows(book: Book) -> None:
         '{"hash": "x", "level": 5, "text": "t", "at": 1}',
     ],
 )  # fmt: skip
-def test_what_is_no_line_is_damage_and_hides_no_other(book: Book, line: str) -> None:
+def test_a_malformed_line_is_damaged_and_hides_no_other(book: Book, line: str) -> None:
     book.write("one")
     book.write("two")
     one, two = book.path.read_text().splitlines()
@@ -90,7 +90,7 @@ def test_what_is_no_line_is_damage_and_hides_no_other(book: Book, line: str) -> 
 
 
 @pytest.mark.parametrize("before", [0, 1, 500])
-def test_it_goes_on_after_a_restart_and_a_torn_line(book: Book, before: int) -> None:
+def test_the_chain_continues_after_a_restart_and_a_truncated_line(book: Book, before: int) -> None:
     for number in range(before):
         book.write(f"{number} " + "x" * 400)
     book.file.close()
@@ -106,7 +106,7 @@ def test_it_goes_on_after_a_restart_and_a_torn_line(book: Book, before: int) -> 
     assert len(book.entries()) == before + 2
 
 
-def test_it_goes_on_after_damage_that_is_not_at_the_end(book: Book) -> None:
+def test_the_chain_continues_after_a_damaged_line(book: Book) -> None:
     book.write("one")
     book.file.close()
     book.path.write_text(book.path.read_text() + "what\n")
@@ -116,7 +116,7 @@ def test_it_goes_on_after_damage_that_is_not_at_the_end(book: Book) -> None:
     verify(salvage([one, two])[0], FIRST)
 
 
-def test_it_goes_on_in_a_new_file_after_a_rotation(book: Book) -> None:
+def test_the_chain_continues_in_a_new_file_after_rotation(book: Book) -> None:
     book.write("one")
     moved = book.path.with_suffix(".1")
     book.path.rename(moved)
@@ -130,14 +130,14 @@ def test_it_goes_on_in_a_new_file_after_a_rotation(book: Book) -> None:
     assert json.loads(book.path.read_text())["text"] == "four"
 
 
-def test_how_many_were_left_out_is_said(book: Book) -> None:
+def test_the_number_of_lines_left_out_is_recorded(book: Book) -> None:
     record = logging.makeLogRecord({"msg": "later", "levelname": "WARNING", LEFT_OUT: 7})
     book.file.emit(record)
     assert book.entries()[-1]["left_out"] == 7
     verify(book.entries(), FIRST)
 
 
-def test_a_disk_that_fails_is_no_reason_to_end(
+def test_a_failing_disk_does_not_end_the_master(
     book: Book, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with monkeypatch.context() as patch:
@@ -145,7 +145,7 @@ def test_a_disk_that_fails_is_no_reason_to_end(
         book.write("one")
         book.write("one more")
     assert caplog.messages == [
-        "the audit cannot be written: [Errno 9] Bad file descriptor; its lines so far are whole"
+        "the audit cannot be written: [Errno 9] Bad file descriptor; the lines before are intact"
     ]
     book.write("two")
     verify(book.entries(), FIRST)
@@ -160,14 +160,14 @@ def test_a_full_disk_leaves_no_half_line(
         patch.setattr(os, "write", lambda file, data: write(file, data[:20]))
         book.write("two")
     assert caplog.messages == [
-        "the audit cannot be written: the disk is full; its lines so far are whole"
+        "the audit cannot be written: the disk is full; the lines before are intact"
     ]
     book.write("three")
     assert [entry["text"] for entry in book.entries()] == ["one", "three"]
     verify(book.entries(), FIRST)
 
 
-def test_a_directory_that_is_gone_costs_nobody_a_descriptor(
+def test_a_removed_directory_leaks_no_descriptor(
     book: Book, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The number of a closed file may be a node's connection a moment later."""
@@ -208,7 +208,7 @@ def test_each_file_begins_with_a_line_of_the_master(tmp_path: Path) -> None:
     assert check_beginning(parts[1][0], after=parts[0][-1]["hash"])  # the key is not known here
 
 
-def test_a_line_of_half_characters_is_a_changed_line() -> None:
+def test_a_line_of_lone_surrogates_is_a_changed_line() -> None:
     line = json.dumps({"hash": "x", "text": "", "level": "info", "at": 1, "before": "\ud800"})
     entries, damaged = salvage([line])
     assert damaged == []

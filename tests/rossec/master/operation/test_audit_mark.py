@@ -32,21 +32,21 @@ def test_the_very_first_line(signer: KeySigner) -> None:
 def test_the_first_line_of_a_later_file(signer: KeySigner) -> None:
     first, key = mark(signer, BEFORE, 1.5), thumbprint(signer.public_key)
     assert first["text"] == "the audit goes on in a new file"
-    assert check_beginning(first, key) == f"it goes on from {BEFORE}, not among these files"
+    assert check_beginning(first, key) == f"it continues from {BEFORE}, not among these files"
     assert check_beginning(first, key, BEFORE) == ""
 
 
-def test_a_line_that_is_none(signer: KeySigner) -> None:
+def test_a_first_line_without_a_signature(signer: KeySigner) -> None:
     error = refusal({"before": BEFORE, "at": 1.0, "text": "denied"})
     assert str(error) == "the beginning of the audit is missing"
     assert "--after" in error.hint
     old = {"before": FIRST, "at": 1.0, "text": "the master began"}
-    assert "an older master" in check_beginning(old)
+    assert "of an older version" in check_beginning(old)
     assert check_beginning({"before": BEFORE}, after=BEFORE) == ""
     assert "is missing" in str(refusal({"before": BEFORE}, after="cd" * 32))
 
 
-def test_a_line_of_somebody_else(signer: KeySigner) -> None:
+def test_a_line_of_another_key(signer: KeySigner) -> None:
     error = refusal(mark(new_signer(), BEFORE, 1.0), thumbprint(signer.public_key))
     assert "begins with a line of another key" in str(error)
     assert "--key" in error.hint
@@ -63,7 +63,7 @@ def test_a_forged_line(signer: KeySigner, change: Entry) -> None:
     assert "is forged" in str(refusal({**mark(signer, BEFORE, 1.0), **change}))
 
 
-def test_a_line_that_lacks_something(signer: KeySigner) -> None:
+def test_an_incomplete_line(signer: KeySigner) -> None:
     first = mark(signer, BEFORE, 1.0)
     del first["key"]
     assert "is forged" in str(refusal(first))

@@ -22,7 +22,7 @@ limits:
 """
 
 
-def test_everything_can_be_said() -> None:
+def test_every_setting_is_read() -> None:
     assert parse(FULL, "m.yaml") == Config(
         port=11312, log="json", audit=False, admin=True, announce=True, metrics=9311,
         complaints=Path("/tmp/complaints"), limits=MasterLimits(body=65536, idle_seconds=60),
@@ -30,7 +30,7 @@ def test_everything_can_be_said() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "{}"])
-def test_nothing_said_is_the_default(text: str) -> None:
+def test_an_empty_file_is_the_default(text: str) -> None:
     assert parse(text, "m.yaml") == Config()
 
 
@@ -88,7 +88,7 @@ def test_errors_name_their_line(text: str, said: str) -> None:
         ("prot: 1", "port, log, audit"),
     ],
 )
-def test_errors_say_what_would_do(text: str, hint: str) -> None:
+def test_errors_name_valid_values(text: str, hint: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse(text, "m.yaml")
     assert hint in caught.value.hint

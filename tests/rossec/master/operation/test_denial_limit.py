@@ -28,7 +28,7 @@ def lines() -> Lines:
     return Lines()
 
 
-def test_a_node_has_its_share_and_others_have_theirs(lines: Lines) -> None:
+def test_each_node_has_its_own_limit(lines: Lines) -> None:
     assert sum(lines("/eve") for _ in range(500)) == 200
     assert lines("/robot")
     assert lines.left_out == 0
@@ -43,7 +43,7 @@ def test_a_node_has_its_share_and_others_have_theirs(lines: Lines) -> None:
     assert sum(lines("/eve") for _ in range(500)) == 200
 
 
-def test_all_together_are_bounded(lines: Lines) -> None:
+def test_the_lines_of_all_nodes_are_limited(lines: Lines) -> None:
     flood = [f"/n{number % 10}" for number in range(3000)]
     assert sum(map(lines, flood)) == 1000 + 10 * 10
     lines.now += 1
@@ -54,7 +54,7 @@ def test_all_together_are_bounded(lines: Lines) -> None:
     assert sum(map(lines, flood)) == 500 + 10
 
 
-def test_what_was_left_out_is_told_by_the_next(lines: Lines) -> None:
+def test_the_next_line_records_how_many_were_left_out(lines: Lines) -> None:
     for _ in range(203):
         lines("/eve")
     lines.now += 1
@@ -64,19 +64,19 @@ def test_what_was_left_out_is_told_by_the_next(lines: Lines) -> None:
     assert lines.left_out == 0
 
 
-def test_nodes_are_forgotten(lines: Lines) -> None:
+def test_the_number_of_nodes_is_bounded(lines: Lines) -> None:
     for number in range(MOST_NODES + 10):
         lines(f"/n{number}")
     assert len(lines.throttle._nodes) == MOST_NODES
 
 
 @pytest.mark.parametrize("args", [(), {"a": 1}])
-def test_lines_without_a_node_are_bounded_too(
+def test_lines_without_a_node_are_limited(
     lines: Lines, args: tuple[()] | Mapping[str, object]
 ) -> None:
     record = logging.makeLogRecord({"msg": "x", "args": args})
     assert sum(lines.throttle.filter(record) for _ in range(500)) == 200
 
 
-def test_its_logger_is_part_of_the_audit() -> None:
+def test_the_logger_is_a_child_of_the_audits() -> None:
     assert logging.getLogger(DENIALS).parent is logging.getLogger("rossec.audit")

@@ -27,7 +27,7 @@ def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_a_restart_appends_and_a_flood_ends(
+def test_a_restart_appends_and_the_lines_are_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(denial_log, "MAX_LINES", 1)
@@ -40,7 +40,9 @@ def test_a_restart_appends_and_a_flood_ends(
     assert len((tmp_path / "complaints").read_text().splitlines()) == 6
 
 
-def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_node_uses_up_the_quota_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(denial_log, "MAX_LINES", 5)
     monkeypatch.setattr(denial_log, "LINES_PER_NODE", 3)
     log = DenialLog(tmp_path / "complaints")
@@ -53,7 +55,7 @@ def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.Mo
     assert [nodes.count(node) for node in ("/eve", "/mallory", "/robot")] == [8, 3, 3]
 
 
-async def test_the_master_tells_of_what_it_refuses(tmp_path: Path) -> None:
+async def test_the_master_logs_denials(tmp_path: Path) -> None:
     received_calls: list[tuple[str, Right, str]] = []
     site = Site(tmp_path / "site")
     site.on_denial = lambda _, node, right, name: received_calls.append((node, right, name))

@@ -17,7 +17,7 @@ STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections
           "revocation_number": 7}  # fmt: skip
 
 
-def test_they_are_served_on_loopback() -> None:
+def test_metrics_are_served_on_loopback() -> None:
     exporter = MetricsExporter(lambda: STATUS, 0)
     try:
         with urllib.request.urlopen(
@@ -31,7 +31,7 @@ def test_they_are_served_on_loopback() -> None:
         assert f"rossec_master_{name}{suffix} {value}.0" in text
 
 
-def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Anybody on the host can connect: each one was a thread and a descriptor for ever."""
     monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
     exporter = MetricsExporter(lambda: STATUS, 0)
@@ -53,21 +53,21 @@ def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> No
         exporter.close()
 
 
-def test_without_the_package_the_operator_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     with pytest.raises(ConfigurationError, match="prometheus-client") as caught:
         MetricsExporter(lambda: STATUS, 0)
     assert "pip install" in caught.value.hint
 
 
-def test_a_taken_port_is_said() -> None:
+def test_a_port_in_use_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigurationError, match=f"on port {port}: address already in use"):
             MetricsExporter(lambda: STATUS, port)
 
 
-async def test_the_loop_is_asked_so_that_nothing_changes_meanwhile() -> None:
+async def test_the_status_is_read_in_the_loop() -> None:
     def status() -> dict[str, int]:
         assert threading.current_thread() is threading.main_thread()
         return STATUS

@@ -88,7 +88,7 @@ def test_exactly_that_right_on_the_resolved_name_is_enough(
     assert ask(api, caller("/n/x", {name: others}), method, "/n/x", *params)[0] == -1
 
 
-def test_m1_strangers_see_an_empty_graph(api: MasterApi) -> None:
+def test_m1_without_grants_the_graph_is_empty(api: MasterApi) -> None:
     eve = caller("/eve")
     assert ask(api, eve, "getSystemState", "/eve")[2] == [[], [], []]
     assert ask(api, eve, "getTopicTypes", "/eve")[2] == []
@@ -138,7 +138,7 @@ def test_own_entries_are_always_shown_and_only_they(api: MasterApi) -> None:
         ("rossec.presentGrants", ([],)),
     ],
 )
-def test_m2_m3_m4_nobody_acts_under_another_name(
+def test_m2_m3_m4_a_caller_cannot_act_under_another_name(
     api: MasterApi, method: str, params: tuple[object, ...]
 ) -> None:
     before = ask(api, everything("/victim"), "getSystemState", "/victim")
@@ -184,7 +184,7 @@ def test_m8_anothers_slave_api_cannot_be_registered(api: MasterApi, uri: str) ->
         assert "registered by another node" in answer[1]
 
 
-def test_m6_a_parent_is_no_way_around(api: MasterApi) -> None:
+def test_m6_a_parent_does_not_circumvent_a_missing_right(api: MasterApi) -> None:
     admin = everything("/admin")
     ask(api, admin, "setParam", "/admin", "/safety/max", 1)
     ask(api, admin, "setParam", "/admin", "/ns/k", 1)
@@ -207,7 +207,7 @@ def test_m6_a_parent_is_no_way_around(api: MasterApi) -> None:
     assert ask(api, admin, "getParam", "/admin", "/safety/max")[2] == 1
 
 
-def test_asking_raises() -> None:
+def test_require_raises_refused() -> None:
     require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/t")
     with pytest.raises(Refused, match="needs the right call on /u"):
         require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/u")
@@ -226,7 +226,7 @@ def test_asking_raises() -> None:
     ],
 )
 @pytest.mark.parametrize("held", [None, "KEY/wifi/ssid", "KEY/other", "/near/**"])
-def test_m6_a_refusal_does_not_tell_what_is_below(
+def test_m6_a_refusal_does_not_reveal_what_is_below(
     api: MasterApi, method: str, params: tuple[object, ...], held: str | None
 ) -> None:
     ask(api, everything("/admin"), "setParam", "/admin", "/robot/wifi", {"ssid": 1, "psk": 2})
@@ -275,7 +275,7 @@ def test_a_node_of_a_wildcard_sees_what_it_registered_itself(api: MasterApi) -> 
     "name",
     ["/victim", "/master", "/ca", "/rviz_", "/rvizx", "/rviz_1/a", "/robot/rviz_1", "rviz_1"],
 )
-def test_a_wildcard_takes_no_other_name(api: MasterApi, name: str) -> None:
+def test_a_wildcard_covers_only_its_tail(api: MasterApi, name: str) -> None:
     for method, *params in (
         ("registerPublisher", "/t", T, EVIL_API),
         ("unregisterPublisher", "/secret", VICTIM_API),
@@ -287,12 +287,12 @@ def test_a_wildcard_takes_no_other_name(api: MasterApi, name: str) -> None:
         assert status == "rossec: this connection belongs to /rviz, it cannot act as another"
 
 
-def test_a_plain_identity_takes_no_tail(api: MasterApi) -> None:
+def test_an_identity_without_a_wildcard_has_one_name(api: MasterApi) -> None:
     code, status, _ = ask(api, everything("/rviz"), "getPid", "/rviz_1")
     assert (code, status.startswith("rossec: this connection belongs to /rviz,")) == (-1, True)
 
 
-def test_what_is_missing_is_missing_to_the_certified_name(api: MasterApi) -> None:
+def test_a_denial_names_the_certified_name(api: MasterApi) -> None:
     blind = anonymous("/rviz", {"/nothing": Right.PUBLISH})
     outcome = api.call("registerSubscriber", ("/rviz_1", "/t", T, ONE[1]), blind, 0)
     assert "/rviz_1 (certified as /rviz) needs the right subscribe on /t" in str(outcome.answer)
@@ -301,7 +301,7 @@ def test_what_is_missing_is_missing_to_the_certified_name(api: MasterApi) -> Non
     assert refused.startswith("rossec: /rviz needs the right param-get on /p")
 
 
-def test_a_name_is_taken_once() -> None:
+def test_a_name_is_registered_by_one_key() -> None:
     acting_caller = RVIZ.acting_as("/rviz_1")
     assert acting_caller.acting_as("/rviz_1") is acting_caller
     with pytest.raises(Refused):
@@ -330,7 +330,7 @@ def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
         ("subscribeParam", ("URI", "/p")),
     ],
 )
-def test_m8_who_is_elsewhere_is_not_on_the_masters_host(
+def test_m8_a_node_on_another_host_cannot_register_loopback(
     api: MasterApi, method: str, params: tuple[str, ...]
 ) -> None:
     who = everything("/a")
@@ -350,7 +350,7 @@ def test_m8_who_is_elsewhere_is_not_on_the_masters_host(
     assert answer(method, here, is_local=True)[0] == 1
 
 
-def test_a_key_has_so_many_nodes() -> None:
+def test_the_nodes_of_a_key_are_limited() -> None:
     api = MasterApi(Registry(1), FakeStatements(), name="/master", uri="u", pid=1)
 
     def answer(name: str, uri: str) -> Any:

@@ -55,7 +55,7 @@ def world() -> World:
     return world
 
 
-def test_a_grant_lives_on_with_its_id_and_its_rights(world: World) -> None:
+def test_a_renewed_grant_keeps_its_id_and_rights(world: World) -> None:
     data = world.grant()
     grant, token = world.renew(data)
     assert unpack(token).grant == data
@@ -65,14 +65,14 @@ def test_a_grant_lives_on_with_its_id_and_its_rights(world: World) -> None:
     assert grant.via[0] == world.delegate.id
 
 
-def test_also_when_it_has_expired_and_when_it_was_renewed_before(world: World) -> None:
+def test_expired_and_renewed_grants_are_renewed(world: World) -> None:
     data = world.grant()
     _, token = world.renew(data, later=3 * HOUR)
     again, _ = world.renew(token, later=9 * HOUR + HOUR // 2)
     assert again.expires == verify(data, world.site.anchor.public_key).cap
 
 
-def test_no_longer_than_the_delegation() -> None:
+def test_a_ticket_expires_with_the_delegation() -> None:
     world = World()
     world.delegate.take(world.site.delegation(world.master, lifetime=2 * HOUR))
     grant, _ = world.renew(world.grant(), later=HOUR + HOUR // 2)
@@ -89,14 +89,14 @@ def test_no_longer_than_the_delegation() -> None:
         (DAY, 2 * DAY, 0, RenewalTooWide, "expires later than any ticket"),
     ],
 )
-def test_what_is_not_renewed(
+def test_grants_that_cannot_be_renewed(
     world: World, lifetime: int, cap: int, later: int, refusal: type[HintedError], message: str
 ) -> None:
     with pytest.raises(refusal, match=message):
         world.renew(world.grant(lifetime, cap), later)
 
 
-def test_nothing_that_is_revoked(world: World) -> None:
+def test_revoked_grants_are_not_renewed(world: World) -> None:
     data = world.grant()
     for entry in (grant_id(data), world.delegate.id or b"", world.master.thumbprint):
         world.revoked = entry
@@ -104,7 +104,7 @@ def test_nothing_that_is_revoked(world: World) -> None:
             world.renew(data)
 
 
-def test_nothing_for_another_key_authority_or_domain(world: World) -> None:
+def test_grants_of_another_key_authority_or_domain_are_refused(world: World) -> None:
     with pytest.raises(GrantNotHeld):
         world.renew(world.grant(), holder=world.master.thumbprint)
     with pytest.raises(HintedError, match="not a grant of this authority"):
@@ -123,7 +123,7 @@ def test_without_a_delegation_nothing_is_renewed() -> None:
     assert silent.take(world.site.delegation(world.master))
 
 
-def test_delegations_that_are_not_for_this_master(world: World) -> None:
+def test_delegations_for_others_are_refused(world: World) -> None:
     with pytest.raises(RenewalForOther):
         world.delegate.take(world.site.delegation(world.node))
     with pytest.raises(RenewalForOther):
@@ -132,7 +132,7 @@ def test_delegations_that_are_not_for_this_master(world: World) -> None:
         world.delegate.take(Site().delegation(world.master))
 
 
-def test_an_older_delegation_does_not_come_back(world: World) -> None:
+def test_an_older_delegation_is_not_accepted(world: World) -> None:
     [first] = world.persisted
     newer = world.site.delegation(world.master, start=-50)
     assert world.delegate.take(newer)

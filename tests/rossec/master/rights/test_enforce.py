@@ -39,14 +39,14 @@ BOTH = {
 }
 
 
-def test_nothing_goes_while_the_rights_hold() -> None:
+def test_nothing_is_removed_while_grants_are_valid() -> None:
     state = registry()
     assert judge(state, FakeStatements(dict(BOTH))) == []
     assert len(list(state.nodes())) == 2
     assert state.registered_nodes(Kind.PARAMETER, "/p/") == (A,)
 
 
-def test_only_what_lost_its_right_goes() -> None:
+def test_only_uncovered_registrations_are_removed() -> None:
     state = registry()
     callers = {**BOTH, "/a": caller("/a", {"/u": Right.PUBLISH, "/t": Right.SUBSCRIBE})}
     assert judge(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
@@ -56,7 +56,7 @@ def test_only_what_lost_its_right_goes() -> None:
 
 
 @pytest.mark.parametrize("right", Right)
-def test_each_registration_lives_by_its_own_right(right: Right) -> None:
+def test_each_registration_needs_its_own_right(right: Right) -> None:
     state = registry()
     state.register_subscriber("/x", "*", A)
     rights = dict.fromkeys(("/t", "/u", "/s", "/p/one", "/x"), right)
@@ -69,7 +69,7 @@ def test_each_registration_lives_by_its_own_right(right: Right) -> None:
     assert left == ({own[right]} if right in own else set())
 
 
-def test_a_revoked_node_goes_with_all_it_registered() -> None:
+def test_a_revoked_node_is_removed_with_its_registrations() -> None:
     state = registry()
     events = judge(state, FakeStatements({"/b": BOTH["/b"]}))
     assert PublishersChanged("/t", (B,), ()) in events
@@ -77,7 +77,7 @@ def test_a_revoked_node_goes_with_all_it_registered() -> None:
     assert state.registered_nodes(Kind.PARAMETER, "/p/") == ()
 
 
-def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:
+def test_a_step_is_small_and_uses_the_current_state() -> None:
     state = Registry()
     for n in range(BATCH + 1):
         state.register_publisher(f"/t{n}", "*", A)

@@ -42,7 +42,9 @@ def leaves(key: str, value: object) -> Iterator[str]:
 
 
 @given(st.lists(patterns, max_size=3), st.sampled_from(["/", "/a", "/a/b"]), values)
-def test_the_judgement_is_that_on_every_leaf(held: list[str], key: str, value: object) -> None:
+def test_the_result_equals_that_of_checking_every_leaf(
+    held: list[str], key: str, value: object
+) -> None:
     who = holder(*held)
     assert has_right_on_all(who, GET, [(key, value)]) == all(
         who.may(GET, at) for at in leaves(key, value)
@@ -50,7 +52,7 @@ def test_the_judgement_is_that_on_every_leaf(held: list[str], key: str, value: o
 
 
 @given(st.lists(patterns, max_size=3), values)
-def test_what_is_shown_is_what_is_covered(held: list[str], value: object) -> None:
+def test_covered_names_are_shown(held: list[str], value: object) -> None:
     who = holder(*held)
     decided = decisions_across_turns(who, GET, ("/", value))
     shown = [
@@ -60,7 +62,7 @@ def test_what_is_shown_is_what_is_covered(held: list[str], value: object) -> Non
     assert [name for name in expected if name in set(parameter_names(("/", value)))] == shown
 
 
-def test_nothing_means_no() -> None:
+def test_no_items_are_not_covered() -> None:
     with pytest.raises(Refused, match="no grant covers it and all below it"):
         require_tree(everything("/a"), GET, "/k")
     require_tree(everything("/a"), GET, "/k", ("/k", 1), ("/k", {"x": 1}))
@@ -77,7 +79,7 @@ class Counted(FakeAccess):
         return super().covers(right, name)
 
 
-def test_it_ends_at_the_first_that_is_not_covered() -> None:
+def test_the_check_ends_at_the_first_uncovered_name() -> None:
     many = {f"p{number}": 1 for number in range(1000)}
     for held in ({}, {"/p1": GET}, {"/far/away": GET}):
         Counted.asked = 0
@@ -89,7 +91,7 @@ def test_it_ends_at_the_first_that_is_not_covered() -> None:
     assert [*decisions(holder("/else"), GET, ("/ns", many))] == [(("/ns", many), False)]
 
 
-def test_too_many_to_be_looked_at_are_not_covered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tree_of_too_many_names_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parameter_trees, "MAX_NAMES_CHECKED", 1 + 2 * 10)  # each with its namespace
     each, whole = holder("/*/x"), holder("/**")
     fits = {f"n{number}": {"x": 1} for number in range(10)}
@@ -118,7 +120,7 @@ def test_namespaces_and_patterns_count_too() -> None:
     assert holder("/a/**", "/b").patterns(GET) == 0
 
 
-def test_who_costs_more_looks_less_at_once() -> None:
+def test_a_caller_with_many_patterns_checks_fewer_names_a_turn() -> None:
     assert holder("/a/**", "/b").names_per_yield == 64
     assert 1 < holder("/*/x", *(f"/*/x{number}" for number in range(99))).names_per_yield < 8
     assert holder(*(f"/*/x{number}" for number in range(4096))).names_per_yield == 1

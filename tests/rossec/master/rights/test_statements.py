@@ -49,7 +49,7 @@ def world() -> World:
     return world
 
 
-def test_without_a_list_nobody_may_anything() -> None:
+def test_without_a_list_no_grant_is_valid() -> None:
     world = World()
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
     assert not world.may(Right.PUBLISH, "/t")
@@ -58,7 +58,7 @@ def test_without_a_list_nobody_may_anything() -> None:
     assert world.may(Right.PUBLISH, "/t")
 
 
-def test_a_grant_holds_for_what_it_says_and_as_long(world: World) -> None:
+def test_a_grant_is_valid_for_its_rights_and_its_time(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
     assert world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60)) == (
         1,
@@ -75,7 +75,7 @@ def test_a_refusal_names_what_is_missing(world: World) -> None:
         world.trust.caller(world.node, world.now).access.require(Right.PUBLISH, "/t")
 
 
-def test_bad_grants_do_not_spoil_good_ones(world: World) -> None:
+def test_refused_grants_do_not_affect_valid_ones(world: World) -> None:
     stranger = Site()
     world.site.domain = "office"  # the same authority serves two domains
     elsewhere = world.site.grant(world.node, {"/t": Right.PUBLISH})
@@ -104,7 +104,7 @@ def test_grants_are_bounded_and_not_counted_twice(world: World) -> None:
     assert "at most" in refused[0]
 
 
-def test_only_so_many_grants_are_verified_in_vain(world: World) -> None:
+def test_failed_verifications_are_limited(world: World) -> None:
     good = world.site.grant(world.node, {"/t": Right.PUBLISH})
     held = world.site.grant(world.node, {"/u": Right.PUBLISH})
     world.present(held)
@@ -122,7 +122,7 @@ def test_a_revoked_grant_ends_at_once(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
 
 
-def test_a_list_that_came_by_another_way_counts_at_once_too() -> None:
+def test_a_list_updated_elsewhere_takes_effect_at_once() -> None:
     site = Site()
     node, revocations = site.enroll("/node"), site.revocations()
     trust = TrustState(
@@ -139,7 +139,7 @@ def test_a_list_that_came_by_another_way_counts_at_once_too() -> None:
     assert not trust.caller(node, site.now + 1).may(Right.PUBLISH, "/t")
 
 
-def test_a_revoked_key_is_nobody(world: World) -> None:
+def test_a_revoked_key_has_no_caller(world: World) -> None:
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
     assert world.trust.caller_of(world.node, world.now) is not None
     world.trust.update(world.site.revoke(world.node), world.now)
@@ -148,7 +148,7 @@ def test_a_revoked_key_is_nobody(world: World) -> None:
     assert world.trust.caller_of(world.node, world.now) is None
 
 
-def test_a_key_below_a_revoked_intermediate_is_nobody(world: World) -> None:
+def test_a_key_below_a_revoked_intermediate_is_revoked(world: World) -> None:
     above = b"i" * 32
     member = dataclasses.replace(
         world.node, identity=dataclasses.replace(world.node.identity, issuers=(above,))
@@ -173,7 +173,7 @@ def test_two_keys_of_one_name_are_two_callers(world: World) -> None:
     assert node.may(Right.PUBLISH, "/t")
 
 
-def test_lists_are_persisted_first_and_only_newer_ones_taken(world: World) -> None:
+def test_lists_are_persisted_first_and_only_newer_ones_accepted(world: World) -> None:
     old, new = world.site.revoke(), world.site.revoke(world.master)
     assert world.trust.update(new, world.now)
     assert world.persisted[-1] == new
@@ -211,7 +211,7 @@ def test_an_expired_list_ends_every_right_but_no_connection(world: World) -> Non
     assert not world.may(Right.PUBLISH, "/t", later=60)
 
 
-def test_forgetting(world: World) -> None:
+def test_other_keys_are_discarded(world: World) -> None:
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
     world.trust.keep_only(frozenset({world.node.thumbprint}), world.now)
     assert world.may(Right.PUBLISH, "/t")
@@ -246,7 +246,7 @@ def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -
 
 
 @pytest.mark.parametrize("which", ["delegation", "delegate"])
-def test_what_was_renewed_ends_with_what_renewed_it(world: World, which: str) -> None:
+def test_a_renewed_grant_ends_with_the_delegation(world: World, which: str) -> None:
     data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
     delegation = world.site.delegation(world.master)
     assert world.trust.update_delegation(delegation)
@@ -258,7 +258,7 @@ def test_what_was_renewed_ends_with_what_renewed_it(world: World, which: str) ->
     assert not world.may(Right.PUBLISH, "/t")
 
 
-def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None:
+def test_a_grant_that_is_not_renewed_does_not_affect_the_others(world: World) -> None:
     good = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
     tokens, refused = renew(update_delegation(world), b"garbage", good)
     assert (tokens[0], len(refused)) == (b"", 1)
@@ -267,7 +267,7 @@ def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None
     assert renew(world, good)[1] == ("too many grants of this node were refused",)
 
 
-def test_a_renewed_grant_is_not_kept_when_there_is_no_room(world: World) -> None:
+def test_a_renewed_grant_beyond_the_limits_is_not_stored(world: World) -> None:
     tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD)]
     world.present(*tokens)
     (token,), _ = renew(
@@ -294,7 +294,7 @@ def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
     assert world.trust.revocations_for(world.node, world.now)[0] == newer
 
 
-def test_a_caller_is_what_its_certificate_says(world: World) -> None:
+def test_a_caller_has_the_names_of_its_certificate(world: World) -> None:
     assert not world.trust.caller(world.node, world.now).wildcard
     rviz = world.site.enroll("/rviz", wildcard=True)
     assert world.trust.caller(rviz, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
@@ -303,9 +303,7 @@ def test_a_caller_is_what_its_certificate_says(world: World) -> None:
     assert not registered.wildcard  # a name in the registry is that name alone
 
 
-def test_what_is_remembered_of_nodes_is_bounded(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_recorded_lists_are_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_HELD_LISTS", 2)
     for n in range(5):
         world.trust.record_held_list(
@@ -314,7 +312,7 @@ def test_what_is_remembered_of_nodes_is_bounded(
         assert len(world.trust._lists) <= 2
 
 
-def test_what_of_the_list_concerns_a_node(world: World) -> None:
+def test_entries_that_pertain_to_a_node(world: World) -> None:
     other, third = world.site.enroll("/other"), world.site.enroll("/third")
     own, is_local, far, unseen = (
         world.site.grant(who, {name: Right.SUBSCRIBE})
@@ -354,7 +352,7 @@ def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
     return sign_tree(world.site.signer, tree), listing.encoded()
 
 
-def test_nothing_is_made_of_entries_before_their_tree_is_the_authoritys(world: World) -> None:
+def test_entries_are_not_read_before_the_tree_is_verified(world: World) -> None:
     """Whoever is enrolled could have the master hash a megabyte again and again."""
     tree, _ = tree_of(world)
     with pytest.raises(RevocationRefused, match="signature"):
@@ -363,7 +361,7 @@ def test_nothing_is_made_of_entries_before_their_tree_is_the_authoritys(world: W
         world.trust.update_tree(tree, b"no listing", world.now)
 
 
-def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
+def test_a_tree_replaces_the_list(world: World) -> None:
     data = world.site.grant(world.node, {"/t": Right.PUBLISH})
     world.present(data)
     tree, entries = tree_of(world, grant_id(data))

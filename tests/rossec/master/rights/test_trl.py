@@ -36,13 +36,13 @@ def requester() -> Requester:
     return requester
 
 
-def test_all_of_it(requester: Requester) -> None:
+def test_a_full_query(requester: Requester) -> None:
     assert requester.ask() == {0: [], 2: None}
     requester.add(B, A)
     assert requester.ask() == {0: [A, B], 2: FIRST}
 
 
-def test_the_last_changes_newest_first(requester: Requester) -> None:
+def test_a_diff_query_is_newest_first(requester: Requester) -> None:
     assert requester.ask(diff=0) == {1: [], 2: None, 3: False}
     requester.add(A)
     requester.add(B)
@@ -53,7 +53,7 @@ def test_the_last_changes_newest_first(requester: Requester) -> None:
     assert requester.ask(diff=1) == {1: [[[A], []]], 2: FIRST + 2, 3: False}
 
 
-def test_from_a_cursor_on(requester: Requester) -> None:
+def test_a_diff_query_from_a_cursor(requester: Requester) -> None:
     requester.add(A)
     cursor = requester.ask()[2]
     assert requester.ask(diff=0, cursor=cursor) == {1: [], 2: cursor, 3: False}
@@ -65,7 +65,7 @@ def test_from_a_cursor_on(requester: Requester) -> None:
         requester.ask(diff=0, cursor=cursor + 3)
 
 
-def test_one_after_the_other_until_there_is_no_more(requester: Requester) -> None:
+def test_batches_until_there_is_no_more(requester: Requester) -> None:
     for n in range(MAX_DIFF_BATCH + 2):
         requester.add(n.to_bytes(16))
     first = requester.ask(diff=0)
@@ -84,7 +84,7 @@ def test_an_answer_is_bounded_in_hashes_too(
     assert [len(requester.ask(diff=0)[1]), requester.ask(diff=0)[3]] == [1, True]
 
 
-def test_a_cursor_too_old_means_ask_for_all(requester: Requester) -> None:
+def test_a_cursor_too_old_asks_for_a_full_query(requester: Requester) -> None:
     begin: dict[int, Any] = {1: [], 2: None, 3: False}
     assert requester.ask(diff=0, cursor=5) == begin
     for n in range(MAX_N + 2):
@@ -123,6 +123,6 @@ def test_requesters_have_series_of_their_own(monkeypatch: pytest.MonkeyPatch) ->
         (encode({"cursor": 1}), r"\(1\)"),
     ],
 )
-def test_what_is_no_query(query: bytes, message: str) -> None:
+def test_malformed_queries_are_refused(query: bytes, message: str) -> None:
     with pytest.raises(QueryRefused, match=message):
         read(query)

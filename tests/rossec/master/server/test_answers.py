@@ -46,7 +46,7 @@ async def while_asked(world: World, asker: SlaveNode, method: str, *params: obje
     return answered, await asked
 
 
-async def test_others_are_answered_while_a_query_is(slow: World) -> None:
+async def test_other_calls_are_answered_during_a_query(slow: World) -> None:
     await crowd(slow)
     asker = await slow.node("/asker")
     answered, topics = await while_asked(slow, asker, "getPublishedTopics", "")
@@ -56,7 +56,7 @@ async def test_others_are_answered_while_a_query_is(slow: World) -> None:
     assert whole["more"]
 
 
-async def test_a_watcher_waits_for_news_in_turns(
+async def test_a_watcher_waits_for_changes_in_turns(
     slow: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
@@ -73,7 +73,7 @@ LONG = [("getPublishedTopics", "/asker", ""), ("system.multicall", [PUBLISHED])]
 
 
 @pytest.mark.parametrize("question", LONG, ids=["alone", "in a multicall"])
-async def test_a_query_begins_again_when_rights_end_meanwhile(slow: World, question: Any) -> None:
+async def test_a_query_begins_again_when_rights_are_revoked(slow: World, question: Any) -> None:
     """What is answered was judged by the list that is in force."""
     await crowd(slow)
     asker, other = await slow.node("/asker"), await slow.node("/other")
@@ -86,7 +86,7 @@ async def test_a_query_begins_again_when_rights_end_meanwhile(slow: World, quest
 
 
 @pytest.mark.parametrize("question", LONG, ids=["alone", "in a multicall"])
-async def test_who_is_revoked_during_a_query_is_not_answered(slow: World, question: Any) -> None:
+async def test_a_caller_revoked_during_a_query_is_not_answered(slow: World, question: Any) -> None:
     await crowd(slow)
     asker, other = await slow.node("/asker"), await slow.node("/other")
     asked = asyncio.ensure_future(asker.client.call(*question))

@@ -10,7 +10,7 @@ from rossec.master.state.registry import NodeRef
 from tests.rossec.master.world import EVERYTHING, SlaveNode, T, World, until
 
 
-async def test_whoever_answers_must_be_the_registered_node(world: World) -> None:
+async def test_the_peer_must_be_the_registered_node(world: World) -> None:
     """Attack M8: the master never tells a node's news to somebody else."""
     liar, victim = await world.node("/liar"), await world.node("/victim")
     await liar.ask("registerSubscriber", "/t", T, victim.uri)
@@ -22,7 +22,7 @@ async def test_whoever_answers_must_be_the_registered_node(world: World) -> None
     assert victim.received == []
 
 
-async def test_who_registers_the_address_of_another_is_removed(
+async def test_a_node_that_registers_the_address_of_another_is_removed(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     squatter, victim = await world.node("/squatter"), await world.node("/victim")
@@ -40,7 +40,7 @@ async def test_who_registers_the_address_of_another_is_removed(
     assert victim.received == []
 
 
-async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
+async def test_a_node_at_the_port_of_a_dead_one_can_register(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The address is another's by the registry; whoever answers there, by its key, has it."""
@@ -56,7 +56,7 @@ async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
     assert await eve.ask("lookupNode", "/heir") == heir.uri
 
 
-async def test_nobody_is_doubted_twice_at_a_time(
+async def test_a_node_is_probed_once_at_a_time(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.master.server.dialer.CALL_DEADLINE", 0.5)
@@ -78,7 +78,7 @@ async def test_nobody_is_doubted_twice_at_a_time(
         assert await bob.ask("lookupNode", "/slow") == uri
 
 
-async def test_news_for_one_key_never_goes_to_another_of_the_same_name(world: World) -> None:
+async def test_an_update_for_one_key_is_not_sent_to_another_of_the_same_name(world: World) -> None:
     node, other = await world.node("/node"), await world.node("/other")
     newer = SlaveNode(world, world.site.enroll("/node"))
     await newer.start(EVERYTHING)

@@ -11,7 +11,7 @@ from rossec.errors import AnswerRefused
 from tests.rossec.master.world import EVERYTHING, T, World, until
 
 
-async def test_a_subscriber_hears_of_its_publishers(world: World) -> None:
+async def test_a_subscriber_is_notified_of_its_publishers(world: World) -> None:
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     assert await viewer.ask("registerSubscriber", "/image", T, viewer.uri) == []
     assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
@@ -45,21 +45,21 @@ async def test_a_restarted_node_replaces_itself(world: World) -> None:
     ]
 
 
-async def test_parameters_are_passed_on(world: World) -> None:
+async def test_parameter_updates_are_sent(world: World) -> None:
     one, two = await world.node("/one"), await world.node("/two")
     assert await one.ask("subscribeParam", one.uri, "/rate") == {}
     await two.ask("setParam", "/rate", 5)
     await until(lambda: one.received_calls("paramUpdate") == [("/rate/", 5)])
 
 
-async def test_an_administrator_stops_it(world: World) -> None:
+async def test_an_administrator_stops_the_master(world: World) -> None:
     admin = await world.node("/admin", {"/master": Right.ADMIN})
     await admin.ask("shutdown", "maintenance")
     async with asyncio.timeout(30):
         await world.server.stopped()
 
 
-async def test_refused_grants_are_audited_but_no_error(
+async def test_refused_grants_are_audited_without_an_error(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     node = await world.node("/node")
@@ -67,16 +67,16 @@ async def test_refused_grants_are_audited_but_no_error(
     old = world.site.grant(member, EVERYTHING, start=-9 * 86400)
     late = await world.call_as(member)
     assert await late.ask("rossec.presentGrants", "/late", [old]) == 0
-    assert "/late presents grants that are refused: " in caplog.text
+    assert "/late presented grants that are refused: " in caplog.text
     assert await node.ask("rossec.presentGrants", [old]) == 1
 
 
-async def test_nobody_writes_lines_into_the_log(
+async def test_line_breaks_do_not_reach_the_log(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
     eve = await world.node("/eve", {"/eve/t": Right.SUBSCRIBE, "/master": Right.ADMIN})
-    forged = "x\nrossec: WARNING: /robot is cut off\x9b31m\u202e"
+    forged = "x\nrossec: WARNING: /robot is disconnected\x9b31m\u202e"
     for method, *params in (
         ("getParam", f"/{forged}"),
         ("setParam", f"/{forged}", 1),
@@ -107,9 +107,7 @@ async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixtur
     assert "/eve may not registerPublisher: rossec: /eve needs the right publish" in caplog.text
 
 
-async def test_what_is_administered_is_audited(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_administration_is_audited(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "rossec.audit")
     admin, robot = await world.node("/admin"), await world.node("/robot", {"/t": Right.PUBLISH})
     await robot.ask("registerPublisher", "/t", T, robot.uri)
@@ -120,7 +118,7 @@ async def test_what_is_administered_is_audited(
     number = world.trust.number
     assert lines == [
         "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
-        f"/admin brought revocation list {number}",
-        "/robot is cut off: the key of /robot is revoked",
+        f"/admin delivered revocation list {number}",
+        "/robot is disconnected: the key of /robot is revoked",
         "/admin delivered a delegation to renew grants",
     ]

@@ -11,7 +11,7 @@ async def waits(news: GraphChanges) -> "asyncio.Task[None]":
     return task
 
 
-async def test_a_change_wakes_everybody_who_waits() -> None:
+async def test_a_change_ends_every_wait() -> None:
     news = GraphChanges()
     news.notify(1)
     tasks = [await waits(news) for _ in range(2)]
@@ -23,7 +23,7 @@ async def test_a_change_wakes_everybody_who_waits() -> None:
         await asyncio.gather(*tasks)
 
 
-async def test_what_is_no_change_of_state_may_be_news_as_well() -> None:
+async def test_a_notification_without_a_version_ends_the_wait() -> None:
     news = GraphChanges()
     task = await waits(news)
     news.notify()
@@ -31,6 +31,6 @@ async def test_what_is_no_change_of_state_may_be_news_as_well() -> None:
         await task
 
 
-async def test_without_news_the_wait_ends() -> None:
+async def test_the_wait_ends_without_a_change() -> None:
     async with asyncio.timeout(30):
         await GraphChanges().wait(0.01)

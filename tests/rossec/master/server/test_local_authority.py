@@ -24,7 +24,7 @@ class Found:
         self.changes += 1
 
 
-def test_what_is_newer_is_taken() -> None:
+def test_a_newer_list_is_accepted() -> None:
     found = Found()
     for there, changes in (
         (None, 0), ((b"list 1", b""), 1), ((b"list 1", b""), 1), ((b"list 2", b""), 2),
@@ -35,13 +35,13 @@ def test_what_is_newer_is_taken() -> None:
     assert found.statements.lists == [b"list 1", b"list 2"]
 
 
-def test_without_an_authority_nothing_is_ever_taken() -> None:
+def test_without_an_authority_nothing_is_accepted() -> None:
     found = Found()
     LocalAuthority(no_authority, found.statements, found.changed).check(7)
     assert (found.changes, found.statements.lists) == (0, [])
 
 
-def test_a_tree_is_taken_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "rossec.master.server.local_authority.is_tree", lambda data: data == b"tree"
     )
@@ -55,25 +55,25 @@ def test_a_tree_is_taken_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> No
     "wrong",
     [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()],
 )
-def test_what_is_wrong_is_said(
+def test_a_failure_is_logged(
     wrong: tuple[bytes, bytes] | Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = Found()
     found.there = wrong
     found.local_authority.check(7)
     assert (found.changes, found.statements.lists) == (0, [])
-    assert "the list of the authority on this host is not taken" in caplog.text
+    assert "the list of the authority on this host is not accepted" in caplog.text
 
 
-def test_each_reason_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_reason_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     found = Found()
     for there in (ConfigurationError("one", ""), ConfigurationError("another", "")):
         found.there = there
         for _ in range(3):
             found.local_authority.check(7)
-    assert caplog.text.count("is not taken") == 2
+    assert caplog.text.count("is not accepted") == 2
     found.there = None
     found.local_authority.check(7)
     found.there = ConfigurationError("another", "")
     found.local_authority.check(7)
-    assert caplog.text.count("is not taken: another") == 2
+    assert caplog.text.count("is not accepted: another") == 2

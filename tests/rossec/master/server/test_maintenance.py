@@ -13,7 +13,7 @@ from rossec.errors import AnswerRefused
 from tests.rossec.master.world import T, World, ends, until
 
 
-async def test_a_revoked_node_is_told_nothing_more(world: World) -> None:
+async def test_a_revoked_node_receives_no_more_updates(world: World) -> None:
     loop = asyncio.get_running_loop()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         silent.setblocking(False)
@@ -42,7 +42,7 @@ async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> N
     await until(lambda: viewer.received_calls("publisherUpdate") == [("/image", [camera.uri])])
 
 
-async def test_a_revoked_grant_takes_the_registration_with_it(world: World) -> None:
+async def test_a_revoked_grant_removes_the_registration(world: World) -> None:
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
     await camera.ask("registerPublisher", "/image", T, camera.uri)
@@ -58,7 +58,7 @@ async def test_a_revoked_grant_takes_the_registration_with_it(world: World) -> N
     assert opened.digest == digest(revocations)
 
 
-async def test_a_revoked_identity_is_cut_off_and_stays_out(world: World) -> None:
+async def test_a_revoked_identity_is_disconnected_and_stays_out(world: World) -> None:
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
     await camera.ask("registerPublisher", "/image", T, camera.uri)
@@ -71,7 +71,7 @@ async def test_a_revoked_identity_is_cut_off_and_stays_out(world: World) -> None
     assert state == [[], [["/image", ["/viewer"]]], []]
 
 
-async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
+async def test_a_watcher_is_notified_of_a_revoked_node(world: World) -> None:
     watcher, camera = await world.node("/watcher"), await world.node("/camera")
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     whole = await watcher.ask("rossec.watchGraph", "", 0)
@@ -89,7 +89,7 @@ async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
     waiting.cancel()
 
 
-async def test_a_fault_of_ours_does_not_end_freshness(
+async def test_an_exception_does_not_end_freshness(
     world: World, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Timestamps go on, and rights are enforced, whatever one round of it met."""
@@ -108,7 +108,7 @@ async def test_a_fault_of_ours_does_not_end_freshness(
     await until(lambda: node.received_calls("rossec.revocationUpdate") != [])
 
 
-async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
+async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(
     world: World,
 ) -> None:
     """Also within one multicall: before the list it is there, then it is not."""
@@ -127,7 +127,7 @@ async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
     assert (after[2], node[0], service[0]) == ([[], [], []], -1, -1)
 
 
-async def test_a_master_whose_clock_went_back_goes_on_and_says_so(
+async def test_a_clock_set_back_is_logged_and_ends_nothing(
     world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     shows = time.time()

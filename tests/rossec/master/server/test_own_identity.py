@@ -43,11 +43,11 @@ def world(tmp_path: Path) -> World:
     return World(tmp_path)
 
 
-def test_another_certificate_is_taken_up_without_a_restart(
+def test_another_certificate_is_reloaded_without_a_restart(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert not world.check(NOW + 25 * DAY)
-    assert "the master's own identity: it ends " in caplog.text
+    assert "the master's own identity: it expires " in caplog.text
     assert (
         "(rossec ca renew /master, then rossec node install FILE here; no restart)" in caplog.text
     )
@@ -59,17 +59,17 @@ def test_another_certificate_is_taken_up_without_a_restart(
     assert caplog.text == ""
 
 
-def test_it_complains_every_hour_and_not_at_every_beat(
+def test_a_warning_is_logged_every_hour_and_not_every_round(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     for second in range(0, 2 * HOUR, 600):
         world.check(NOW + 25 * DAY + second)
     assert len(caplog.messages) == 2
     world.check(NOW + 31 * DAY)
-    assert "it ended " in caplog.messages[-1]
+    assert "it expired " in caplog.messages[-1]
 
 
-def test_it_is_renewed_where_the_host_can(world: World) -> None:
+def test_the_identity_is_renewed_with_an_intermediate(world: World) -> None:
     world.own.renew = partial(renew, world.site.authority)
     assert not world.check(NOW + 19 * DAY)
     assert world.check(NOW + 21 * DAY)
@@ -77,7 +77,7 @@ def test_it_is_renewed_where_the_host_can(world: World) -> None:
     assert not world.check(NOW + 21 * DAY + 10)
 
 
-def test_what_fails_is_tried_again(world: World, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failed_renewal_is_tried_again(world: World, caplog: pytest.LogCaptureFixture) -> None:
     asked = []
 
     def fails(request: bytes, now: int) -> bytes:
@@ -103,13 +103,13 @@ def test_another_key_needs_a_restart(world: World, caplog: pytest.LogCaptureFixt
     )
     assert not world.check(NOW + 10)
     assert caplog.messages == [
-        "the master's own identity: it is for another key now (restart the master)"
+        "the master's own identity: the installed identity has another key (restart the master)"
     ]
     assert not world.check(NOW + 20)
     assert len(caplog.messages) == 1
 
 
-def test_what_is_missing_or_broken_changes_nothing(
+def test_a_missing_or_damaged_file_changes_nothing(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = world.home.path / "node.pem"

@@ -42,7 +42,9 @@ def test_a_change_survives_without_a_close(path: Path) -> None:
     assert opened(path).parameters.get("/") == {"a": 1}
 
 
-def test_a_torn_end_is_cut_off_and_kept_aside(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_truncated_record_is_removed_and_saved_aside(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     parameter_file = opened(path)
     parameter_file.write(ParameterChange("/a", 1))
     parameter_file.close()
@@ -55,7 +57,9 @@ def test_a_torn_end_is_cut_off_and_kept_aside(path: Path, caplog: pytest.LogCapt
     assert path.with_suffix(".damaged").read_bytes().startswith(whole)
 
 
-def test_it_is_rewritten_when_it_has_grown(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_file_is_compacted_when_it_has_grown(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "REWRITE_MIN", 1000)
     parameter_file = opened(path)
     for number in range(100):
@@ -82,12 +86,12 @@ def test_a_full_disk_is_reported_and_leaves_no_half_record(
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda fd, data: write(fd, data[:5]))
         change(parameter_file, "/b", 2)
-    assert caplog.text.count("parameters cannot be kept") == 2
+    assert caplog.text.count("parameters cannot be saved") == 2
     change(parameter_file, "/c", 3)
     assert opened(path).parameters.get("/") == {"a": 1, "c": 3}
 
 
-def test_what_a_full_disk_did_not_take_is_written_when_there_is_room(
+def test_a_change_lost_to_a_full_disk_is_written_later(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parameter_file = opened(path)
@@ -102,7 +106,7 @@ def test_what_a_full_disk_did_not_take_is_written_when_there_is_room(
     assert opened(path).parameters.get("/") == {"a": 1}
 
 
-def test_it_is_rewritten_at_once_when_it_grows_too_fast(
+def test_the_file_is_compacted_at_once_when_it_grows_too_fast(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "REWRITE_MIN", 1000)
@@ -114,10 +118,10 @@ def test_it_is_rewritten_at_once_when_it_grows_too_fast(
     assert opened(path).parameters.get("/") == {"a": 199}
 
 
-def test_a_disk_without_room_is_said_and_the_file_is_as_it_was(
+def test_a_full_disk_is_logged_and_the_file_is_unchanged(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kept, said = opened(path), "they are in force, and kept as soon as there is room"
+    kept, said = opened(path), "they are in force, and saved as soon as there is room"
     before = path.read_bytes()
     with no_room():
         change(kept, "/a", 1)

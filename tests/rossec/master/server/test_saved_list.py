@@ -11,7 +11,7 @@ from tests.rossec.test_files import no_room
 from tests.support.site import Site
 
 
-def test_what_cannot_be_written_is_written_when_there_is_room(
+def test_a_list_that_cannot_be_saved_is_saved_later(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     site = Site(tmp_path / "site")
@@ -24,17 +24,17 @@ def test_what_cannot_be_written_is_written_when_there_is_room(
         kept.retry()
     assert home.load_revocations() is home.load_entries() is None
     assert len(caplog.messages) == 1
-    assert "the revocation list is in force, but not kept: revocations.ent" in caplog.text
+    assert "the revocation list is in force, but not saved: revocations.ent" in caplog.text
     assert "make room" in caplog.text
     kept.retry()
     assert home.load_revocations() == second
     assert home.load_entries() == b"entries"
-    assert caplog.messages[1:] == ["the revocation list is kept now"]
+    assert caplog.messages[1:] == ["the revocation list is saved now"]
     kept.retry()
     assert len(caplog.messages) == 2
 
 
-def test_with_room_it_is_there_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_list_is_saved_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     site = Site(tmp_path / "site")
     home, data = site.enroll(MASTER), site.revoke(b"1" * 32)
     ListFile(home).save(data)

@@ -19,7 +19,7 @@ async def test_a_node_cannot_act_as_another(world: World) -> None:
         await eve.client.ask("registerPublisher", "/victim", "/t", T, eve.uri)
 
 
-async def test_an_identity_has_so_many_connections(world: World) -> None:
+async def test_the_connections_of_an_identity_are_limited(world: World) -> None:
     member = world.site.enroll("/many")
     clients = [await world.call_as(member) for _ in range(PEER_CONNECTIONS)]
     for client in clients:
@@ -29,9 +29,7 @@ async def test_an_identity_has_so_many_connections(world: World) -> None:
     assert await other.ask("getUri") == world.server.uri
 
 
-async def test_a_watcher_waits_until_there_is_news(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_watcher_waits_for_a_change(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     watcher, camera = await world.node("/watcher"), await world.node("/camera")
     whole = await watcher.ask("rossec.watchGraph", "", 0)
     assert whole["whole"]
@@ -53,7 +51,7 @@ async def test_a_watcher_waits_until_there_is_news(
     )
 
 
-async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(
+async def test_m8_a_node_on_another_host_cannot_register_loopback(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, far = await world.node("/near"), world.site.enroll("/far")
@@ -69,7 +67,7 @@ async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(
     assert await near.ask("registerPublisher", "/t", T, near.uri) == []
 
 
-async def test_a_long_multicall_keeps_nobody_waiting(world: World) -> None:
+async def test_a_long_multicall_does_not_delay_others(world: World) -> None:
     """What a node may do is looked at anew, too, whenever others had their turn."""
     eve, other = await world.node("/eve"), await world.node("/other")
     calls = [

@@ -26,7 +26,7 @@ def home_of_master(root: Path, site: Site) -> NodeHome:
     return home
 
 
-async def test_a_restarted_master_remembers_the_revocations(tmp_path: Path) -> None:
+async def test_a_restarted_master_loads_the_revocations(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     eve, old = site.enroll("/eve"), site.revoke()
@@ -59,7 +59,7 @@ async def test_the_advertised_host_may_differ_from_the_bound_one(
     assert server._address == (listens, 11311)
 
 
-async def test_a_newer_list_beside_it_is_taken_and_saved(tmp_path: Path) -> None:
+async def test_a_newer_list_of_a_local_authority_is_accepted_and_saved(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     old, newest = site.revoke(), site.revoke()
@@ -69,7 +69,7 @@ async def test_a_newer_list_beside_it_is_taken_and_saved(tmp_path: Path) -> None
     assert home.load_revocations() == newest
 
 
-async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_path: Path) -> None:
+async def test_the_master_renews_itself_with_the_intermediate(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     asked: list[tuple[bytes, int]] = []
@@ -87,7 +87,7 @@ async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_
     assert now == site.now + 29 * 86400
 
 
-async def test_an_expired_identity_is_no_masters(tmp_path: Path) -> None:
+async def test_an_expired_identity_is_refused(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     with pytest.raises(CertificateExpired):

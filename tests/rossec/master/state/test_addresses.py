@@ -8,7 +8,7 @@ from rossec.master.state.addresses import endpoint, is_loopback_host, is_unicast
 @pytest.mark.parametrize(
     "host", ["robot", "robot.local", "x_y-1.example.org.", "10.0.0.7", "fe80::1", "a.b1", "1a"]
 )
-def test_places(host: str) -> None:
+def test_unicast_hosts(host: str) -> None:
     assert is_unicast_host(host)
     assert not is_loopback_host(host)
 
@@ -21,7 +21,7 @@ def test_places(host: str) -> None:
         "1.2.3.4.5", "256.1.1.1", "a.b.1", "0x", ":1",
     ],
 )  # fmt: skip
-def test_what_is_no_place_of_one_host_or_oddly_spelt(host: str) -> None:
+def test_other_hosts_and_unusual_spellings_are_refused(host: str) -> None:
     assert not is_unicast_host(host)
 
 
@@ -32,7 +32,7 @@ def test_what_is_no_place_of_one_host_or_oddly_spelt(host: str) -> None:
         "localhost.localdomain", "ip6-localhost", "localhost.",
     ],
 )  # fmt: skip
-def test_the_masters_own_host(host: str) -> None:
+def test_loopback_hosts(host: str) -> None:
     assert is_loopback_host(host)
 
 
@@ -45,6 +45,6 @@ def test_the_masters_own_host(host: str) -> None:
         ("http://robot.local.:80/", "http://robot.local:80/"),
     ],
 )
-def test_equal_places_are_equal(one: str, other: str) -> None:
+def test_spellings_of_one_endpoint_are_equal(one: str, other: str) -> None:
     assert endpoint(one) == endpoint(other)
     assert endpoint(one) != endpoint(one.replace("80", "81"))

@@ -25,13 +25,13 @@ CHANGES = [
 WHOLE = MAGIC + b"".join(map(encode, CHANGES))
 
 
-def test_what_was_written_is_read() -> None:
+def test_decode_inverts_encode() -> None:
     assert decode(WHOLE) == (CHANGES, len(WHOLE))
     assert decode(MAGIC) == ([], len(MAGIC))
 
 
 @given(st.integers(0, len(WHOLE) - 1))
-def test_half_a_record_ends_the_journal(size: int) -> None:
+def test_a_truncated_record_ends_the_journal(size: int) -> None:
     changes, good = decode(WHOLE[:size])
     assert changes == CHANGES[: len(changes)]
     assert good <= size
@@ -57,7 +57,7 @@ def test_a_damaged_record_ends_the_journal(at: int, flip: int) -> None:
         xmlrpc.dump_call("deleteParam", ("/a", 2)),
     ],
 )
-def test_anything_else_ends_the_journal(call: bytes) -> None:
+def test_an_unknown_record_ends_the_journal(call: bytes) -> None:
     import zlib
 
     record = len(call).to_bytes(4) + zlib.crc32(call).to_bytes(4) + call
@@ -75,6 +75,6 @@ def test_replay_and_snapshot_lead_to_the_same() -> None:
     assert snapshot(Parameters()) == MAGIC
 
 
-def test_what_no_client_can_set_cannot_be_written() -> None:
+def test_a_value_that_cannot_be_encoded_is_refused() -> None:
     with pytest.raises(XmlRpcRefused):
         encode(ParameterChange("/a", None))

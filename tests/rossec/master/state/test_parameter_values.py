@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rossec.master.state.parameter_values import DEPTH_LIMIT, check, encoded_size, exceeds
 from rossec.ros import xmlrpc
-from rossec.ros.xmlwrite import Written
+from rossec.ros.xmlwrite import EncodedList
 
 _WHEN = datetime(2020, 1, 2, 3, 4, 5)  # noqa: DTZ001 - XML-RPC's times have no zone
 _GOOD = st.recursive(
@@ -26,13 +26,13 @@ _GOOD = st.recursive(
 
 
 @given(_GOOD, st.integers(0, 300))
-def test_what_weighs_too_much_is_found_without_weighing_all(value: Any, limit: int) -> None:
+def test_exceeds_stops_early(value: Any, limit: int) -> None:
     assert exceeds(value, limit) == (encoded_size(value) > limit)
     assert exceeds({"much": "x" * limit, "never looked at": object()}, limit)
 
 
 @given(_GOOD)
-def test_what_is_taken_can_be_handed_out(value: Any) -> None:
+def test_accepted_values_can_be_encoded(value: Any) -> None:
     check(value)
     size = len(xmlrpc.dump_response(value)) - len(xmlrpc.dump_response([])) + encoded_size([])
     assert size < 2 * encoded_size(value) + 100
@@ -49,7 +49,7 @@ def test_what_is_taken_can_be_handed_out(value: Any) -> None:
         (Decimal("1.5"), "a Decimal"),
     ],
 )
-def test_what_no_answer_can_carry_is_refused_wherever_it_is(value: object, said: str) -> None:
+def test_values_that_cannot_be_encoded_are_refused_at_any_depth(value: object, said: str) -> None:
     for spoilt in (value, [1, value], {"a": {"b": [value]}}):
         with pytest.raises(ValueError, match=f"XML-RPC cannot carry {said}"):
             check(spoilt)
@@ -72,13 +72,13 @@ def test_the_depth_is_bounded() -> None:
         check(1, -1)
 
 
-def test_what_is_written_already_weighs_its_text() -> None:
-    state = Written([["/t", ["/node"]]])
+def test_the_size_of_encoded_text_is_its_length() -> None:
+    state = EncodedList([["/t", ["/node"]]])
     assert encoded_size([1, "", state]) - encoded_size([1, ""]) == len(state.text)
     assert encoded_size((1, 2)) == encoded_size([1, 2])
 
 
-def test_a_number_is_no_name() -> None:
+def test_a_number_is_not_a_valid_name() -> None:
     """XML-RPC's structs can have one in the place of a member's name."""
     with pytest.raises(ValueError, match="1 cannot be the name of a parameter"):
         check({1: 2})

@@ -24,14 +24,14 @@ def tree() -> Parameters:
     return parameters
 
 
-def test_a_place_is_what_a_call_reaches() -> None:
+def test_the_item_of_a_key() -> None:
     assert tree().item("/") == ("/", {"a": {"b": 1, "c": {"d": 2}}, "e": {}})
     assert tree().item("/a/c") == ("/a/c", {"d": 2})
     assert tree().item("/a/b") == ("/a/b", 1)
     assert tree().item("/none") == ("/none", None)
 
 
-def test_reach_includes_a_value_that_would_become_a_tree() -> None:
+def test_items_affected_include_a_value_that_would_become_a_tree() -> None:
     assert tree().items_affected("/a/b/new/deep") == [("/a/b", 1), ("/a/b/new/deep", None)]
     assert tree().items_affected("/a") == [("/a", {"b": 1, "c": {"d": 2}})]
     assert tree().items_affected("/none/b") == [("/none/b", None)]
@@ -69,7 +69,7 @@ def test_get_set_delete() -> None:
     assert parameters.get("/") == {"e": {}}
 
 
-def test_refuses_what_cannot_be_found_or_sent_again() -> None:
+def test_values_that_cannot_be_read_again_are_refused() -> None:
     parameters = Parameters()
     with pytest.raises(TypeError, match="cannot set root"):
         parameters.set("/", 1)
@@ -83,7 +83,7 @@ def test_refuses_what_cannot_be_found_or_sent_again() -> None:
     assert parameters.get("/") == {}
 
 
-def test_all_together_are_bounded_and_can_be_made_fewer() -> None:
+def test_the_size_of_all_parameters_is_limited_and_can_shrink() -> None:
     parameters = tree()
     limit = parameters.size + 2000
     parameters.set("/big", "x" * 1000, limit)
@@ -109,7 +109,7 @@ def test_all_together_are_bounded_and_can_be_made_fewer() -> None:
         max_size=12,
     )
 )
-def test_the_size_is_that_of_what_is_held(changes: list[tuple[str, object]]) -> None:
+def test_the_size_is_that_of_all_parameters(changes: list[tuple[str, object]]) -> None:
     parameters = Parameters()
     for key, value in changes:
         with contextlib.suppress(ParameterMissing, TypeError):
@@ -137,7 +137,7 @@ def received_calls(key: str, value: object) -> list[tuple[str, str, object]]:
     return [(u.subscription, u.key, u.value) for u in updates(SUBSCRIPTIONS, key, value)]
 
 
-def test_a_change_is_heard_above_at_and_below() -> None:
+def test_subscribers_above_at_and_below_are_notified() -> None:
     assert received_calls("/a/b", 1) == [
         ("/", "/a/b/", 1),
         ("/a/", "/a/b/", 1),

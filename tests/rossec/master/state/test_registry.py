@@ -102,7 +102,7 @@ def test_another_key_that_registers_replaces_the_node() -> None:
     assert registry.owner(A.uri) == "/a"
 
 
-def test_the_last_provider_has_the_service() -> None:
+def test_the_last_provider_replaces_the_others() -> None:
     registry = Registry()
     registry.register_service("/s", "rosrpc://h:1", A)
     registry.register_service("/s", "rosrpc://h:2", B)
@@ -112,7 +112,7 @@ def test_the_last_provider_has_the_service() -> None:
     assert registry.unregister_service("/s", "/b", "rosrpc://h:2", b"/b").removed == 1
 
 
-def test_types_a_real_one_wins_over_any() -> None:
+def test_a_type_replaces_the_wildcard_type() -> None:
     registry = Registry()
     registry.register_subscriber("/t", "*", A)
     assert list(registry.topic_types()) == []
@@ -123,7 +123,7 @@ def test_types_a_real_one_wins_over_any() -> None:
     assert registry.topic_type("/t") == TYPE
 
 
-def test_types_go_with_the_last_registration() -> None:
+def test_a_type_is_removed_with_the_last_registration() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)
     registry.register_subscriber("/t", TYPE, B)
@@ -134,7 +134,7 @@ def test_types_go_with_the_last_registration() -> None:
     assert list(registry.topic_types()) == []
 
 
-def test_a_node_has_so_many_registrations_of_a_kind() -> None:
+def test_the_registrations_of_a_node_are_limited() -> None:
     registry = Registry()
     for n in range(REGISTRATIONS_LIMIT):
         assert registry.has_capacity(Kind.PUBLISHER, f"/t{n}", A)
@@ -146,7 +146,7 @@ def test_a_node_has_so_many_registrations_of_a_kind() -> None:
     assert registry.has_capacity(Kind.PUBLISHER, "/more", A._replace(uri="http://h:9/"))
 
 
-def test_a_key_is_so_many_nodes() -> None:
+def test_the_nodes_of_a_key_are_limited() -> None:
     registry = Registry(2)
     one, two, three = (A._replace(name=f"/a_{n}", uri=f"http://h:{n + 9}/") for n in range(3))
     registry.register_publisher("/t", TYPE, one)
@@ -167,7 +167,7 @@ def test_a_key_is_so_many_nodes() -> None:
     assert registry.has_capacity(Kind.PUBLISHER, "/t", three)
 
 
-def test_an_address_is_known_however_it_is_spelt() -> None:
+def test_an_address_is_found_in_any_spelling() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A._replace(uri="http://[::1]:80/"))
     assert registry.owner("http://[0::1]:080") == "/a"
@@ -175,7 +175,7 @@ def test_an_address_is_known_however_it_is_spelt() -> None:
     assert registry.owner("http://[::1]:80/") is None
 
 
-def test_removing_a_node_tells_its_subscribers() -> None:
+def test_removing_a_node_notifies_its_subscribers() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)
     registry.register_parameter("/p/", A)

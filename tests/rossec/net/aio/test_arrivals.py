@@ -7,7 +7,7 @@ import pytest
 from rossec import clock
 from rossec.errors import LimitExceeded
 from rossec.net.aio import arrivals
-from rossec.net.aio.arrivals import arrived
+from rossec.net.aio.arrivals import next_messages
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader, frame
 
@@ -26,8 +26,8 @@ class Script:
 
 async def test_what_arrives_is_cut() -> None:
     source, framing = Script(frame(b"a") + b"\1", frame(b"b")[1:]), Framing(FrameReader())
-    assert await arrived(source, framing) == [b"a"]
-    assert await arrived(source, framing) == [b"b"]
+    assert await next_messages(source, framing) == [b"a"]
+    assert await next_messages(source, framing) == [b"b"]
 
 
 async def test_who_is_silent_between_messages_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +35,7 @@ async def test_who_is_silent_between_messages_may_be(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(clock, "now", lambda: pytest.fail("asked although nothing is begun"))
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0.05):
-            await arrived(Script(), Framing(FrameReader()))
+            await next_messages(Script(), Framing(FrameReader()))
 
 
 async def test_who_is_silent_within_one_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,6 +43,6 @@ async def test_who_is_silent_within_one_is_given_up(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(arrivals, "PATIENCE", 0.001)
     monkeypatch.setattr(clock, "now", lambda: next(ticks))
     source, framing = Script(frame(bytes(9))[:6]), Framing(FrameReader())
-    assert await arrived(source, framing) == []
+    assert await next_messages(source, framing) == []
     with pytest.raises(LimitExceeded):
-        await arrived(source, framing)
+        await next_messages(source, framing)

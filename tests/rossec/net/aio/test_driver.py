@@ -42,7 +42,7 @@ async def test_a_peer_that_stands_still_in_a_unit_is_given_up(
         monkeypatch.setattr(driver_module, "wall_clock", lambda: next(clock))
         for _ in range(2 * WINDOW // STEP):
             if driver.error is None:
-                driver._tick()
+                driver._run_timers()
         assert isinstance(driver.error, LimitExceeded)
         stream.abort("done")
 
@@ -55,6 +55,6 @@ async def test_a_peer_that_is_not_read_is_not_blamed(monkeypatch: pytest.MonkeyP
         clock = itertools.count(driver_module.wall_clock(), STEP)
         monkeypatch.setattr(driver_module, "wall_clock", lambda: next(clock))
         for _ in range(10 * WINDOW // STEP):
-            driver._tick()
+            driver._run_timers()
         assert driver.error is None
         stream.abort("done")

@@ -20,16 +20,16 @@ class Recorder:
     def get_buffer(self) -> memoryview:
         return memoryview(self.buffer)
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         self.got += self.buffer[:count]
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         self._note("eof")
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         self._note("drained")
 
-    def lost(self) -> None:
+    def connection_lost(self) -> None:
         self._note("lost")
 
 

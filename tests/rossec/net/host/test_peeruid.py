@@ -13,7 +13,7 @@ import pytest
 
 from rossec.errors import PeerUserRefused
 from rossec.net.host import peeruid, sockdiag
-from rossec.net.host.peeruid import owner_in, require_user, user_of
+from rossec.net.host.peeruid import require_user, user_in, user_of
 
 HEAD: Final = "  sl  local_address rem_address   st ..."
 V4: Final = "0100007F:1F90 0100007F:A0B0"
@@ -37,7 +37,7 @@ little_endian = pytest.mark.skipif(sys.byteorder != "little", reason="rows of su
 
 @little_endian
 @pytest.mark.parametrize(
-    ("pair", "near", "far"),
+    ("pair", "local", "remote"),
     [
         (V4, NEAR, FAR),
         (MAPPED, NEAR, FAR),
@@ -45,10 +45,10 @@ little_endian = pytest.mark.skipif(sys.byteorder != "little", reason="rows of su
         (V6, ("::1", 0x1F90), ("::1", 0xA0B0)),
     ],
 )
-def test_the_row_is_found(pair: str, near: tuple[str, int], far: tuple[str, int]) -> None:
+def test_the_row_is_found(pair: str, local: tuple[str, int], remote: tuple[str, int]) -> None:
     other = row(V4.replace("1F90", "1F91"), uid=5)
-    assert owner_in([table(other), table(row(pair))], near, far) == 1000
-    assert owner_in([table(row(pair))], far, near) is None
+    assert user_in([table(other), table(row(pair))], local, remote) == 1000
+    assert user_in([table(row(pair))], remote, local) is None
 
 
 @little_endian
@@ -65,7 +65,7 @@ def test_the_row_is_found(pair: str, near: tuple[str, int], far: tuple[str, int]
     ],
 )
 def test_anything_else_is_nobody(rows: list[str]) -> None:
-    assert owner_in([table(*rows)], NEAR, FAR) is None
+    assert user_in([table(*rows)], NEAR, FAR) is None
 
 
 @contextmanager
@@ -74,11 +74,11 @@ def pair(family: int, address: str, client: int | None = None) -> Iterator[list[
         dual = family == socket.AF_INET6 and address == "::"
         server = socket.create_server((address, 0), family=family, dualstack_ipv6=dual)
         stack.enter_context(server)
-        far = stack.enter_context(socket.socket(client or family))
-        far.connect(("127.0.0.1" if dual else address, server.getsockname()[1]))
-        near, _ = server.accept()
-        stack.enter_context(near)
-        yield [near, far]
+        remote = stack.enter_context(socket.socket(client or family))
+        remote.connect(("127.0.0.1" if dual else address, server.getsockname()[1]))
+        local, _ = server.accept()
+        stack.enter_context(local)
+        yield [local, remote]
 
 
 @pytest.mark.parametrize(
@@ -90,31 +90,31 @@ def pair(family: int, address: str, client: int | None = None) -> Iterator[list[
     ],
 )
 def test_the_kernel_knows_this_user(family: int, address: str, client: int | None) -> None:
-    with pair(family, address, client) as (near, far):
-        assert user_of(near) == user_of(far) == os.getuid()
-        assert require_user(near, {os.getuid()}) == os.getuid()
+    with pair(family, address, client) as (local, remote):
+        assert user_of(local) == user_of(remote) == os.getuid()
+        assert require_user(local, {os.getuid()}) == os.getuid()
         with pytest.raises(PeerUserRefused, match="may not use this connection"):
-            require_user(near, {os.getuid() + 1})
-        far.close()
+            require_user(local, {os.getuid() + 1})
+        remote.close()
         with pytest.raises(PeerUserRefused, match="belongs to no program"):
-            user_of(near)
+            user_of(local)
 
 
 def test_a_unix_socket_tells_its_user() -> None:
-    near, far = socket.socketpair()
-    with near, far:
-        assert require_user(near, {os.getuid()}) == os.getuid()
+    local, remote = socket.socketpair()
+    with local, remote:
+        assert require_user(local, {os.getuid()}) == os.getuid()
         with pytest.raises(PeerUserRefused):
-            require_user(near, ())
+            require_user(local, ())
 
 
 def test_the_overflow_user_is_nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     overflow = tmp_path / "overflowuid"
     overflow.write_text(f"{os.getuid()}\n")
     monkeypatch.setattr(peeruid, "_OVERFLOW", overflow)
-    near, far = socket.socketpair()
-    with near, far, pytest.raises(PeerUserRefused):
-        require_user(near, {os.getuid()})
+    local, remote = socket.socketpair()
+    with local, remote, pytest.raises(PeerUserRefused):
+        require_user(local, {os.getuid()})
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
@@ -124,11 +124,11 @@ def test_another_user_is_told_apart() -> None:
         code = f"import socket; socket.create_connection({where}).recv(1)"
         child = subprocess.Popen([sys.executable, "-I", "-c", code], user=1234)
         try:
-            near, _ = server.accept()
-            with near:
-                assert user_of(near) == 1234
+            local, _ = server.accept()
+            with local:
+                assert user_of(local) == 1234
                 with pytest.raises(PeerUserRefused, match="user 1234"):
-                    require_user(near, {0})
+                    require_user(local, {0})
         finally:
             child.wait(30)
 
@@ -141,16 +141,16 @@ def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
 
     monkeypatch.setattr(sockdiag, "find", unavailable)
     monkeypatch.setattr(sockdiag, "listener", unavailable)
-    with pair(socket.AF_INET, "127.0.0.1") as (near, far):
-        inode = os.fstat(far.fileno()).st_ino
-        assert peeruid.holder_of(near) == (os.getuid(), inode)
-        place = near.getsockname()[:2]
+    with pair(socket.AF_INET, "127.0.0.1") as (local, remote):
+        inode = os.fstat(remote.fileno()).st_ino
+        assert peeruid.holder_of(local) == (os.getuid(), inode)
+        place = local.getsockname()[:2]
         with socket.create_server(("127.0.0.2", place[1])):  # another place
             (holder,) = peeruid.listeners(place)
         assert holder.user == os.getuid()
-        far.close()
+        remote.close()
         with pytest.raises(PeerUserRefused):
-            peeruid.holder_of(near)
+            peeruid.holder_of(local)
 
 
 def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,8 +158,8 @@ def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) 
     entry = sockdiag.SocketEntry(1, (b"", 0), (b"", 0), 0, 0)
     monkeypatch.setattr(sockdiag, "find", lambda *_: entry)
     monkeypatch.setattr(sockdiag, "listener", lambda _: entry)
-    with pair(socket.AF_INET, "127.0.0.1") as (near, _), pytest.raises(PeerUserRefused):
-        peeruid.holder_of(near)
+    with pair(socket.AF_INET, "127.0.0.1") as (local, _), pytest.raises(PeerUserRefused):
+        peeruid.holder_of(local)
     assert peeruid.listeners(("127.0.0.1", 1)) == []
 
 

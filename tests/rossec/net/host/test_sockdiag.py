@@ -21,18 +21,18 @@ def test_one_connection(client: str) -> None:
     server_family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with (
         socket.create_server((host, 0), family=server_family) as server,
-        socket.socket(family) as far,
+        socket.socket(family) as remote,
     ):
-        far.connect((client, server.getsockname()[1]))
-        near, _ = server.accept()
-        with near:
-            ends = near.getpeername()[:2], near.getsockname()[:2]
+        remote.connect((client, server.getsockname()[1]))
+        local, _ = server.accept()
+        with local:
+            ends = local.getpeername()[:2], local.getsockname()[:2]
             found = sockdiag.find(*ends)
             assert found is not None
-            assert (found.user, found.inode) == (os.getuid(), os.fstat(far.fileno()).st_ino)
+            assert (found.user, found.inode) == (os.getuid(), os.fstat(remote.fileno()).st_ino)
             assert sockdiag.find((ends[0][0], 1), ends[1]) is None
             assert sockdiag.find(ends[1], (ends[0][0], 1)) is None  # not the listener
-        far.close()
+        remote.close()
         found = sockdiag.find(*ends)
         assert found is None or found.inode == 0
 
@@ -97,8 +97,8 @@ ROW = sockdiag.SocketEntry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000
     [
         ROW._replace(state=10),
         ROW._replace(state=6),
-        ROW._replace(near=(b"\x7f\0\0\1", 5001)),
-        ROW._replace(far=(b"\x7f\0\0\2", 6000)),
+        ROW._replace(local=(b"\x7f\0\0\1", 5001)),
+        ROW._replace(remote=(b"\x7f\0\0\2", 6000)),
     ],
 )
 def test_only_the_very_connection_counts(
@@ -130,5 +130,5 @@ class Stranger:
 
 def test_nobody_answers_for_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Stranger)
-    with pytest.raises(OSError, match="an answer from somebody else"):
+    with pytest.raises(OSError, match="an answer from another process"):
         sockdiag.find(("127.0.0.1", 5000), ("127.0.0.1", 6000))

@@ -141,7 +141,7 @@ async def test_a_crash_of_the_loop_itself_is_raised(monkeypatch: pytest.MonkeyPa
     def crash(unit: bytes) -> bool:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(served.far, "send_at_once", crash)
+    monkeypatch.setattr(served.far, "try_send", crash)
     await served.near.send(call("now"))
     with pytest.raises(ZeroDivisionError):
         await served.task

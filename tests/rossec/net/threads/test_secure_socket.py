@@ -260,7 +260,7 @@ def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
         if use == "recv":
             assert left.recv(1) == b"x"
         elif use == "send_now":
-            assert left.send_now(b"x")
+            assert left.try_send(b"x")
             assert right.recv(1) == b"x"
         else:
             left.sendall(b"x")
@@ -406,15 +406,15 @@ def test_a_reader_without_a_deadline_meets_the_cores(
 def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIdentity]) -> None:
     left, right = pair(listener)
     with left, right:
-        assert left.send_now(b"0000")
+        assert left.try_send(b"0000")
         with left._writing:
-            assert not left.send_now(b"busy")
-        assert not left.send_now(bytes(100_000)), "more than one record"
+            assert not left.try_send(b"busy")
+        assert not left.try_send(bytes(100_000)), "more than one record"
         number = 0
         while not left.unsent:
             number += 1
-            assert left.send_now(b"%04d" % number * 1000)
-        assert not left.send_now(b"later")
+            assert left.try_send(b"%04d" % number * 1000)
+        assert not left.try_send(b"later")
         sender = background(left.sendall)
         got = read(right, 4 + number * 4000)
         sender.join(30)
@@ -428,7 +428,7 @@ def test_nothing_is_sent_at_once_without_a_peer(listener: SecureListener[FakeIde
     sock = socket.create_connection(listener.getsockname())
     core = Connection[FakeIdentity].initiator(ALICE, live, random=secrets.token_bytes, now=0)
     with SecureSocket(sock, core) as secure:
-        assert not secure.send_now(b"x")
+        assert not secure.try_send(b"x")
 
 
 def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity]) -> None:
@@ -436,9 +436,9 @@ def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity])
     with right, left:
         left._socket.shutdown(socket.SHUT_RDWR)
         with pytest.raises(ChannelClosed, match="closed"):
-            left.send_now(b"x")
+            left.try_send(b"x")
         with pytest.raises(ChannelClosed):
-            left.send_now(b"x")
+            left.try_send(b"x")
 
 
 def test_what_is_aborted_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
@@ -502,20 +502,20 @@ def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) ->
         assert right.recv(10) == b"map"
         for side in (left, right, left, right):
             side._core._session.renew_at = 0  # type: ignore[union-attr]
-            side._ticked = -1
-            side.tend()
+            side._timers_run_at = -1
+            side.run_timers()
         assert left._core._session.receive_epoch == 1  # type: ignore[union-attr]
         left.sendall(b"kept")
         select.poll().poll(50)
-        right.tend()
-        right.tend()
+        right.run_timers()
+        right.run_timers()
         assert right.recv(10) == b"kept"
         with left._writing:
-            left.tend()
+            left.run_timers()
         with left._reading:
-            left.tend()
+            left.run_timers()
         right.close()
         with contextlib.suppress(ChannelError):
             for _ in range(3):
-                left.tend()
+                left.run_timers()
         assert left.recv(1) == b""

@@ -1,6 +1,6 @@
 """A subscriber of the demo: reports every message it gets, and every refusal.
 
-Run as `python -I -m rossec.demo.watcher NAME TOPIC=TYPE...`; one JSON object a line on stdout.
+Run as `python -I -m rossec.demo.subscriber NAME TOPIC=TYPE...`; one JSON object a line on stdout.
 """
 
 import asyncio
@@ -17,10 +17,10 @@ async def main(name: str, topics: list[str]) -> None:
     """Subscribe to every topic and report until terminated."""
     async with Node(name) as node, asyncio.TaskGroup() as group:
         for topic, _, type_name in (item.partition("=") for item in topics):
-            group.create_task(watch(await node.subscriber(topic, type_name)))
+            group.create_task(report(await node.subscriber(topic, type_name)))
 
 
-async def watch(subscriber: Subscriber) -> None:
+async def report(subscriber: Subscriber) -> None:
     """Report the messages of one topic."""
     async for message in subscriber:
         say_json({"topic": subscriber.topic, "at": time.time(), **summary(message)})
@@ -28,7 +28,7 @@ async def watch(subscriber: Subscriber) -> None:
 
 
 def summary(message: Any) -> dict[str, object]:
-    """What the story shows of a message."""
+    """What the demo prints of a message."""
     seen: dict[str, object] = {"seq": message.header.seq, "frame": message.header.frame_id}
     if hasattr(message, "pose"):
         position = message.pose.position

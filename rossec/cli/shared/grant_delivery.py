@@ -1,4 +1,4 @@
-"""A grant on its way to the node it is for, where that lives on this host."""
+"""Deliver a grant to its node, if that node is on this host."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from rossec.home import NodeHome
 from rossec.terminal import note, say
 
 
-def hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
-    """Give a grant to its node: into its directory when it lives here, and into a file."""
+def deliver_grant(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
+    """Store a grant in its node's directory if that is on this host, and in the file `out`."""
     if out is not None:
         files.create(out, data, 0o644)
         say(f"written to {out}")
@@ -20,5 +20,6 @@ def hand_over(environment: Environment, node: str, data: bytes, out: Path | None
         say(f"given to {node} in {home.path}")
     elif out is None:
         note(
-            f"{node} lives elsewhere: sign with --out FILE, then `rossec grant install FILE` there"
+            f"{node} is on another host:"
+            " sign with --out FILE, then `rossec grant install FILE` there"
         )

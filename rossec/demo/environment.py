@@ -1,6 +1,6 @@
-"""What the story needs to be told: a narrator, commands as a user would type them, and actors.
+"""What the demo runs in: a printer of steps, commands as a user would type them, and processes.
 
-An actor is a real process; what it reports on stdout is kept, what it logs goes to a file. Every
+A process reports on stdout, which is stored; what it logs goes to a file. Every
 wait has a deadline, and everything that was started is stopped.
 """
 
@@ -25,10 +25,10 @@ Run = Callable[[Sequence[str], Mapping[str, str]], int]
 
 
 class DemoFailed(RossecError):
-    """A step of the demo did not do what it says."""
+    """A step of the demo failed."""
 
 
-class Narrator:
+class StepPrinter:
     """Prints numbered steps with their timings, readable on dark and light terminals."""
 
     def __init__(self, write: Callable[[str], object]) -> None:
@@ -44,13 +44,13 @@ class Narrator:
         yield
         self._write(f"    done in {time.perf_counter() - begin:.2f} s\n")
 
-    def tell(self, text: str) -> None:
+    def print(self, text: str) -> None:
         """One or more indented lines."""
         for line in text.splitlines():
             self._write(f"    {line}\n")
 
 
-class Stage:
+class DemoEnvironment:
     """One ROSSEC_HOME, the commands run in it, and the processes that live in it.
 
     Args:
@@ -58,27 +58,27 @@ class Stage:
     """
 
     def __init__(
-        self, root: Path, narrator: Narrator, environment: dict[str, str], run: Run
+        self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run
     ) -> None:
         self.root = root
-        self.narrator = narrator
+        self.printer = printer
         self.run = run
-        self._environment = {**os.environ, **environment, "ROSSEC_HOME": str(root)}
-        self._actors: list[Actor] = []
+        self._environment = {**os.environ, **variables, "ROSSEC_HOME": str(root)}
+        self._processes: list[DemoProcess] = []
 
     async def command(self, *arguments: str, quiet: bool = False) -> str:
-        """Run `rossec ARGUMENTS` here, print what it says, and return that.
+        """Run `rossec ARGUMENTS` here, print its output, and return it.
 
         Raises:
             DemoFailed: the command did not succeed.
         """
-        self.narrator.tell(f"$ rossec {self._relative(shlex.join(arguments))}")
-        code, said = await asyncio.to_thread(self._run, arguments)
+        self.printer.print(f"$ rossec {self._relative(shlex.join(arguments))}")
+        code, output = await asyncio.to_thread(self._run, arguments)
         if code:
-            raise DemoFailed(f"rossec {' '.join(arguments[:2])} failed: {said}")
+            raise DemoFailed(f"rossec {' '.join(arguments[:2])} failed: {output}")
         if not quiet:
-            self.narrator.tell(self._relative(said))
-        return said
+            self.printer.print(self._relative(output))
+        return output
 
     def _run(self, arguments: tuple[str, ...]) -> tuple[int, str]:
         out = io.StringIO()
@@ -90,7 +90,7 @@ class Stage:
         """Set an environment variable for what is run from now on."""
         self._environment[variable] = value
 
-    async def actor(self, module: str, *arguments: str, name: str) -> "Actor":
+    async def start(self, module: str, *arguments: str, name: str) -> "DemoProcess":
         """Start `python -I -m MODULE ARGUMENTS` as a process of its own."""
         log = self.root / "logs" / f"{name}.log"
         log.parent.mkdir(mode=0o700, exist_ok=True)
@@ -100,20 +100,20 @@ class Stage:
                 env=self._environment, stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.PIPE, stderr=errors,
             )  # fmt: skip
-        actor = Actor(name, process, log)
-        self._actors.append(actor)
-        return actor
+        started = DemoProcess(name, process, log)
+        self._processes.append(started)
+        return started
 
-    async def clear(self) -> None:
+    async def stop_all(self) -> None:
         """Stop every process, last first."""
-        for actor in reversed(self._actors):
-            await actor.stop()
+        for process in reversed(self._processes):
+            await process.stop()
 
     def _relative(self, text: str) -> str:
         return text.replace(str(self.root), "$ROSSEC_HOME")
 
 
-class Actor:
+class DemoProcess:
     """A running process and what it reported so far."""
 
     def __init__(self, name: str, process: asyncio.subprocess.Process, log: Path) -> None:
@@ -122,7 +122,7 @@ class Actor:
         self._process = process
         self._log = log
         self._ended = False
-        self._news = asyncio.Condition()
+        self._changed = asyncio.Condition()
         self._reader = asyncio.get_running_loop().create_task(self._read())
 
     async def expect(
@@ -139,13 +139,13 @@ class Actor:
             DemoFailed: none came in time, or the process ended first.
         """
         try:
-            async with asyncio.timeout(within), self._news:
-                await self._news.wait_for(lambda: self._find(wanted, after) or self._ended)
+            async with asyncio.timeout(within), self._changed:
+                await self._changed.wait_for(lambda: self._find(wanted, after) or self._ended)
         except TimeoutError:
             pass
         found = self._find(wanted, after)
         if found is None:
-            raise DemoFailed(f"{self.name}: {what} did not happen; it said: {self._last_words()}")
+            raise DemoFailed(f"{self.name}: {what} did not happen; it logged: {self._last_lines()}")
         return found
 
     @property
@@ -171,16 +171,16 @@ class Actor:
     async def _read(self) -> None:
         stdout = self._process.stdout
         while stdout is not None and (line := await stdout.readline()):
-            async with self._news:
+            async with self._changed:
                 self.reports.append(json.loads(line))
-                self._news.notify_all()
-        async with self._news:
+                self._changed.notify_all()
+        async with self._changed:
             self._ended = True
-            self._news.notify_all()
+            self._changed.notify_all()
 
     def _find(self, wanted: Callable[[Report], bool], after: int) -> Report | None:
         return next((report for report in self.reports[after:] if wanted(report)), None)
 
-    def _last_words(self) -> str:
+    def _last_lines(self) -> str:
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return " / ".join(lines[-3:]) or "nothing"

@@ -133,7 +133,7 @@ CASES: Final[list[tuple[str, Callable[[Site], bytes], type[GrantError], str]]] =
 @pytest.mark.parametrize(
     ("make", "kind", "said"), [c[1:] for c in CASES], ids=[c[0] for c in CASES]
 )
-async def test_a_useless_grant_is_refused_by_its_own_error(
+async def test_an_invalid_grant_is_refused_with_its_own_error(
     site: Site,
     witness: Witness,
     caplog: pytest.LogCaptureFixture,
@@ -146,7 +146,7 @@ async def test_a_useless_grant_is_refused_by_its_own_error(
 
 
 @pytest.mark.attack("bad-grant")
-async def test_a_good_grant_is_not_refused_in_the_same_way(site: Site, witness: Witness) -> None:
+async def test_a_valid_grant_is_accepted(site: Site, witness: Witness) -> None:
     """The control: what all others are refused for is their flaw, not their form."""
     fields = fields_for(EVE, TOPIC, [signed(site)])
     heard = await knock(witness.topic_port, credentials(site), fields, at_most=4096)
@@ -168,7 +168,7 @@ async def test_nodes_without_a_grant_are_refused(
 @pytest.mark.parametrize(
     "presented", [b"", b"\x60", b"\x81\x01", b"\x9f\xff", b"\x80\x80", b"\x81" * 99, b"\xff" * 40]
 )
-async def test_a_list_of_grants_that_is_none_is_refused(
+async def test_an_invalid_list_of_grants_is_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, presented: bytes
 ) -> None:
     fields = {**fields_for(EVE, TOPIC, None), "rossec_grants": presented}
@@ -177,7 +177,7 @@ async def test_a_list_of_grants_that_is_none_is_refused(
 
 
 @pytest.mark.attack("bad-grant")
-async def test_a_flood_of_grants_is_refused_before_it_is_opened(
+async def test_too_many_grants_are_refused_unopened(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     fields = fields_for(EVE, TOPIC, [signed(site)] * 17)
@@ -213,7 +213,7 @@ async def test_a_revoked_grant_is_refused_and_so_is_its_malleated_twin(
 
 
 @pytest.mark.attack("outlived-right")
-async def test_a_revoked_node_gets_nowhere(
+async def test_a_revoked_node_is_refused_everywhere(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     eve, grant = credentials(site), signed(site)
@@ -235,9 +235,7 @@ async def test_a_revoked_node_gets_nowhere(
 
 @pytest.mark.attack("outlived-right")
 @pytest.mark.parametrize("name", [EVE, MASTER])
-async def test_the_slave_api_closes_for_whoever_is_revoked_while_connected(
-    site: Site, name: str
-) -> None:
+async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, name: str) -> None:
     """Also for the master: a stolen master key must lose its power over the nodes."""
     async with site.node("/robot") as robot:
         client = RpcClient(await dial(robot.uri, credentials(site, name)))
@@ -257,7 +255,7 @@ async def test_the_slave_api_closes_for_whoever_is_revoked_while_connected(
 
 
 @pytest.mark.attack("outlived-right")
-async def test_a_node_that_is_revoked_while_connected_is_cut(site: Site, witness: Witness) -> None:
+async def test_the_connection_of_a_revoked_node_is_closed(site: Site, witness: Witness) -> None:
     eve = await connect(HOST, witness.topic_port, credentials(site), site.anchor.verify)
     await eve.send(header.encode(fields_for(EVE, TOPIC, [signed(site)])))
     await until(lambda: len(witness.publisher.links) == 2)
@@ -268,7 +266,7 @@ async def test_a_node_that_is_revoked_while_connected_is_cut(site: Site, witness
 
 
 @pytest.mark.attack("foreign-authority")
-async def test_a_stranger_of_another_authority_is_refused_in_the_handshake(
+async def test_a_peer_of_another_authority_is_refused_in_the_handshake(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     """It has the viewer's own name, certified by its own authority for the same domain."""
@@ -310,7 +308,7 @@ async def test_a_header_without_caller_or_topic_is_refused(
 
 
 @pytest.mark.attack("unit-before-right")
-async def test_no_stranger_makes_a_node_keep_more_than_a_header(
+async def test_units_before_authorization_are_limited_to_a_header(
     site: Site, witness: Witness
 ) -> None:
     """A unit is put together before anybody looks at it."""
@@ -322,7 +320,7 @@ async def test_no_stranger_makes_a_node_keep_more_than_a_header(
 
 
 @pytest.mark.attack("no-grant")
-async def test_one_who_may_subscribe_must_still_mean_the_same_type(
+async def test_an_authorized_subscriber_needs_the_same_type(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     fields = fields_for(EVE, TOPIC, [signed(site)], md5sum="0" * 32)
@@ -335,7 +333,7 @@ async def test_one_who_may_subscribe_must_still_mean_the_same_type(
     "changes", [{}, {"md5sum": "0" * 32}, {"type": "std_msgs/String"}, {"probe": "1"}]
 )
 @pytest.mark.parametrize("topics", [[], ["/kitchen/door"]], ids=["no grant", "a grant elsewhere"])
-async def test_without_a_grant_a_topic_that_exists_looks_like_one_that_does_not(
+async def test_without_a_grant_the_refusal_does_not_tell_what_exists(
     site: Site, witness: Witness, changes: dict[str, str], topics: list[str]
 ) -> None:
     grants = [signed(site, pattern=topic) for topic in topics]

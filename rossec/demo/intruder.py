@@ -1,7 +1,7 @@
-"""The demo's intruder: an identity of another authority, knocking at the robot's own door.
+"""The demo's intruder: connects to the robot with an identity of another authority.
 
-It does not check who answers (an attacker would not); the refusal is the robot's.
-Run as `python -I -m rossec.demo.stranger NAME PORT`; reports what became of it.
+It does not check the robot (an attacker would not); the refusal is the robot's.
+Run as `python -I -m rossec.demo.intruder NAME PORT`; reports the result.
 """
 
 import asyncio
@@ -20,27 +20,27 @@ from rossec.terminal import say_json
 
 
 @dataclass(frozen=True)
-class Whoever:
+class UnverifiedPeer:
     """A peer as its certificate describes it, unverified."""
 
     public_key: ec.EllipticCurvePublicKey
     not_after: int
 
 
-def believe_anyone(chain: tuple[bytes, ...], _now: int) -> Whoever:
-    """Take the certificate for granted."""
+def accept_any(chain: tuple[bytes, ...], _now: int) -> UnverifiedPeer:
+    """Accept any certificate."""
     certificate = x509.load_der_x509_certificate(chain[0])
     key = certificate.public_key()
     if not isinstance(key, ec.EllipticCurvePublicKey):
         raise RossecError("the robot has another kind of key")
-    return Whoever(key, int(certificate.not_valid_after_utc.timestamp()))
+    return UnverifiedPeer(key, int(certificate.not_valid_after_utc.timestamp()))
 
 
 async def main(name: str, port: int) -> None:
     """Try to get a secure connection to the node listening on `port`."""
     home = NodeHome.of(rossec_home(os.environ), name)
     try:
-        stream = await connect("127.0.0.1", port, home.credentials(), believe_anyone)
+        stream = await connect("127.0.0.1", port, home.credentials(), accept_any)
         await stream.send(b"let me in")
         await stream.receive()
     except RossecError as error:

@@ -1,4 +1,4 @@
-"""Whoever uses up what is there for all: nobody else is silenced or left without room."""
+"""A peer that uses up what is there for all: nobody else is silenced or left without room."""
 
 import logging
 from pathlib import Path
@@ -26,7 +26,7 @@ async def flood(eve: Caller, names: int) -> None:
 
 
 @pytest.mark.attack("log-share")
-async def test_one_node_does_not_fill_the_log_of_what_is_missing(tmp_path: Path) -> None:
+async def test_one_node_cannot_fill_the_log_of_denials(tmp_path: Path) -> None:
     """Of which a policy is learnt: who fills it decides what is learnt of the others."""
     site = Site(tmp_path / "site")
     log = DenialLog(tmp_path / "complaints")
@@ -41,7 +41,7 @@ async def test_one_node_does_not_fill_the_log_of_what_is_missing(tmp_path: Path)
 
 
 @pytest.mark.attack("log-share")
-async def test_some_nodes_together_do_not_silence_the_audit_of_others(
+async def test_nodes_cannot_suppress_the_audit_of_others(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
     denials, throttle = logging.getLogger(DENIALS), DenialRateLimit(lambda: 0.0)
@@ -59,7 +59,7 @@ async def test_some_nodes_together_do_not_silence_the_audit_of_others(
 
 
 @pytest.mark.attack("parameter-share")
-async def test_one_node_does_not_fill_the_parameters_of_all(tmp_path: Path) -> None:
+async def test_one_node_cannot_use_all_parameter_memory(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.limits = MasterLimits(parameters=256 * 1024)
     async with (

@@ -1,0 +1,38 @@
+"""`rossec master status | stop`: ask the running master at its administrator's port."""
+
+from typing import Final
+
+import click
+
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.home import NodeHome
+from rossec.master.operation.admin import ask
+from rossec.ros.names import MASTER
+from rossec.terminal import printable, say, say_json
+
+ADMIN_SOCKET: Final = "admin.sock"
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Show the status of the running master; it must have been started with --admin."""
+    answer = ask(_home(environment).path / ADMIN_SOCKET, "status")
+    if as_json:
+        say_json(answer)
+        return
+    for key, value in answer.items():
+        say(f"{key.replace('_', ' '):<20} {printable(str(value))}")
+
+
+@click.command()
+@pass_environment
+def stop(environment: Environment) -> None:
+    """Stop the running master in order; it must have been started with --admin."""
+    ask(_home(environment).path / ADMIN_SOCKET, "stop")
+    say("the master ends")
+
+
+def _home(environment: Environment) -> NodeHome:
+    return NodeHome.of(environment.home, MASTER)

@@ -1,0 +1,183 @@
+"""Run the master with its audit, metrics and local administrator's port until it is stopped."""
+
+import asyncio
+import logging
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rossec.authority.local_list import LocalList
+from rossec.channel import suite_selection
+from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.master.audit import AUDIT
+from rossec.cli.shared import passphrase
+from rossec.cli.shared.context import Environment, now
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.master.operation import config as configs
+from rossec.master.operation.admin import AdminPort
+from rossec.master.operation.audit_log import audit_written, denials_limited
+from rossec.master.operation.config import Config
+from rossec.master.operation.denial_log import DenialLog, ignore_denial
+from rossec.master.operation.descriptor_limit import raise_descriptor_limit
+from rossec.master.operation.json_log import log_as_json
+from rossec.master.operation.metrics import MetricsExporter, on_loop
+from rossec.master.operation.process_lock import process_lock
+from rossec.master.operation.shutdown import stop_on_signals, until_first_ends
+from rossec.master.operation.systemd import READY, STOPPING, notify
+from rossec.master.rights.statements import Renewer
+from rossec.master.server.server import MasterServer
+from rossec.master.server.start import master_of
+from rossec.ros import settings
+from rossec.ros.names import MASTER
+from rossec.terminal import say, say_json
+
+
+def run(
+    environment: Environment,
+    config_file: Path | None,
+    given: Mapping[str, Any],
+    passphrase_file: Path | None,
+    *,
+    renew_identities: bool,
+    post_quantum: str | None,
+    as_json: bool,
+) -> None:
+    """Run the master; the options that were `given` prevail over the configuration file.
+
+    Args:
+        environment: of the command.
+        config_file: the configuration, or None for the defaults.
+        given: fields of `Config` that options set.
+        passphrase_file: of the intermediate's key, to renew identities.
+        renew_identities: renew them with the intermediate of this host.
+        post_quantum: the policy, instead of that of the environment.
+        as_json: print the address as JSON.
+
+    Raises:
+        HintedError: the master cannot start, or ended by itself.
+    """
+    suites = suite_selection.post_quantum(environment.variables, post_quantum)
+    config = replace(Config() if config_file is None else configs.load(config_file), **given)
+    with ExitStack() as stack:
+        if config.log == "json":
+            log_as_json()
+        raise_descriptor_limit()
+        stack.enter_context(denials_limited())
+        home = NodeHome.of(environment.home, MASTER)
+        home.anchor()  # before anything is written there
+        settings.read((), environment.variables, default_name=MASTER)  # likewise
+        stack.enter_context(process_lock(home.path))
+        if config.audit:
+            stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
+        renewer = _renewer(environment, passphrase_file) if renew_identities else None
+        asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
+
+
+async def _serve(
+    environment: Environment,
+    home: NodeHome,
+    config: Config,
+    suites: tuple[int, ...],
+    renewer: Renewer | None,
+    *,
+    as_json: bool,
+) -> None:
+    own = settings.read((), environment.variables, default_name=MASTER)
+    stop = stop_on_signals()
+    local_list = LocalList(environment.home)
+    newest = local_list.newest()
+    server = master_of(
+        home,
+        host=own.address,
+        port=own.master_port if config.port is None else config.port,
+        newest=None if newest is None else newest[0],
+        entries=None if newest is None else newest[1],
+        find_revocations=local_list.newest_if_changed,
+        renewer=renewer,
+        now=now(),
+        on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,
+        limits=config.limits,
+        suites=suites,
+    )
+    admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server))
+    exporter = None
+    try:
+        await _start(server)
+        if config.metrics is not None:
+            exporter = MetricsExporter(on_loop(server.status), config.metrics)
+        if config.admin:
+            await admin.start()
+        _print_address(server, home, exporter, as_json=as_json)
+        logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
+        notify(READY, environment.variables)
+        announcing = (_announce(server, home),) if config.announce else ()
+        await until_first_ends(server.stopped(), stop.wait(), *announcing)
+        notify(STOPPING, environment.variables)
+        logging.getLogger("rossec.audit").info("the master ended")
+    finally:
+        await admin.close()
+        if exporter is not None:
+            await asyncio.to_thread(exporter.close)
+        await server.close()
+
+
+async def _start(server: MasterServer) -> None:
+    try:
+        await server.start()
+    except OSError as error:
+        if error.filename is not None:  # a file, not the port
+            raise
+        raise ConfigurationError(
+            f"cannot listen on port {server.port}: {os.strerror(error.errno or 0).lower()}",
+            "is a master running already? --port, or ROS_MASTER_URI, chooses another port",
+        ) from error
+
+
+def _print_address(
+    server: MasterServer, home: NodeHome, exporter: MetricsExporter | None, *, as_json: bool
+) -> None:
+    metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
+    if as_json:
+        say_json({"ready": server.uri, **metrics})
+        return
+    say(f"master of {home.anchor().domain} at {server.uri}")
+    for uri in metrics.values():
+        say(f"metrics at {uri}")
+
+
+async def _announce(server: MasterServer, home: NodeHome) -> None:
+    from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
+
+    await announce(home.credentials(), server.uri)
+
+
+def _commands(server: MasterServer) -> Mapping[str, Any]:
+    def stop() -> Mapping[str, Any]:
+        server.stop("the administrator of this host")
+        return {"stopping": True}
+
+    return {"status": server.status, "stop": stop}
+
+
+def _renewer(environment: Environment, file: Path | None) -> Renewer:
+    """Renews identities with the intermediate of this host, which is unlocked here.
+
+    Raises:
+        ConfigurationError: there is none, or it is the root, whose key stays offline.
+    """
+    from rossec.authority.home import AuthorityHome  # noqa: PLC0415 - as above
+    from rossec.authority.renewals import renew  # noqa: PLC0415 - as above
+
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(file, environment.variables))
+    if authority.authority.is_root:
+        raise ConfigurationError(
+            f"{home.path} holds the root, which signs no renewals for a master",
+            "make an intermediate: rossec ca intermediate request",
+        )
+    return partial(renew, authority)

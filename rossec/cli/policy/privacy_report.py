@@ -1,0 +1,82 @@
+"""`rossec privacy`: which node has access to which data, and why."""
+
+from pathlib import Path
+
+from ca.names import check_name
+from grants import document
+from grants.model import Grant, Permission, Right
+from grants.policy import privacy as report
+from grants.policy.decision import Decider
+from grants.policy.model import Subject
+from grants.policy.privacy import PrivacyRow, ReceiverAccess
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import layout_of
+from rossec.cli.shared.context import Environment, format_time, now
+from rossec.cli.shared.policy import read_policy
+from rossec.terminal import say, say_json
+
+
+def show(
+    environment: Environment,
+    policy_path: Path | None,
+    *,
+    node: str | None,
+    field: str | None,
+    held: bool,
+    html: Path | None,
+    as_json: bool,
+) -> None:
+    """Show the report of the policy, or of what is `held`, as text, JSON or a page."""
+    read = read_policy(environment, policy_path)
+    accesses = report.from_policy(read.decider)
+    if held:
+        accesses = _held(AuthorityHome.at(environment.home), read.decider)
+    rows = [row for row in report.rows(accesses, layout_of) if _wanted(row, node, field)]
+    if html is not None:
+        page = report.html(rows, f"What {read.policy.robot} shows to whom")
+        files.replace(html, page.encode(), 0o644)
+        say(f"written to {html}")
+    elif as_json:
+        say_json(report.as_json(rows))
+    else:
+        for line in report.lines(rows):
+            say(line)
+
+
+def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
+    """What is granted now, with the reason the policy gives for it today."""
+    store = home.store()
+    try:
+        revoked = store.revoked_entries()
+        grants = [document.peek(row.data) for row in store.grants() if row.id not in revoked]
+    finally:
+        store.close()
+    return [
+        _access(grant, permission, decider)
+        for grant in grants
+        if grant.not_before <= now() < grant.expires
+        for permission in grant.permissions
+        if Right.SUBSCRIBE in permission.rights
+    ]
+
+
+def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverAccess:
+    subject = Subject(check_name(grant.subject), grant.holder)
+    verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
+    restriction = permission.restriction
+    kind = decider.policy.type_of(permission.pattern)
+    return ReceiverAccess(
+        permission.pattern,
+        kind if restriction is None or restriction.type is None else restriction.type,
+        grant.subject,
+        "; ".join(rule.why for rule in verdict.rules if rule.why and verdict),
+        format_time(grant.expires),
+        f"grant {grant.short_id}",
+        () if restriction is None else (restriction,),
+        getattr(restriction, "rate", None),
+    )
+
+
+def _wanted(row: PrivacyRow, node: str | None, field: str | None) -> bool:
+    return (node is None or row.receiver == node) and (field is None or field in row.field)

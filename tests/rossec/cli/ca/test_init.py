@@ -1,0 +1,24 @@
+import json
+
+from tests.support.commands import Shell, refused
+
+
+def test_a_new_authority_shows_itself(empty: Shell) -> None:
+    shell = empty
+    made = shell.unlocked("ca", "init", "home")
+    said = shell("ca", "show")
+    assert said.out.startswith(made.out)
+    assert said.out.startswith(f"authority of home in {shell.root}/ca\nfingerprint ")
+    assert "/ca  until" in said.out
+    listed = json.loads(shell("ca", "show", "--json").out)
+    assert listed["domain"] == "home"
+    assert [node["name"] for node in listed["identities"]] == ["/ca"]
+
+
+def test_one_authority_per_home(shell: Shell) -> None:
+    refused(shell.unlocked("ca", "init", "home"), "there is an authority", "another ROSSEC_HOME")
+
+
+def test_a_trust_domain_has_its_syntax(empty: Shell) -> None:
+    refused(empty.unlocked("ca", "init", "My Home!"), "not a trust domain", "lower case")
+    refused(empty("ca", "show"), "there is no authority", "rossec ca init DOMAIN")

@@ -1,0 +1,55 @@
+import json
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.encoding import Value, encode
+from ca.keys.signer import KeySigner
+from grants.claims import issuer_uri
+from grants.document import GRANT
+from tests.support.commands import Shell, refused
+
+
+@pytest.fixture
+def robot(shell: Shell) -> Shell:
+    shell.enroll("/robot")
+    return shell
+
+
+def test_the_list_says_what_is_revoked(robot: Shell) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    robot.unlocked("grant", "sign", "/robot", "--subscribe", "/q")
+    first, second = (line.split()[0] for line in robot("grant", "list").out.splitlines())
+    said = robot.unlocked("grant", "revoke", first[:8], "--master", "http://127.0.0.1:1")
+    assert f"revoked {first}" in said.out
+    refused(said, "did not take the list", "rossec ca publish", code=3)
+    listed = json.loads(robot("grant", "list", "/robot", "--json").out)
+    assert [(row["id"], row["revoked"]) for row in listed] == [(first, True), (second, False)]
+    assert robot("grant", "list").out.splitlines()[0].endswith("revoked")
+    assert robot("grant", "list", "/other").out == ""
+
+
+def test_what_is_not_there_cannot_be_revoked(robot: Shell) -> None:
+    refused(robot.unlocked("grant", "revoke", "00"), "no grant begins with '00'", "grant list")
+    refused(robot.unlocked("grant", "revoke", ""), "no grant begins with ''")
+    for _ in range(2):
+        robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    ids = [line.split()[0] for line in robot("grant", "list").out.splitlines()]
+    common = "" if ids[0][0] != ids[1][0] else ids[0][0]
+    if common:
+        refused(robot.unlocked("grant", "revoke", common), "several grants begin")
+
+
+@pytest.mark.parametrize("filters", [{7: {"clear": True}}, {"x": {7: True}}, {"x": {-1: {"a": 1}}}])
+def test_a_filter_that_is_no_text_is_told_like_every_mistake(
+    robot: Shell, tmp_path: Path, filters: dict[int | str, Value]
+) -> None:
+    scope: list[Value] = [["/pose", 2, {0: "geometry_msgs/PoseStamped", 2: filters}]]
+    claims: dict[int | str, Value] = {
+        1: issuer_uri(bytes(32)), 2: "/robot", 3: "home", 4: 2, 5: 1, 7: bytes(16),
+        8: {5: bytes(32)}, 9: encode(scope), -65537: 2,
+    }  # fmt: skip
+    signer = KeySigner(ec.generate_private_key(ec.SECP256R1()))
+    (tmp_path / "odd.grant").write_bytes(GRANT.sign(signer, claims))
+    refused(robot("grant", "show", str(tmp_path / "odd.grant")), "in a grant: ")

@@ -1,0 +1,88 @@
+import os
+import re
+import signal
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from rossec.enrollment import address
+from tests.rossec.cli.node.operators import Operator, after, typist
+from tests.support.commands import Shell, refused
+
+
+@pytest.fixture
+def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A terminal is standard input; what is written to the descriptor was typed."""
+    written, screen = os.openpty()
+    with os.fdopen(screen) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        monkeypatch.setattr("rossec.cli.node.enroll_screen.is_live", lambda: True)
+        yield written
+    os.close(written)
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1)])
+def test_the_person_at_the_terminal(empty: Shell, keyboard: int, answer: str, code: int) -> None:
+    with typist(keyboard, answer) as begins:
+        operator = Operator(empty, begins)
+        operator.start()
+        said = empty(*operator.words)
+        operator.join()
+    assert said.code == code, said.err
+    assert "does the authority show the same digits? [y/N]: " in said.err
+    assert re.search(r"[45]:[0-9]{2} left ", said.err)
+    assert (operator.node / "node.pem").exists() == (code == 0)
+    assert (operator.node / "ca.pem").exists() == (code == 0)
+    if code == 1:
+        assert "rossec: error: the digits were not confirmed" in said.err
+        assert "the node has ended the enrollment" in str(operator.error)
+
+
+def test_strangers_are_reported(empty: Shell) -> None:
+    def knock(operator: Operator, digits: str) -> None:
+        assert operator.core is not None
+        for _ in range(12):
+            with socket.create_connection(address.split(operator.core._code.address)) as stranger:
+                stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
+                while stranger.recv(100):
+                    pass
+        operator.confirm(digits)
+
+    operator = Operator(empty, knock)
+    operator.start()
+    said = empty(*operator.words)
+    operator.join()
+    assert said.code == 0
+    assert said.err.count("rossec: refused 127.0.0.1: a message of 1195725856 octets") == 10
+    assert said.err.count("further refusals are not shown") == 1
+
+
+def test_stopping(empty: Shell) -> None:
+    png = empty.root / "code.png"
+    stopper = after(lambda: os.kill(os.getpid(), 15), png.exists)
+    said = empty("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(png))
+    stopper.join()
+    refused(said, "the enrollment was stopped")
+    assert not (empty.node("/robot") / "enrolling.sock").exists()
+
+
+def test_what_was_typed_before_the_digits_confirms_nothing(empty: Shell, keyboard: int) -> None:
+    os.write(keyboard, b"y\n")
+    with typist(keyboard, "n\n") as begins:
+        operator = Operator(empty, begins)
+        operator.start()
+        said = empty(*operator.words)
+        operator.join()
+    assert "rossec: error: the digits were not confirmed" in said.err
+    assert not (operator.node / "ca.pem").exists()
+
+
+@pytest.mark.parametrize("label", [False, True])
+def test_a_picture_with_a_secret_is_for_the_owner_alone(empty: Shell, label: bool) -> None:
+    picture = empty.root / "code.png"
+    words = ("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(picture))
+    stopper = after(lambda: os.kill(os.getpid(), signal.SIGTERM), picture.exists)
+    refused(empty(*words, *["--label", "--port", "0"] * label), "the enrollment was stopped")
+    stopper.join()
+    assert picture.stat().st_mode & 0o777 == (0o644 if label else 0o600)

@@ -1,0 +1,53 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import Shell
+
+POSE = "geometry_msgs/PoseStamped"
+
+
+POLICY = """# The flat.
+rossec: 1
+robot: robbie
+types: {/pose: geometry_msgs/PoseStamped}
+rules:
+  - {id: view, who: /viewer, why: looking, allow: {subscribe: [/pose]}}
+  - {id: drive, who: /robot, allow: {publish: ["/**"]}}
+"""
+
+
+@pytest.fixture
+def site(shell: Shell) -> Shell:
+    shell.enroll("/viewer")
+    (shell.root / "ca" / "policy.yaml").write_text(POLICY)
+    return shell
+
+
+def test_the_report(site: Shell, tmp_path: Path) -> None:
+    lines = site("privacy").out.splitlines()
+    assert lines[:4] == [
+        "/pose (geometry_msgs/PoseStamped) -> /viewer",
+        "  why: looking (rule view)",
+        "  when: always",
+        "  until: 7d at a time",
+    ]
+    rows = json.loads(site("privacy", "--field", "position", "--json").out)
+    assert {row["field"] for row in rows} == {f"pose.position.{axis}" for axis in "xyz"}
+    assert site("privacy", "--node", "/nobody").out == "nobody sees anything\n"
+    page = tmp_path / "privacy.html"
+    assert site("privacy", "--html", str(page)).out == f"written to {page}\n"
+    assert "What robbie shows to whom" in page.read_text()
+
+
+def test_what_is_held_now(site: Shell) -> None:
+    assert site("privacy", "--held").out == "nobody sees anything\n"
+    site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--type", POSE,
+                  "--clear", "header", "--publish", "/out")  # fmt: skip
+    site.unlocked("grant", "sign", "/viewer", "--subscribe", "/other")
+    said = site("privacy", "--held").out.splitlines()
+    assert "/other (type not known) -> /viewer" in said
+    assert "  why: no reason given (grant " in "\n".join(said)
+    assert "  why: looking (grant " in "\n".join(said)
+    assert "  clear: header.frame_id, header.seq, header.stamp" in said

@@ -1,0 +1,43 @@
+import sys
+
+import click
+import pytest
+
+from rossec.cli.shared.lazy import LazyGroup
+
+HELP = "Look for the masters of this trust domain, the best link first."
+MODULE = "rossec.cli.master.discover"
+
+
+@pytest.fixture
+def group(monkeypatch: pytest.MonkeyPatch) -> LazyGroup:
+    monkeypatch.delitem(sys.modules, MODULE, raising=False)
+    return LazyGroup("group", table={"discover": ("master.discover:discover", HELP)})
+
+
+def test_a_command_is_listed_without_an_import(group: LazyGroup) -> None:
+    assert f"discover  {HELP[:40]}" in group.get_help(click.Context(group))
+    assert [item.value for item in group.shell_complete(click.Context(group), "dis")] == [
+        "discover"
+    ]
+    assert MODULE not in sys.modules
+
+
+def test_a_command_is_imported_to_run(group: LazyGroup, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        group.main(["discover", "--help"])
+    assert "--seconds" in capsys.readouterr().out
+    assert MODULE in sys.modules
+
+
+def test_a_similar_command_is_suggested(group: LazyGroup) -> None:
+    with pytest.raises(click.UsageError) as caught:
+        group.main(["discovr"], standalone_mode=False)
+    assert "Did you mean 'discover'?" in caught.value.format_message()
+
+
+def test_a_command_of_its_own_is_as_in_any_group(group: LazyGroup) -> None:
+    done: list[str] = []
+    group.add_command(click.Command("here", callback=lambda: done.append("here")))
+    group.main(["here"], standalone_mode=False)
+    assert done == ["here"]
