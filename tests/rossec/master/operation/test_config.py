@@ -53,7 +53,7 @@ def test_an_empty_file_is_the_default(text: str) -> None:
         ("limits:\n  body: 1.5", "m.yaml:2: body must be"),
         ("limits:\n  body: true", "m.yaml:2: body must be"),
         ("- port", "m.yaml: not a map"),
-        ("port: 1\nport: 2", "m.yaml:2: 'port' again"),
+        ("port: 1\nport: 2", "m.yaml:2: duplicate key 'port'"),
         ("port: [", "m.yaml:1: not YAML"),
         ("\0", "m.yaml:1: not YAML"),
         ("port: &a 1\nmetrics: *a", "m.yaml:1: anchors and aliases"),
