@@ -174,7 +174,7 @@ async def reached(
 async def test_a_responder_that_names_the_certificate_of_another(
     site: Site, witness: Witness
 ) -> None:
-    """Eve answers at the robot's address with its certificate's hash, which her caller has cached."""
+    """Eve answers at the robot's address, named by the certificate hash that her caller cached."""
     robot, eve = site.enroll("/robot").credentials(), credentials(site)
     own, remembered = site.enroll("/caller").credentials(), KnownCertificates()
     await reached(site, witness, own, remembered)
