@@ -3,9 +3,9 @@
 One run, interleaved: in each round every way is measured at every size, over a connection of its
 own. A ratio is the median over the rounds of what two ways did in the same round, so that other
 load hits both; `spread` is its quartiles. The talker is as fast as the listener receives. The
-tunnel is configured with what it cannot discover, a slave API that names the stunnel's port. `cpu_us` is
-what both processes of a tunnel used for a message, the kernel's part included. Memory is that of
-one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore.
+tunnel is configured with what it cannot discover, a slave API that names the stunnel's port.
+`cpu_us` is what both processes of a tunnel used for a message, the kernel's part included. Memory
+is that of one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore.
 """
 
 import contextlib
