@@ -1,8 +1,8 @@
-"""What a master says of itself on the local link: one signed datagram.
+"""The announcement of a master on the local link: one signed datagram.
 
-Pure. The datagram carries the certificate chain that verifies it, so that a node which has met
-nobody yet can judge it with its trust anchor alone. It says where to knock, nothing more: whoever
-answers there still has to prove itself in the handshake. A closed map, as every statement here.
+Pure. The datagram carries the certificate chain that verifies it, so that a new node needs only its
+trust anchor to verify it. It gives the address of the master, nothing more: the peer there still
+has to authenticate in the handshake. A closed map, as every signed statement here.
 """
 
 from dataclasses import dataclass
@@ -40,11 +40,11 @@ class Announcement:
     """Where a master listens.
 
     Attributes:
-        host: its name or address as it tells ROS clients.
+        host: its name or address, as for ROS clients.
         port: its TCP port.
         instance: 8 random bytes, new at every start.
         seq: counts the announcements of one instance.
-        issued, max_age: seconds; it counts until `issued + max_age`.
+        issued, max_age: seconds; it is valid until `issued + max_age`.
     """
 
     host: str
@@ -85,14 +85,14 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
 
 @dataclass(frozen=True)
 class Claim:
-    """A datagram in good form and of this time; nothing in it is believed yet."""
+    """A datagram that is well-formed and current; nothing in it is verified yet."""
 
     data: bytes
     announcement: Announcement
     chain: tuple[bytes, ...]
 
     def verify_chain(self, anchor: TrustAnchor, revoked: frozenset[bytes], now: int) -> Identity:
-        """Who it says it is from: the master that the authority certified.
+        """The identity it claims: the master that the authority certified.
 
         Raises:
             AnnouncementRefused: not the master of this trust domain, or revoked.
@@ -108,7 +108,7 @@ class Claim:
         return identity
 
     def verify(self, identity: Identity) -> Announcement:
-        """What the master `identity` says.
+        """The announcement, verified with the key of the master `identity`.
 
         Raises:
             AnnouncementRefused: it did not sign this.
@@ -121,10 +121,10 @@ class Claim:
 
 
 def read_claim(data: bytes, now: int) -> Claim:
-    """What a datagram from anybody claims: its size, form and age; no signature is looked at.
+    """Check size, form and age of an untrusted datagram; no signature is verified.
 
     Raises:
-        AnnouncementRefused: no announcement, or of another time.
+        AnnouncementRefused: not an announcement, or not current.
     """
     try:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
@@ -138,11 +138,11 @@ def read_claim(data: bytes, now: int) -> Claim:
 def open_announcement(
     data: bytes, anchor: TrustAnchor, revoked: frozenset[bytes], now: int
 ) -> tuple[Announcement, Identity]:
-    """Verify a datagram from anybody.
+    """Verify an untrusted datagram.
 
     Args:
-        revoked: thumbprints and grant ids known to be revoked, fresh or not: no more can be known
-            before a master is met.
+        revoked: thumbprints and grant ids known to be revoked, fresh or not: there is no
+            newer list before a master is reached.
 
     Raises:
         AnnouncementRefused: not the master of this trust domain, revoked, outdated, or malformed.
@@ -183,4 +183,4 @@ def _check(announcement: Announcement) -> None:
         raise AnnouncementRefused(f"the announcement's instance has not {INSTANCE_SIZE} bytes")
     host = announcement.host
     if not 0 < len(host) <= _MAX_HOST or printable(host) != host or any(c in host for c in " /@"):
-        raise AnnouncementRefused("the announcement's host is no name or address")
+        raise AnnouncementRefused("the announcement's host is not a name or address")

@@ -1,4 +1,4 @@
-"""The master's side: say on every link, again and again, where the master listens."""
+"""The master's side: announce its address on every link, periodically."""
 
 import asyncio
 import logging
@@ -13,7 +13,7 @@ from rossec.discovery.multicast import MulticastSocket
 from rossec.errors import ConfigurationError
 from rossec.ros.settings import is_loopback, parse_uri
 
-PERIOD: Final = 0.5  # who listens for four seconds can tell how many are lost
+PERIOD: Final = 0.5  # enough in four seconds to measure the loss
 _log = logging.getLogger("rossec.master")
 
 
@@ -21,9 +21,9 @@ async def announce(credentials: Credentials, uri: str, *, period: float = PERIOD
     """Announce the master at `uri` until cancelled.
 
     Raises:
-        ConfigurationError: nobody else could reach it there.
+        ConfigurationError: other hosts cannot reach it there.
         AnnouncementRefused: its name is too long for a datagram.
-        OSError: no IPv6 here.
+        OSError: no IPv6 on this host.
     """
     host, port = parse_uri(uri, "the master's URI")
     if is_loopback(host):
@@ -33,14 +33,14 @@ async def announce(credentials: Credentials, uri: str, *, period: float = PERIOD
         )
     instance = secrets.token_bytes(INSTANCE_SIZE)
     group = MulticastSocket(listen=False)
-    heard = True
+    was_sent = True
     try:
         for seq in count():
             announcement = Announcement(host, port, instance, seq, clock.now())
             sent = group.send(sign(credentials.signer, credentials.chain, announcement)) > 0
-            if sent is not heard:
+            if sent is not was_sent:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")
-            heard = sent
+            was_sent = sent
             await asyncio.sleep(period)
     finally:
         group.close()

@@ -1,10 +1,9 @@
-"""How many signatures of strangers are checked in a second. Pure.
+"""How many signatures of unknown senders are verified in a second. Pure.
 
-A check costs a tenth of a millisecond here and a millisecond on a small robot, so it is charged
-last, when everything that is cheap has been asked, and in three purses, so that none empties
-another's: an address has a share of its own; all addresses together have one for chains that were
-never seen, and one for chains that verified before; an address from which an announcement
-*verified* draws on its share alone.
+Verifying costs a tenth of a millisecond here and a millisecond on a small robot, so it comes last,
+after all cheap checks, and is limited by three token buckets: an address has
+its own; all addresses together have one for new chains, and one for chains that verified before; an
+address from which an announcement *verified* uses its own bucket alone.
 """
 
 from collections import OrderedDict
@@ -14,9 +13,9 @@ from typing import Final
 from rossec.errors import AnnouncementRefused
 
 SHARE: Final = 50.0  # a second, and at once, for one address
-TOTAL: Final = 200.0  # the same for all addresses that have proved nothing
+TOTAL: Final = 200.0  # the same for all addresses without a verified announcement
 MAX_SOURCES: Final = 1024
-MAX_PROVEN: Final = 64
+MAX_VERIFIED: Final = 64
 
 
 class AttemptBucket:
@@ -33,26 +32,26 @@ class AttemptBucket:
         return self._left >= cost
 
     def take(self, cost: int) -> None:
-        """Take `cost`, which there is."""
+        """Take `cost`; `has` said that it is available."""
         self._left -= cost
 
 
 class Budget:
-    """What the checks of each source may cost."""
+    """The limits on signature checks for each source."""
 
     def __init__(self, share: float = SHARE, total: float = TOTAL) -> None:
         self._share = share
         self._shares: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
-        self._proven: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
+        self._verified: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
         self._totals = {True: AttemptBucket(total), False: AttemptBucket(total)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
         """Charge `cost` signatures to `source`.
 
         Raises:
-            AnnouncementRefused: there is nothing left for it now.
+            AnnouncementRefused: the limit is reached.
         """
-        buckets = [self._proven[source]] if source in self._proven else [
+        buckets = [self._verified[source]] if source in self._verified else [
             self._of(source), self._totals[known_chain]
         ]  # fmt: skip
         if not all(bucket.has(cost, clock) for bucket in buckets):
@@ -62,9 +61,9 @@ class Budget:
 
     def note_verified(self, source: Hashable) -> None:
         """An announcement from `source` verified."""
-        if source not in self._proven:
-            self._proven[source] = self._of(source)
-            _bound(self._proven, MAX_PROVEN)
+        if source not in self._verified:
+            self._verified[source] = self._of(source)
+            _bound(self._verified, MAX_VERIFIED)
 
     def _of(self, source: Hashable) -> AttemptBucket:
         if source not in self._shares:
@@ -75,6 +74,6 @@ class Budget:
 
 
 def _bound(table: OrderedDict[Hashable, AttemptBucket], most: int) -> None:
-    """The one that was used longest ago makes room: it begins anew, within the total."""
+    """Drop the least recently used entries."""
     while len(table) > most:
         table.popitem(last=False)

@@ -1,10 +1,9 @@
-"""The masters heard on the local links, the best one first, and which one is kept.
+"""The masters announced on the local links, the best one first.
 
-Pure: datagrams, sources and times in. What is cheap is asked first: size, form, age, whether it was
-heard already; only then is a signature checked, within `rossec.discovery.budget`. A chain that
-verified is not verified again for a while. An announcement counts once for each link: who repeats
-somebody else's from an address of its own comes too late. What a forger can still do is to be tried
-in vain.
+Pure: datagrams, sources and times in. Cheap checks come first: size, form, age, duplicates; only
+then is a signature verified, within `rossec.discovery.budget`. A chain that verified is cached for
+a while. An announcement counts once for each link: a replay from another address is a duplicate.
+A forger can only cause probes that fail.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -19,7 +18,7 @@ from rossec.errors import AnnouncementRefused
 MAX_CANDIDATES: Final = 16
 _SEEN: Final = 1024
 _WINDOW: Final = 16  # announcements over which loss is measured
-_SLOWEST: Final = 2.0  # seconds between announcements, until two of them have told
+_SLOWEST: Final = 2.0  # seconds between announcements, until two have arrived
 _LOSS_STEP: Final = 0.25  # a smaller difference is chance
 _CHAIN_LIFE: Final = 60.0  # seconds for which a chain is not verified again
 _MAX_REASONS: Final = 32
@@ -36,7 +35,7 @@ class DatagramSource:
 
 @dataclass
 class Candidate:
-    """One master as heard on one link. `rtt` is None until a probe has reached it."""
+    """One master on one link. `rtt` is None until a probe has reached it."""
 
     key: bytes
     source: DatagramSource
@@ -47,24 +46,24 @@ class Candidate:
 
     @property
     def endpoints(self) -> tuple[tuple[str, int], ...]:
-        """Where to knock: as it calls itself, then where it was heard."""
+        """Addresses to probe: the announced one, then the source of the announcement."""
         port = self.announcement.port
         return (self.announcement.host, port), (self.source.address, port)
 
     @property
     def ends(self) -> int:
-        """The second after which it is forgotten, unless it is heard again."""
+        """The second after which it is forgotten, without another announcement."""
         return self.announcement.issued + self.announcement.max_age
 
     def age(self, clock: float) -> float:
-        """Seconds since it was last heard."""
+        """Seconds since the last announcement."""
         return max(0.0, clock - self.heard[-1][1])
 
     def sent(self, clock: float) -> int:
-        """How many announcements it has sent since the first of those that `heard` holds.
+        """How many announcements it has sent since the first one in `heard`.
 
-        By their numbers up to the last one heard; since then by the time between them, so that a
-        master that has died loses more and more. Half an interval late is not lost.
+        By sequence number up to the last one received; after it by time, so that the loss of a
+        master that has died grows. Half an interval late does not count as lost.
         """
         (first, began), (last, ended) = self.heard[0], self.heard[-1]
         interval = (ended - began) / (last - first) if last > first else _SLOWEST
@@ -82,7 +81,7 @@ class Candidate:
 
 
 class Candidates:
-    """Everything heard by one node."""
+    """All announcements received by one node."""
 
     def __init__(self, anchor: TrustAnchor, revoked: frozenset[bytes] = frozenset()) -> None:
         self._anchor = anchor
@@ -97,11 +96,11 @@ class Candidates:
     def heard(
         self, data: bytes, source: DatagramSource, now: int, clock: float
     ) -> Candidate | None:
-        """Take a datagram; returns the master it is from, None when it tells nothing new.
+        """Process a datagram; returns the master it is from, None for a duplicate.
 
         Args:
             now: seconds since the epoch.
-            clock: seconds of a clock that only runs forward.
+            clock: seconds of a monotonic clock.
 
         Raises:
             AnnouncementRefused: counted in `refused` by its message.
@@ -110,7 +109,7 @@ class Candidates:
             return self._heard(data, source, now, clock)
         except AnnouncementRefused as error:
             why = str(error)
-            full = len(self.refused) >= _MAX_REASONS  # a stranger's certificate is quoted in them
+            full = len(self.refused) >= _MAX_REASONS  # reasons quote untrusted certificates
             self.refused[_OTHER if full and why not in self.refused else why] += 1
             raise
 
@@ -120,7 +119,7 @@ class Candidates:
             candidate.rtt, candidate.endpoint = seconds, endpoint
 
     def ranked(self, now: int, clock: float) -> list[Candidate]:
-        """The masters still heard, the best first; those no probe has reached are last."""
+        """The current masters, the best first; those no probe has reached are last."""
         self._forget(now)
         return sorted(self._candidates.values(), key=lambda one: one.quality(clock))
 
@@ -142,7 +141,7 @@ class Candidates:
         return self._take(identity.thumbprint, source, announcement, now, clock)
 
     def _identity(self, claim: Claim, source: DatagramSource, now: int, clock: float) -> Identity:
-        """Whose it claims to be, the cost of checking that and the claim itself being paid."""
+        """Verify the chain of the claim, or use the cached identity; charges the budget."""
         identity, until = self._chains.get(claim.chain, (None, 0.0))
         if identity is not None and clock < until:
             self._budget.spend(source, 1, clock, known_chain=True)
@@ -160,7 +159,7 @@ class Candidates:
         self._forget(now)
         found = self._candidates.get((key, source))
         if found is None and len(self._candidates) >= MAX_CANDIDATES:
-            raise AnnouncementRefused("more masters announce themselves than can be remembered")
+            raise AnnouncementRefused("more masters announce themselves than the limit allows")
         if found is None or found.announcement.instance != announcement.instance:
             found = self._candidates[key, source] = Candidate(key, source, announcement)
         found.announcement = announcement
@@ -171,7 +170,7 @@ class Candidates:
         self._candidates = {key: one for key, one in self._candidates.items() if now <= one.ends}
 
     def _is_repeated(self, announcement: Announcement, source: DatagramSource) -> bool:
-        """Whether one with these numbers has verified: then another can only be it, or forged."""
+        """Whether one with these numbers has verified: another is a duplicate, or forged."""
         return (announcement.instance, announcement.seq, source.link) in self._seen
 
     def _remember(self, announcement: Announcement, source: DatagramSource) -> None:
@@ -180,11 +179,11 @@ class Candidates:
             self._seen.popitem(last=False)
 
     def _check_newer(self, key: bytes, announcement: Announcement) -> None:
-        """Numbers only rise, and a new instance is later than the one before it."""
+        """Sequence numbers only rise, and a new instance is later than the previous one."""
         newest = self._newest.get(key)
         if newest is not None:
             same = newest.instance == announcement.instance
             older = announcement.seq < newest.seq if same else announcement.issued < newest.issued
             if older:
-                raise AnnouncementRefused("an announcement older than one heard before")
+                raise AnnouncementRefused("an announcement older than one received before")
         self._newest[key] = announcement

@@ -1,4 +1,4 @@
-"""`ROS_MASTER_URI=discover:`: the master is found when the program starts, and then kept."""
+"""`ROS_MASTER_URI=discover:`: the master is found when the program starts, and does not change."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,11 +23,11 @@ async def discover_master(environ: Mapping[str, str], identity: str | None) -> d
     """`environ`, with the URI of the best master found where discovery was asked for.
 
     Args:
-        identity: the node that will use it, whose authority vouches for the master; None: any node
-            of this home, as long as all of them trust the same authority.
+        identity: the node that will use it, whose authority certifies the master; None: any node of
+            this home, if all of them trust the same authority.
 
     Raises:
-        ConfigurationError, MasterNotFound: nobody to trust, or nobody found.
+        ConfigurationError, MasterNotFound: no trust anchor, or no master found.
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
@@ -39,7 +39,7 @@ async def masters(home: Path, identity: str | None, patience: float = PATIENCE) 
     """The masters that a node of this home would trust, the best link first.
 
     Raises:
-        ConfigurationError, MasterNotFound: nobody to trust, or nobody found.
+        ConfigurationError, MasterNotFound: no trust anchor, or no master found.
     """
     anchor, revoked = trusted(home, identity)
     return await find(anchor, revoked, patience=patience)
@@ -52,7 +52,7 @@ def uri_of(candidate: Candidate) -> str:
 
 
 def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[bytes]]:
-    """Whom the nodes of this home trust, and what they know to be revoked.
+    """The trust anchor of the nodes of this home, and what they know to be revoked.
 
     Raises:
         ConfigurationError: no node is enrolled, or they trust different authorities.
@@ -67,7 +67,7 @@ def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[by
     if len(anchors) > 1:
         raise ConfigurationError(
             "the nodes enrolled here trust different authorities",
-            "say which one looks for its master, with --as NAME",
+            "name the one to find a master for, with --as NAME",
         )
     (anchor,) = anchors.values()
     return anchor, frozenset().union(*(_revoked(node, anchor) for node in nodes))
@@ -81,12 +81,12 @@ def _nodes(home: Path) -> list[NodeHome]:
 def _anchor(node: NodeHome) -> TrustAnchor:
     try:
         return node.anchor()
-    except (CAError, ValueError) as error:  # which of many files it is must be said
+    except (CAError, ValueError) as error:  # the error must name the file
         raise ConfigurationError(
             f"{node.path / 'ca.pem'}: {error}", "enroll that node anew, or move its directory away"
         ) from error
 
 
 def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:
-    """What the newest list says, however old: the handshake asks for a fresh one."""
+    """The entries of the newest list, even if stale: the handshake requires a fresh one."""
     return saved_revocations(node, anchor, clock.now()).entries

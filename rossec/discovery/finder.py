@@ -1,8 +1,7 @@
-"""The node's side: listen, knock at what was heard, and choose the master with the best link.
+"""The node's side: listen, probe announced masters, and choose the one with the best link.
 
-A shell around `candidates`. A probe opens a TCP connection and closes it: it tells how far the
-master is and nothing else. The choice is the caller's to keep: a sidecar stays with it (a program
-cannot be moved to another master).
+A shell around `candidates`. A probe opens a TCP connection and closes it: it measures the round
+trip and nothing else. A sidecar keeps the choice (a program cannot be moved to another master).
 """
 
 import asyncio
@@ -20,8 +19,8 @@ from rossec.errors import AnnouncementRefused, MasterNotFound
 from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
-PATIENCE: Final = 10.0  # seconds; a master speaks twice in each
-SETTLE: Final = 4.0  # after the first, for others to be heard, and often enough to tell their loss
+PATIENCE: Final = 10.0  # seconds; a master announces itself twice in each
+SETTLE: Final = 4.0  # seconds after the first: time to receive others and to measure their loss
 _PROBE: Final = 2.0
 _LOOK: Final = 0.1
 _AT_ONCE: Final = 32  # datagrams
@@ -39,11 +38,11 @@ async def find(
 
     Args:
         revoked: entries of the newest revocation list known.
-        patience: seconds to wait for the first; `settle`: then, to hear others and how well.
+        patience: seconds to wait for the first; `settle`: then, to measure the loss of all.
 
     Raises:
-        MasterNotFound: none, with what was heard instead.
-        OSError: no IPv6 here.
+        MasterNotFound: none; the message has what was received instead.
+        OSError: no IPv6 on this host.
     """
     candidates = Candidates(anchor, revoked)
     async with listening(candidates):
@@ -55,18 +54,20 @@ async def find(
     ranked = candidates.ranked(clock.now(), time.monotonic())
     reached = [one for one in ranked if one.rtt is not None]
     if not reached:
-        raise _nobody(candidates)
+        raise _not_found(candidates)
     return reached
 
 
 @contextlib.asynccontextmanager
 async def listening(candidates: Candidates) -> AsyncIterator[None]:
-    """Feed `candidates` with what the links bring, and probe each as it is heard."""
+    """Feed `candidates` with datagrams from all links, and probe each master."""
     group = MulticastSocket(listen=True)
     probes = TaskSet()
 
     def arrived() -> None:
-        for data, source in islice(group.receive(), _AT_ONCE):  # the rest after whoever else waits
+        for data, source in islice(
+            group.receive(), _AT_ONCE
+        ):  # the rest in the next turn of the loop
             with contextlib.suppress(AnnouncementRefused):
                 heard = candidates.heard(data, source, clock.now(), time.monotonic())
                 if heard is not None:
@@ -101,7 +102,7 @@ async def _probe(candidates: Candidates, candidate: Candidate) -> None:
         return
 
 
-def _nobody(candidates: Candidates) -> MasterNotFound:
+def _not_found(candidates: Candidates) -> MasterNotFound:
     heard = candidates.ranked(clock.now(), time.monotonic())
     if heard:
         where = ", ".join(f"{host} port {port}" for host, port in heard[0].endpoints)
@@ -112,7 +113,7 @@ def _nobody(candidates: Candidates) -> MasterNotFound:
     if candidates.refused:
         why, times = candidates.refused.most_common(1)[0]
         return MasterNotFound(
-            f"no master of this trust domain was heard, but {times} times: {printable(why)}",
+            f"no master of this trust domain was found, but {times} times: {printable(why)}",
             "set ROS_MASTER_URI to the master of this domain",
         )
     return MasterNotFound(

@@ -16,12 +16,12 @@ from rossec.discovery.candidates import DatagramSource
 GROUP: Final = "ff12::726f:7373:6563"  # transient, link-local scope (RFC 4291 section 2.7)
 PORT: Final = 11311
 _HOPS: Final = 255
-_LONGEST: Final = 2048
+_MAX_DATAGRAM: Final = 2048
 _ANCILLARY: Final = socket.CMSG_SPACE(struct.calcsize("i")) + socket.CMSG_SPACE(20)
 
 
 class MulticastSocket:
-    """Speaks to and hears the group on every link, also those that come up later."""
+    """Sends to and receives from the group on every link, also those that come up later."""
 
     def __init__(self, *, listen: bool, port: int = PORT) -> None:
         self._port = port
@@ -48,7 +48,7 @@ class MulticastSocket:
                 self._socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group)
 
     def send(self, data: bytes) -> int:
-        """Send to the group on every link; returns how many took it."""
+        """Send to the group on every link; returns on how many it was sent."""
         sent = 0
         for index, _ in socket.if_nameindex():
             with suppress(OSError):  # down, or without IPv6
@@ -57,11 +57,11 @@ class MulticastSocket:
         return sent
 
     def receive(self) -> Iterator[tuple[bytes, DatagramSource]]:
-        """What has arrived from the links themselves."""
+        """Datagrams that were sent on the links themselves."""
         while True:
             try:
-                data, ancillary, flags, where = self._socket.recvmsg(_LONGEST, _ANCILLARY)
-            except OSError:  # nothing more, or a link that went down: to go on could be for ever
+                data, ancillary, flags, where = self._socket.recvmsg(_MAX_DATAGRAM, _ANCILLARY)
+            except OSError:  # nothing more, or a link that went down: retrying might never end
                 return
             if not flags & socket.MSG_TRUNC and _is_local(where[0], ancillary):
                 yield data, DatagramSource(where[0], where[3])

@@ -1,7 +1,7 @@
-"""The authority calls a node: fetch its request, later deliver the offer and wait for the end.
+"""The authority connects to a node: fetch its request, then deliver the offer and await the result.
 
-Between the two a person decides, so these are two connections. A connection that breaks is made
-again, with the same offer to the letter, until its time is over.
+Between the two a person decides, so these are two connections. A broken connection is made again,
+with exactly the same offer, until the offer expires.
 """
 
 import asyncio
@@ -22,11 +22,11 @@ _RETRY_DELAY: Final = 0.5
 
 
 async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
-    """Get the node's request; `core.request` says who asks.
+    """Fetch the node's request into `core.request`.
 
     Raises:
-        EnrollmentRefused, RequestRefused: it is not the one of the code, or not in order.
-        PeerUnreachable: nobody there, or nobody who speaks this protocol.
+        EnrollmentRefused, RequestRefused: it is not the one of the code, or invalid.
+        PeerUnreachable: no answer, or not in this protocol.
     """
     try:
         async with _connection(host, port) as (reader, writer), asyncio.timeout(_PATIENCE):
@@ -47,11 +47,11 @@ async def deliver(
     clock: Callable[[], int],
     show: Callable[[str], None],
 ) -> None:
-    """Deliver `offer`, `show` the digits, and return when the node says that it is enrolled.
+    """Deliver `offer`, `show` the digits, and return when the node reports that it is enrolled.
 
     Raises:
-        EnrollmentRefused: the node gave up, or somebody is in the middle.
-        NotDelivered: the node hung up and does not answer any more.
+        EnrollmentRefused: the node refused, or there is a man in the middle.
+        NotDelivered: the node closed the connection and no longer answers.
     """
     failures, state = 0, core.state
     while failures < _TRIES:
@@ -65,8 +65,8 @@ async def deliver(
             failures, state = (failures + 1 if core.state is state else 0), core.state
             await asyncio.sleep(_RETRY_DELAY)
     raise NotDelivered(
-        "the node has hung up before it said that it is enrolled",
-        f"look there: rossec node show {core.request.name}",
+        "the node closed the connection before it reported that it is enrolled",
+        f"check there: rossec node show {core.request.name}",
     )
 
 

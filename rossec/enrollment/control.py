@@ -1,8 +1,9 @@
 """How `rossec node confirm` reaches the waiting `rossec node enroll`: a socket in its directory.
 
-Only the same user (or root) may speak there: the kernel says who calls. The digits are no secret,
-but saying them is what activates a trust anchor, so this never goes over the network. The socket is
-named through /proc: a path of a Unix socket has at most 107 octets, a directory's may have more.
+Only the same user (or root) may use it: the kernel gives the user of the caller. The digits are not
+secret, but confirming them activates a trust anchor, so this never goes over the network. The
+socket is named through /proc: the path of a Unix socket has at most 107 octets, a directory's may
+have more.
 """
 
 import asyncio
@@ -40,7 +41,7 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
                     request = _request(await reader.readline())
                 writer.write(json.dumps(_call(answer, request)).encode() + b"\n")
         except (OSError, ValueError, TimeoutError):
-            pass  # whoever speaks nonsense gets no answer
+            pass  # a malformed request gets no answer
         finally:
             writer.close()
 
@@ -55,7 +56,7 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
 
 
 def remove(directory: Path) -> None:
-    """Take the socket away."""
+    """Remove the socket."""
     (directory / _NAME).unlink(missing_ok=True)
 
 
@@ -63,7 +64,7 @@ def ask(directory: Path, request: Answer) -> Answer:
     """Ask the waiting process.
 
     Raises:
-        ConfigurationError: there is none, or it says no; then with its words.
+        ConfigurationError: there is none, or it refused; then with its message.
     """
     sock = _connect(directory)
     if sock is None:
@@ -73,7 +74,7 @@ def ask(directory: Path, request: Answer) -> Answer:
     with sock:
         line = _exchange(sock, json.dumps(request).encode() + b"\n")
     if not line:
-        raise ConfigurationError("the waiting enrollment has just ended", "see its last words")
+        raise ConfigurationError("the waiting enrollment has just ended", "see its last message")
     answer: Answer = json.loads(line)
     if "error" in answer:
         raise ConfigurationError(answer["error"], answer.get("hint", ""))
@@ -81,7 +82,7 @@ def ask(directory: Path, request: Answer) -> Answer:
 
 
 def _exchange(sock: socket.socket, request: bytes) -> bytes:
-    """The line that answers; none when the other side has hung up."""
+    """The answer, one line; empty when the other side has closed."""
     sock.settimeout(_PATIENCE)
     with suppress(OSError), sock.makefile("rb") as stream:
         sock.sendall(request)
@@ -92,7 +93,7 @@ def _exchange(sock: socket.socket, request: bytes) -> bytes:
 def _request(line: bytes) -> Answer:
     found = json.loads(line)
     if not isinstance(found, dict):
-        raise ValueError("no request")  # noqa: TRY004 - as json says it
+        raise ValueError("not a request")  # noqa: TRY004 - as json says it
     return found
 
 
@@ -110,7 +111,7 @@ def _is_ours(sock: socket.socket) -> bool:
 
 
 def _connect(directory: Path) -> socket.socket | None:
-    """A connection to the waiting process, or None: a socket nobody listens at is no process."""
+    """A connection to the waiting process, or None: the socket of a process that has exited."""
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         with _socket_path(directory) as path:

@@ -1,8 +1,8 @@
-"""A node that waits to be enrolled: its listening port, open to everybody, and its person.
+"""A node that waits to be enrolled: its listening port, open to all, and the person who confirms.
 
-Whoever calls is a stranger: at most so many at a time, each with a deadline; a message that is
-refused ends its connection, and what is refused is told to the person in one line. The callers
-whose offer was answered stay connected, to hear how it ends.
+Callers are unauthenticated: a limited number at a time, each with a deadline; a message that is
+refused ends its connection, and is reported to the person in one line. Callers whose offer was
+answered stay connected for the result.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 from rossec.ros.text import printable
 
-PATIENCE: Final = 10.0  # seconds a caller may be silent
+PATIENCE: Final = 10.0  # seconds without a message from a caller
 _CLOSE_TIMEOUT: Final = 5.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
 _REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
@@ -47,7 +47,7 @@ class WaitingNode:
         on_refusal: Callable[[str], None],
         patience: float = PATIENCE,
     ) -> None:
-        """`on_refusal` is given what was refused, one printable line each."""
+        """`on_refusal` is called with each refusal as one printable line."""
         self.core = core
         self.port = 0
         self._clock = clock
@@ -63,7 +63,7 @@ class WaitingNode:
         """Serve on `host` (None: every address) and `port` (0: any free one).
 
         Raises:
-            OSError: the address is not ours or the port is taken.
+            OSError: not an address of this host, or the port is taken.
         """
         for sock in bind(host, port):
             server = await asyncio.start_server(self._accept, sock=sock, limit=MAX_MESSAGE)
@@ -71,10 +71,10 @@ class WaitingNode:
             self.port = sock.getsockname()[1]
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
-        """Wait for one of `states`; `every` second is told how many of them are left.
+        """Wait for one of `states`; `every` is called each second with the seconds left.
 
         Raises:
-            EnrollmentRefused: it ended otherwise; the reason.
+            EnrollmentRefused: it ended in another state; the reason.
         """
         while self.core.state not in states:
             if self.core.end_reason is not None:
@@ -87,10 +87,10 @@ class WaitingNode:
             self.core.tick(self._clock())
 
     def confirm(self, digits: str, activate: Callable[[Pending], None]) -> None:
-        """A person confirmed: `activate` writes the identity, then the authority is told.
+        """A person confirmed: `activate` writes the identity, then the authority is notified.
 
         Raises:
-            EnrollmentRefused: the digits are not ours, or there is nothing to confirm.
+            EnrollmentRefused: the digits are wrong, or there is nothing to confirm.
         """
         try:
             pending = self.core.confirm(digits, self._clock())
@@ -104,12 +104,12 @@ class WaitingNode:
         self._changed.set()
 
     def stop(self, why: EnrollmentRefused) -> None:
-        """End it without an identity, and tell the authority."""
+        """End it without an identity, and notify the authority."""
         self.core.stop(why)
         self._state_changed()
 
     async def close(self) -> None:
-        """Stop to listen; who was answered hears the end."""
+        """Stop listening; callers that wait for the result get it."""
         for server in self._servers:
             server.close()
         leaving = [*self._waiting]
@@ -133,7 +133,7 @@ class WaitingNode:
         await self.close()
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        peer = writer.get_extra_info("peername")  # None: gone already
+        peer = writer.get_extra_info("peername")  # None: closed already
         address = "" if peer is None else str(peer[0])
         slot = None if peer is None else self._callers.admit(address)
         if slot is None:
@@ -150,7 +150,7 @@ class WaitingNode:
         address: str,
         slot: HalfOpenSlot,
     ) -> None:
-        """A caller counts until its socket is closed; who does not read its end makes room."""
+        """A caller counts until its socket is closed; a lingering one is evicted first."""
         slot.close = writer.transport.abort
         try:
             await self._serve(reader, writer, address)
@@ -170,15 +170,17 @@ class WaitingNode:
                 async with asyncio.timeout(self._wait_for(writer)):
                     data = await wire.receive(reader)
                 self._answer(writer, data)
-                async with asyncio.timeout(self._patience):  # who does not read is not written to
+                async with asyncio.timeout(
+                    self._patience
+                ):  # a caller that does not read is not written to
                     await writer.drain()
         except EnrollmentRefused as error:
             self._on_refusal(printable(f"{address}: {error}"))
             wire.send(writer, _abort(error))
         except TimeoutError:
-            writer.transport.abort()  # to close would wait for who does not read
+            writer.transport.abort()  # close() would wait for a caller that does not read
         except (OSError, EOFError):
-            pass  # whoever hangs up may call again
+            pass  # the caller may connect again
         finally:
             self._waiting.discard(writer)
             writer.close()
@@ -201,7 +203,7 @@ class WaitingNode:
             self._waiting.add(writer)
 
     def _state_changed(self) -> None:
-        """The state has changed: whoever waits for it is told."""
+        """Wake `until`; if it is over, notify the waiting callers."""
         self._changed.set()
         if self.core.state is NodeState.OVER and self.core.end_reason is not None:
             self._send_all([_abort(self.core.end_reason)])

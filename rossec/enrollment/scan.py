@@ -1,8 +1,7 @@
 """Read an enrollment code from a picture: a photograph, a screenshot, a frame of a camera.
 
-A shell. The picture is looked at by a process of its own (`rossec.enrollment.scanner`), which has
-so much time and no more: what it does not answer, or answers with anything but a few texts, is no
-code.
+A shell. The picture is decoded in a process of its own (`rossec.enrollment.scanner`), with a time
+limit; no answer, or anything but a few texts, means that there is no code.
 """
 
 import json
@@ -21,7 +20,7 @@ def code_in_file(path: Path, stdin: BinaryIO) -> str:
     """The text of the one code in a picture; `-` is standard input.
 
     Raises:
-        ConfigurationError: no picture, too large, not exactly one code, or the extra is missing.
+        ConfigurationError: not a picture, too large, not exactly one code, or the extra is missing.
     """
     if str(path) == "-":
         return code_in(stdin.read(MAX_FILE + 1))
@@ -51,7 +50,7 @@ def _texts(data: bytes) -> list[str]:
         )
         answer = json.loads(done.stdout)
     except (subprocess.SubprocessError, ValueError) as error:
-        raise ConfigurationError("to read the picture took too long, or failed", CLOSER) from error
+        raise ConfigurationError("reading the picture took too long, or failed", CLOSER) from error
     if "error" in answer:
         raise ConfigurationError(answer["error"], answer["hint"])
     return [str(text) for text in answer["texts"]]

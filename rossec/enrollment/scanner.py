@@ -1,11 +1,10 @@
-"""The process that looks at a picture (`python -I -m rossec.enrollment.scanner`).
+"""The process that decodes a picture (`python -I -m rossec.enrollment.scanner`).
 
 Bytes in, one line out.
 
-Pictures come from anybody, and what a decoder makes of one cannot be bounded by its size: a few
-kilobytes full of finder patterns keep it busy for a minute. So it runs apart
-(`rossec.enrollment.scan` starts it and waits only so long), with limits on memory and processor
-time that the kernel keeps.
+Pictures are untrusted, and the cost of decoding one is not bounded by its size: a few kilobytes
+full of finder patterns take a minute. So it runs in a process of its own (`rossec.enrollment.scan`
+starts it and waits a limited time), with limits of the kernel on memory and processor time.
 """
 
 import io
@@ -27,10 +26,10 @@ _FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 
 
 def texts(data: bytes) -> list[str]:
-    """What the rossec codes in a picture say, each once.
+    """The texts of the rossec codes in a picture, each once.
 
     Raises:
-        ConfigurationError: no picture, too large, or the extra `scan` is missing.
+        ConfigurationError: not a picture, too large, or the extra `scan` is missing.
     """
     zxingcpp, image = _library(), _open(data)
     found = zxingcpp.read_barcodes(image, formats=zxingcpp.BarcodeFormat.QRCode)
@@ -47,13 +46,13 @@ def main() -> int:
     except ConfigurationError as error:
         answer = {"error": str(error), "hint": error.hint}
     except MemoryError:
-        answer = {"error": "the picture takes more memory than it may", "hint": CLOSER}
+        answer = {"error": "the picture takes more memory than allowed", "hint": CLOSER}
     sys.stdout.write(json.dumps(answer) + "\n")
     return 0
 
 
 def _limit(what: int, most: int) -> None:
-    """For good, and never more than is left of what this process was given."""
+    """Set soft and hard limit, never above the hard limit of this process."""
     _, hard = resource.getrlimit(what)
     bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(what, (bound, bound))
@@ -81,7 +80,7 @@ def _open(data: bytes) -> Any:
         return image.convert("L")
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
         raise ConfigurationError(
-            "this is no picture that can be read", f"take one of {', '.join(_FORMATS)}"
+            "this is not a picture that can be read", f"use one of {', '.join(_FORMATS)}"
         ) from error
 
 

@@ -6,11 +6,11 @@ from ca.enrollment.messages import HEADER_SIZE, frame, length
 
 
 async def receive(reader: asyncio.StreamReader) -> bytes:
-    """The next message; its size is judged before it is read.
+    """The next message; its size is checked before it is read.
 
     Raises:
         EnrollmentMessageRefused: too long.
-        EOFError: the other side has hung up.
+        EOFError: the other side has closed.
         OSError: the connection broke.
     """
     size = length(await reader.readexactly(HEADER_SIZE))

@@ -1,7 +1,7 @@
-"""Messages as their bytes arrive; one that was begun must be finished. Pure.
+"""Messages from a byte stream; an incomplete one must make progress. Pure.
 
-Units need not end where messages do: a sidecar passes on what its program writes. So what holds for
-a unit (`progress`) is asked of a message as well.
+Units need not end where messages do: a sidecar forwards what its program writes. So the rule for a
+unit (`progress`) applies to a message as well.
 """
 
 from typing import Final
@@ -14,7 +14,7 @@ PATIENCE: Final = float(STEP)
 
 
 class Framing:
-    """Cuts what arrives into messages, and says when one takes too long.
+    """Splits a byte stream into messages, and refuses one that takes too long.
 
     `now` is in seconds, of any clock.
     """
@@ -25,7 +25,7 @@ class Framing:
 
     @property
     def incomplete(self) -> bool:
-        """Whether a message has been begun."""
+        """Whether part of a message has arrived."""
         return self._reader.pending > 0
 
     def feed(self, data: bytes | memoryview, now: int) -> list[bytes]:
@@ -50,7 +50,7 @@ class Framing:
         return message
 
     def check_progress(self, now: int) -> None:
-        """Ask whether a message that was begun gets on.
+        """Check that an incomplete message grows.
 
         Raises:
             LimitExceeded: it does not.

@@ -3,7 +3,7 @@
 Both are length-prefixed, little endian, 32 bits: a header is a frame whose content is a sequence
 of length-prefixed `key=value` fields. Every length is compared with its limit when its fourth byte
 arrives, before anything is allocated for it (stock roscpp allows a gigabyte, rospy any header).
-A reader that refused once stays refused: the connection has no further frame boundaries.
+A reader that refused a frame refuses all that follow: the frame boundaries are lost.
 """
 
 import struct
@@ -13,7 +13,9 @@ from typing import Final
 from rossec.errors import FrameRefused, HeaderRefused
 
 HEADER_LIMIT: Final = 64 * 1024
-FIELD_LIMIT: Final = 48 * 1024  # one field may not crowd out the others: definitions reach 20 kB
+FIELD_LIMIT: Final = (
+    48 * 1024
+)  # below the header limit, to leave room for other fields: definitions reach 20 kB
 MESSAGE_LIMIT: Final = 64 * 1024 * 1024
 _ERROR_TEXT_LIMIT: Final = 1024
 _LENGTH: Final = struct.Struct("<I")
@@ -70,7 +72,7 @@ def text(fields: Mapping[str, bytes], key: str, default: str | None = None) -> s
 
 
 def error_header(message: str) -> bytes:
-    """A header that makes rospy and roscpp log `message` and give up this connection."""
+    """A header that makes rospy and roscpp log `message` and close this connection."""
     return encode({"error": message.encode()[:_ERROR_TEXT_LIMIT].decode(errors="ignore")})
 
 
@@ -80,7 +82,7 @@ def frame(message: bytes) -> bytes:
 
 
 class FrameReader:
-    """Cuts a byte stream into frames.
+    """Splits a byte stream into frames.
 
     Args:
         limit: largest frame content, in bytes.
@@ -115,14 +117,14 @@ class FrameReader:
                 data = self._cut(data, frames)
             elif len(self._buffer) == _LENGTH.size and self._checked_length(0) == len(data):
                 self._buffer.clear()
-                return [bytes(data)]  # which is no copy if it is bytes
+                return [bytes(data)]  # no copy if it is bytes
         self._buffer += data
         while (content := self._next()) is not None:
             frames.append(content)
         return frames
 
     def _cut(self, data: bytes | memoryview, frames: list[bytes]) -> memoryview:
-        """Frames that lie whole in `data` need no detour through the buffer; returns the rest."""
+        """Take complete frames straight from `data`, without the buffer; returns the rest."""
         view, position, size = memoryview(data), 0, len(data)
         while position + _LENGTH.size <= size:
             length: int = _LENGTH.unpack_from(view, position)[0]

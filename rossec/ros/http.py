@@ -1,12 +1,12 @@
 """HTTP/1.1 for XML-RPC, sans-IO, both sides: the one shape that stock ROS clients and servers use.
 
 POST, one `Content-length`, keep-alive. Never chunked: roscpp's XmlRpc++ cannot read it, and two
-ways to say a length are one too many. Stricter than a general server may be (RFC 9112): no bare LF,
+encodings of a length are ambiguous. Stricter than a general server may be (RFC 9112): no bare LF,
 no folded line, no repeated length, so that no two readers of one stream can disagree about where a
-request ends. Header and body limits are checked before a body byte is kept. What a peer sent is
-never echoed back. A request with `Origin` comes from a web page in a browser of this host, whose
-user did not ask for it: refused. A general library costs 130 us a call here, more than the call
-itself; the tests hold this module against one.
+request ends. Header and body limits are checked before a body byte is kept. Input is never
+echoed back. A request with `Origin` comes from a web page in a browser of this host, without its
+user's knowledge: refused. A general library costs 130 us a call here, more than the call itself;
+the tests compare this module with one.
 """
 
 import re
@@ -25,7 +25,7 @@ _REASONS: Final = {
     413: b"Content Too Large",
     431: b"Request Header Fields Too Large",
 }
-_REMEMBERED: Final = 512  # bytes of a head worth remembering what it says
+_MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
 _END: Final = b"\r\n\r\n"
 _TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
 _REQUEST: Final = re.compile(rb"(%s) ([\x21-\x7e]+) HTTP/1\.([01])" % _TOKEN)
@@ -36,7 +36,7 @@ _ONCE: Final = (b"content-length", b"host", b"transfer-encoding")
 
 
 class _Head(NamedTuple):
-    """The part of a message before its body: which version, and the fields that matter."""
+    """The part of a message before its body: the version and the fields."""
 
     minor: bytes
     fields: dict[bytes, bytes]
@@ -85,7 +85,7 @@ class _Reader:
         return self._data[:found]
 
     def expect(self, head: bytes, length: int) -> None:
-        """The body after `head` is so long."""
+        """Expect a body of `length` bytes after `head`."""
         if length > self.limit:
             raise HttpRefused(f"an HTTP body longer than {self.limit} bytes", status=413)
         self._begin = len(head) + len(_END)
@@ -116,9 +116,9 @@ class HttpServer:
     def __init__(self, *, limit: int = BODY_LIMIT) -> None:
         self._reader = _Reader(limit)
         self._answering = False
-        self._last = False  # the request in hand asks for the end of the connection
+        self._last = False  # the current request asks to close the connection
         self.closing = False
-        """Nothing more can be asked on this connection (HTTP/1.0, close, an error)."""
+        """No more requests are accepted on this connection (HTTP/1.0, close, an error)."""
 
     @property
     def pending(self) -> bool:
@@ -132,15 +132,15 @@ class HttpServer:
         self._reader.feed(data)
 
     def feed_whole(self, data: bytes) -> bytes | None:
-        """`feed` and `next_request` in one: a short way where `data` is one whole request.
+        """`feed` and `next_request` in one: a fast path where `data` is one whole request.
 
         Raises:
             HttpRefused: as they do.
         """
         if not (self._answering or self.closing or self._reader.pending):
-            end = data.find(_END, 0, _REMEMBERED)
+            end = data.find(_END, 0, _MAX_CACHED)
             if end >= 0:
-                begin, head = end + len(_END), _request_head_again(data[:end])
+                begin, head = end + len(_END), _cached_request_head(data[:end])
                 if begin + head.length == len(data) and head.length <= self._reader.limit:
                     self._answering, self._last = True, head.closes
                     return data[begin:]
@@ -178,13 +178,13 @@ class HttpServer:
         return _message(b"HTTP/1.1 %d %s" % (status, _REASONS[status]), b"", close=True)
 
     def _begin(self, data: bytes) -> None:
-        head = _request_head(data) if len(data) > _REMEMBERED else _request_head_again(data)
+        head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
         self._reader.expect(data, head.length)
         self._last = head.closes
 
 
 class _RequestHead(NamedTuple):
-    """What the head of a request says."""
+    """The parsed head of a request."""
 
     length: int
     closes: bool
@@ -205,8 +205,8 @@ def _request_head(data: bytes) -> _RequestHead:
     return _RequestHead(_length(head.fields), head.closes)
 
 
-_request_head_again = lru_cache(256)(_request_head)
-"""One client's heads are the same bytes again and again; what was refused is judged anew."""
+_cached_request_head = lru_cache(256)(_request_head)
+"""The heads of one client are always the same bytes; refusals are not cached."""
 
 
 class HttpClient:

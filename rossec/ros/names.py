@@ -1,6 +1,6 @@
 """ROS names as programs write them: relative, private and global, resolved against a node's name.
 
-The syntax of a complete name is `ca.names`'s; here is only the arithmetic, equal to
+The syntax of a complete name is `ca.names`'s; here is only the resolution, equal to
 `rosgraph.names` so that stock callers get the names they expect. Command line and environment are
 read in `rossec.ros.settings`.
 """
@@ -20,7 +20,7 @@ def canonical(name: str) -> str:
     """`name` without doubled and trailing slashes; a leading one stays."""
     if not name or name == SEPARATOR:
         return name
-    if name[-1] != SEPARATOR and "//" not in name:  # nearly always
+    if name[-1] != SEPARATOR and "//" not in name:  # the usual case
         return name
     lead = SEPARATOR if name.startswith(SEPARATOR) else ""
     return lead + SEPARATOR.join(part for part in name.split(SEPARATOR) if part)
@@ -40,7 +40,7 @@ def join(prefix: str, name: str) -> str:
 
 
 def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
-    """The global form of `name` as the node `node` means it. The result's syntax is not checked.
+    """The global form of `name` for the node `node`. The result's syntax is not checked.
 
     The empty name is the node's namespace. `remappings` maps resolved names to resolved names.
     """
@@ -57,7 +57,7 @@ def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -
 
 
 def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
-    """Where stock looks for `key` from `space`, innermost first: what must exist, and is found."""
+    """As searchParam, from `space`, innermost first: what must exist, and what is then found."""
     above = [part for part in space.split(SEPARATOR) if part]
     first, *_ = key.split(SEPARATOR)
     for length in range(len(above), -1, -1):

@@ -1,8 +1,8 @@
 """Service calls on the wire, after the connection headers: requests and responses as bytes.
 
 A request is a frame. A response is the byte 1 and a frame, or the byte 0 and a frame that holds the
-reason as text. Client and server take turns: who gets more than one frame at a time is spoken to by
-something else, so readers use `FrameReader.feed_one`.
+reason as text. Client and server alternate: more than one frame at a time is a protocol
+error, so readers use `FrameReader.feed_one`.
 """
 
 import struct
@@ -43,7 +43,7 @@ def success(message: Sequence[Buffer]) -> list[Buffer]:
 
 
 def failure(reason: str) -> list[Buffer]:
-    """A response that says why there is none."""
+    """A failure with its reason."""
     return [_FAILED, *framed([reason.encode()[:_ERROR_LIMIT].decode(errors="ignore").encode()])]
 
 
@@ -51,7 +51,7 @@ def open_response(content: bytes) -> bytes:
     """The message in what `response_reader` returned.
 
     Raises:
-        ServiceFailed: the provider says why there is none.
+        ServiceFailed: the provider failed, with its reason.
         FrameRefused: neither.
     """
     mark, message = content[:1], content[1:]
@@ -59,5 +59,5 @@ def open_response(content: bytes) -> bytes:
         text = message.decode(errors="replace")
         raise ServiceFailed(printable(text, _ERROR_LIMIT) or "the service failed without a reason")
     if mark != _OK:
-        raise FrameRefused("a response that is neither good nor bad")
+        raise FrameRefused("a response that is neither a success nor a failure")
     return message

@@ -1,8 +1,8 @@
-"""What the command line and the environment tell a ROS program, as one pure function.
+"""The settings of a ROS program from its command line and environment, as one pure function.
 
 `name:=other` remaps, `_param:=value` sets a private parameter, `__name:=`, `__ns:=`, `__master:=`,
-`__ip:=` and `__hostname:=` are ROS's own. The mistakes beginners make are refused with their
-remedy here, before a socket turns them into "connection refused".
+`__ip:=` and `__hostname:=` are ROS's own. Common mistakes are refused here with their
+remedy, before they surface as "connection refused".
 """
 
 import ipaddress
@@ -59,7 +59,7 @@ def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) 
     """Settings from the arguments (without the program's path) and the environment.
 
     Raises:
-        ConfigurationError: a variable or an argument that cannot be meant; the hint has the remedy.
+        ConfigurationError: an invalid variable or argument; the hint has the remedy.
     """
     assignments, arguments = _split(argv)
     special = {key: value for key, value in assignments if key.startswith("__")}
@@ -109,9 +109,9 @@ def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this host can reach `host`, an address or name, without asking anybody.
+    """Whether only this host can reach `host`, an address or name, without a resolver.
 
-    A name is loopback only if it is `localhost`: 127.example.org is anybody's.
+    A name is loopback only if it is `localhost`: 127.example.org may be any host.
     """
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -138,7 +138,7 @@ def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
         )
     if key.startswith("__") and key not in _SPECIAL:
         raise ConfigurationError(
-            f"the argument {argument!r} is none of ROS's own",
+            f"the argument {argument!r} is not one of ROS's own",
             "ROS knows " + ", ".join(sorted(_SPECIAL)),
         )
     return key, value

@@ -1,4 +1,4 @@
-"""Texts of peers, made fit for a log: whoever writes a line break there writes the log."""
+"""Texts of peers, made safe for a log: a line break in one would forge log lines."""
 
 import unicodedata
 from typing import Final

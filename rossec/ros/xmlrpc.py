@@ -2,7 +2,7 @@
 
 The standard library marshals. What it lacks is here: a size limit before the parse, no document
 type and no entity (the billion-laughs bomb needs both), a bound on nesting (values are walked
-recursively later), UTF-8 only, and one kind of error for everything that can go wrong.
+recursively later), UTF-8 only, and one class of error for all failures.
 Values are what XML-RPC has: bool, int, float, str, bytes, datetime, list, dict with str keys.
 """
 
@@ -24,7 +24,7 @@ DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay
 _TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
 _TAGS_AROUND: Final = 6
 _METHOD_LIMIT: Final = 256
-_UNCARRIABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
+_NOT_ENCODABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
 
 
 class Call(NamedTuple):
@@ -35,7 +35,7 @@ class Call(NamedTuple):
 
 
 class Encoded(NamedTuple):
-    """A response that is XML-RPC already, or passes for it: `dump_response` leaves it as it is."""
+    """A response that is encoded already, or used as such: `dump_response` returns it as it is."""
 
     body: bytes
 
@@ -48,7 +48,7 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
     """
     try:
         return xmlwrite.call(method, params).encode()
-    except _UNCARRIABLE as error:
+    except _NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
@@ -64,7 +64,7 @@ def dump_response(value: object) -> bytes:
         if isinstance(value, Fault):
             return xmlrpc.client.dumps(value).encode()
         return xmlwrite.response(value).encode()
-    except _UNCARRIABLE as error:
+    except _NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
@@ -99,7 +99,7 @@ def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
     try:
         params, _, root = _parse(data) if plain is None else plain
     except Fault as fault:
-        code: object = fault.faultCode  # whatever the peer put there
+        code: object = fault.faultCode  # of any type, as the peer sent it
         raise Fault(code if isinstance(code, int) else 0, printable(fault.faultString)) from None
     if root != "methodResponse" or len(params) != 1:
         raise XmlRpcRefused("XML that is not an XML-RPC response")
@@ -129,7 +129,7 @@ def _check_size(data: bytes, limit: int) -> None:
 
 
 def _parse(data: bytes) -> Body:
-    if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark whatever it was told
+    if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark despite its encoding
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
     try:
@@ -148,11 +148,11 @@ _MALFORMED: Final = (
 
 
 class _Target(xmlrpc.client.Unmarshaller):
-    """The library's unmarshaller with a bound on depth; remembers the root element."""
+    """The library's unmarshaller with a bound on depth; stores the root element."""
 
     def __init__(self) -> None:
         super().__init__(use_builtin_types=True)
-        self.xml("", None)  # no encoding: the parser already hands over text
+        self.xml("", None)  # no encoding: the parser already returns text
         self.root: str | None = None
         self._depth = 0
 
@@ -169,7 +169,7 @@ class _Target(xmlrpc.client.Unmarshaller):
 
 
 def _parser(target: _Target) -> expat.XMLParserType:
-    # The explicit encoding overrides the document's own: what we check is what is parsed.
+    # The explicit encoding overrides the document's own.
     parser = expat.ParserCreate("utf-8")
     parser.StartElementHandler = target.start
     parser.EndElementHandler = target.end

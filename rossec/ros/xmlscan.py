@@ -1,9 +1,8 @@
-"""The short way through an XML-RPC body: the plain form in which nearly every call comes. Pure.
+"""The fast path for an XML-RPC body: the plain form of nearly every call. Pure.
 
 Plain means ASCII, no attributes, entities, comments or sections, and only the elements below, each
-where it belongs. Whatever is not plain, flaws included, is not judged here: `scan` says None, and
-the XML parser has the word. So this module can only be faster than the parser, never more lenient:
-the tests compare the two.
+in its place. For anything else, errors included, `scan` returns None, and the XML parser decides.
+So this module can only be faster than the parser, never more lenient: the tests compare the two.
 """
 
 import binascii
@@ -14,10 +13,10 @@ from typing import Final, NamedTuple
 _PROLOG: Final = re.compile(
     r"(?:<\?xml version=(['\"])1\.0\1(?: encoding=(['\"])(?i:utf-8)\2)?\s?\?>\s*)?", re.ASCII
 )
-# The text excludes what XML gives a meaning ('<', '&', ']]>') and what it does not allow.
+# The text excludes what has a meaning in XML ('<', '&', ']]>') and what XML forbids.
 _TOKEN: Final = re.compile(r"<(/?[A-Za-z0-9]+)>([\t\n\r\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*)")
 _TEXT: Final = r"[\t\n\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*"
-# A call as rospy and roscpp send nearly all of theirs: parameters without parts.
+# A call as rospy and roscpp send nearly all of theirs: scalar parameters only.
 _FLAT: Final = re.compile(
     rf"(?:<\?xml version=(['\"])1\.0\1\?>[ \t\n]*)?<methodCall>[ \t\n]*"
     rf"<methodName>({_TEXT})</methodName>[ \t\n]*<params>[ \t\n]*"
@@ -44,7 +43,7 @@ class _NotPlainError(Exception):
 
 
 def scan(data: bytes, depth: int) -> Body | None:
-    """What the body `data` says; None when it is not plain, or nested deeper than `depth`."""
+    """The content of the body `data`; None: not plain, or nested deeper than `depth`."""
     try:
         text = data.decode("ascii")
         flat = _FLAT.fullmatch(text)
@@ -55,7 +54,7 @@ def scan(data: bytes, depth: int) -> Body | None:
         begin = 0 if prolog is None else prolog.end()
         pairs = _TOKEN.findall(text, begin)
         if begin + sum(len(tag) + len(rest) + 2 for tag, rest in pairs) != len(text):
-            return None  # something between two tokens is none
+            return None  # some text is not part of a token
         tokens = iter(pairs)
         body = _body(tokens, depth)
         return body if next(tokens, None) is None else None

@@ -1,7 +1,7 @@
-"""XML-RPC calls and responses as the standard library writes them, without its detours. Pure.
+"""XML-RPC calls and responses, encoded as by the standard library, but faster. Pure.
 
-The text is the library's, letter by letter: the tests compare the two. What is rare
-(numbers with a point, times, structs, base64) is left to the library itself.
+The text is exactly the library's: the tests compare the two. Rare types (doubles, times, structs,
+base64) are left to the library itself.
 """
 
 import xmlrpc.client
@@ -16,7 +16,7 @@ _INTS: Final = range(-(2**31), 2**31)
 
 
 class EncodedList(list[object]):
-    """A list whose text is known already; nobody may change it any more."""
+    """A list with its encoding; it must not change any more."""
 
     __slots__ = ("text",)
 
@@ -29,7 +29,7 @@ def call(method: str, params: Iterable[object]) -> str:
     """The body of a request; `method` as it is.
 
     Raises:
-        TypeError, OverflowError, RecursionError: a parameter cannot be carried.
+        TypeError, OverflowError, RecursionError: a parameter cannot be encoded.
     """
     written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
     head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
@@ -40,7 +40,7 @@ def response(value: object) -> str:
     """The body of a response that holds `value`.
 
     Raises:
-        TypeError, OverflowError, RecursionError: the value cannot be carried.
+        TypeError, OverflowError, RecursionError: the value cannot be encoded.
     """
     return f"{_BEGIN}{_value(value)}{_END}"
 

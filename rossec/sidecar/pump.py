@@ -55,7 +55,7 @@ def _length(data: bytes) -> int:
 async def exchange(
     program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
 ) -> None:
-    """Forward bytes both directions, for a service; the bytes after the headers go first."""
+    """Forward bytes in both directions, for a service; the bytes after the headers go first."""
     await _run_both(
         program, peer, to_peer(program, peer, outward), to_program(peer, program, inward)
     )

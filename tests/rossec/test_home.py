@@ -100,7 +100,7 @@ def test_a_key_that_does_not_fit_is_said(tmp_path: Path) -> None:
     (other.path / "node.key").replace(home.path / "node.key")
     with pytest.raises(ConfigurationError, match="do not belong together") as caught:
         home.identity(NOW)
-    assert "bring back the key" in caught.value.hint
+    assert "restore the key" in caught.value.hint
 
 
 def test_the_bundle_finds_its_directory(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_what_is_not_installed_leaves_no_trace(tmp_path: Path) -> None:
         home.install(to_pem(SITE.root, SITE.leaf(NAME)), NOW)
     with pytest.raises(ForeignCertificate):
         home.install(to_pem(SITE.leaf(NAME), Site.create().root), NOW)
-    with pytest.raises(CertificateRefused, match="it is no CA"):
+    with pytest.raises(CertificateRefused, match="no critical basic constraints with CA false"):
         home.install(to_pem(SITE.root, SITE.root), NOW)
     assert content(home.path) == before
 

@@ -2,7 +2,7 @@
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
 answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
-calls. Registrations are stored, to be made again with a restarted master.
+calls. Registrations are stored, to be made again later (`registrations`).
 """
 
 from dataclasses import dataclass
@@ -23,14 +23,13 @@ from rossec.participant.caller_names import (
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
+from rossec.sidecar.core.commands import CallMaster
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Answered, Event, NoAnswer
+from rossec.sidecar.core.events import Answered, NoAnswer
 from rossec.sidecar.core.layers import AgentState, Layer, Program, UnexpectedEvent, own_endpoint
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
-MASTER: Final = "/master"
 
 
 class Result(Enum):
@@ -71,14 +70,14 @@ class CallRule:
         return self.api is not None and self.unregisters is None
 
 
-_SUBSCRIBE: Final = "registerSubscriber"
+SUBSCRIBE: Final = "registerSubscriber"
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
-    _SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
+    SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
     "registerService": CallRule(api=3, service=2),
     "subscribeParam": CallRule(api=1),
     "unregisterPublisher": CallRule(api=2, unregisters="registerPublisher"),
-    "unregisterSubscriber": CallRule(api=2, unregisters=_SUBSCRIBE),
+    "unregisterSubscriber": CallRule(api=2, unregisters=SUBSCRIBE),
     "unregisterService": CallRule(service=2, unregisters="registerService"),
     "unsubscribeParam": CallRule(api=1, unregisters="subscribeParam"),
     "lookupNode": CallRule(result=Result.NODE, default=""),
@@ -124,7 +123,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
         answer = yield from _search(caller, master_params[0], key)
     if answer[0] == 1:
         _record_registration(agent, method, rule, params, master_params)
-        if method == _SUBSCRIBE:
+        if method == SUBSCRIBE:
             answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
     return answer
@@ -298,61 +297,3 @@ def _not_covered(agent: AgentState, caller: str) -> str:
         f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
         f" start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
     )
-
-
-def restore(agent: AgentState) -> Layer[None]:
-    """Make every registration again with a restarted master, except those of dead programs.
-
-    A dead program could replace a new one of the same name, which the master would shut down.
-    """
-    for own, program in tuple(agent.programs.items()):
-        if (yield from _is_gone(agent, own, (yield Probe(own)))):
-            continue
-        for (method, key), params in tuple(program.registrations.items()):
-            yield from _register_again(agent, own, method, key, params)
-
-
-def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
-    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
-    for own, program in tuple(agent.programs.items()):
-        params = program.registrations.get((_SUBSCRIBE, topic))
-        if params is not None:
-            yield from _register_again(agent, own, _SUBSCRIBE, topic, params)
-
-
-def _register_again(
-    agent: AgentState, own: Endpoint, method: str, key: str, params: tuple[object, ...]
-) -> Layer[None]:
-    event = yield CallMaster(method, params)
-    match event:
-        case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
-            uris = yield from agent.egress_uris(agent.followed_publishers(key, value), own)
-            yield from notify_program(agent, own, "publisherUpdate", (MASTER, key, uris))
-        case NoAnswer(reason=reason):
-            raise HangUp(reason)
-        case _:
-            pass
-
-
-def drop_overdue_publishers(agent: AgentState) -> Layer[None]:
-    """Update the subscribers of topics whose publishers the master did not name again in time."""
-    for topic in agent.publisher_grace.expired_topics():
-        for own, program in tuple(agent.programs.items()):
-            if (_SUBSCRIBE, topic) in program.registrations:
-                uris = yield from agent.egress_uris(agent.publisher_grace.to_follow(topic), own)
-                yield from notify_program(agent, own, "publisherUpdate", (MASTER, topic, uris))
-
-
-def notify_program(
-    agent: AgentState, own: Endpoint, method: str, params: tuple[object, ...]
-) -> Layer[None]:
-    """Call a program that may have ended."""
-    yield from _is_gone(agent, own, (yield CallProgram(own, method, params)))
-
-
-def _is_gone(agent: AgentState, own: Endpoint, event: Event) -> Layer[bool]:
-    if isinstance(event, NoAnswer) and event.dead:
-        agent.forget(own)
-        yield Suspend(own)
-        return True
-    return False

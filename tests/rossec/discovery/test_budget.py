@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.discovery.budget import MAX_PROVEN, MAX_SOURCES, AttemptBucket, Budget
+from rossec.discovery.budget import MAX_SOURCES, MAX_VERIFIED, AttemptBucket, Budget
 from rossec.errors import AnnouncementRefused
 
 
@@ -48,9 +48,9 @@ def test_so_many_addresses_and_no_more() -> None:
     for number in range(MAX_SOURCES + 9):
         spend(budget, f"s{number}", 1)
     assert len(budget._shares) == MAX_SOURCES
-    for number in range(MAX_PROVEN + 9):
+    for number in range(MAX_VERIFIED + 9):
         budget.note_verified(f"s{number}")
-    assert len(budget._proven) == MAX_PROVEN
+    assert len(budget._verified) == MAX_VERIFIED
 
 
 def test_it_is_said() -> None:

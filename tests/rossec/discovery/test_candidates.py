@@ -65,9 +65,9 @@ def test_an_announcement_counts_once_on_each_link(candidates: Candidates, make: 
 
 def test_numbers_only_rise(candidates: Candidates, make: Make) -> None:
     heard(candidates, make(5))
-    with pytest.raises(AnnouncementRefused, match="older than one heard before"):
+    with pytest.raises(AnnouncementRefused, match="older than one received before"):
         candidates.heard(make(4), NEAR, NOW, 1.0)
-    with pytest.raises(AnnouncementRefused, match="older than one heard before"):
+    with pytest.raises(AnnouncementRefused, match="older than one received before"):
         candidates.heard(make(9, instance=b"previous", issued=NOW - 1), NEAR, NOW, 1.0)
     assert candidates.refused.most_common(1)[0][1] == 2
 

@@ -95,7 +95,7 @@ def test_another_domains_master_is_not_found(
 ) -> None:
     done = run(elsewhere, hosts.far, "discover", "--seconds", "3")
     assert done.returncode == 1
-    assert "no master of this trust domain was heard, but" in done.stderr
+    assert "no master of this trust domain was found, but" in done.stderr
     assert "not signed by the authority of trust domain" in done.stderr
     assert "Traceback" not in done.stderr
 

@@ -31,7 +31,7 @@ def test_what_people_type(text: str, host: str, port: int) -> None:
      "[::1%\x1b]:1"],
 )  # fmt: skip
 def test_what_is_no_address(text: str) -> None:
-    with pytest.raises(ConfigurationError, match="is no address of a node") as caught:
+    with pytest.raises(ConfigurationError, match="is not an address of a node") as caught:
         address.split(text)
     assert "192.168.1.7:11317" in caught.value.hint
 

@@ -52,7 +52,7 @@ def test_not_exactly_one_code() -> None:
 
 
 def test_what_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigurationError, match="no picture that can be read") as caught:
+    with pytest.raises(ConfigurationError, match="not a picture that can be read") as caught:
         scan.code_in(b"text")
     assert "take one of PNG" in caught.value.hint
     monkeypatch.setattr(scan, "MAX_FILE", 100)

@@ -26,7 +26,7 @@ def test_what_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     Image.new("L", (9, 9)).save(gif, "GIF")
     whole = picture(qr.png(TEXT))
     for data in (b"", b"text", gif.getvalue(), whole[: len(whole) // 2]):
-        with pytest.raises(ConfigurationError, match="no picture that can be read"):
+        with pytest.raises(ConfigurationError, match="not a picture that can be read"):
             scanner.texts(data)
     monkeypatch.setattr(scanner, "MAX_FILE", 100)
     with pytest.raises(ConfigurationError, match="more than 100 bytes"):
@@ -40,7 +40,7 @@ def test_a_picture_that_unpacks_to_too_much(monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(ConfigurationError, match="too many pixels"):
         scanner.texts(bomb.getvalue())
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
-    with pytest.raises(ConfigurationError, match="no picture that can be read"):
+    with pytest.raises(ConfigurationError, match="not a picture that can be read"):
         scanner.texts(bomb.getvalue())
 
 
@@ -74,7 +74,7 @@ def test_one_line_answers(
 
     monkeypatch.setattr(scanner, "texts", exhaust)
     assert answer(monkeypatch, capsys) == {
-        "error": "the picture takes more memory than it may",
+        "error": "the picture takes more memory than allowed",
         "hint": scanner.CLOSER,
     }
 

@@ -1,4 +1,4 @@
-"""Callers with chosen rights, and an authority that never was, for the tests of the cores."""
+"""Callers with chosen rights and a fake of the statements, for the tests of the pure folders."""
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -55,13 +55,13 @@ def everything(name: str) -> Caller:
 
 
 def anonymous(name: str, rights: Mapping[str, Right] | None = None) -> Caller:
-    """With a wildcard tail."""
+    """A caller with a wildcard tail."""
     return Caller(name, name.encode(), FakeAccess(rights or {"**": ALL}), wildcard=True)
 
 
 @dataclass
 class FakeStatements:
-    """What the trust module is to the API."""
+    """A fake of `Statements`."""
 
     callers: dict[str, Caller] = field(default_factory=dict)
     lists: list[bytes] = field(default_factory=list)

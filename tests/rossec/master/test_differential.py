@@ -1,7 +1,7 @@
-"""The same calls to Debian's rosmaster and to ours: equal answers, but for what is listed here.
+"""The same calls to Debian's rosmaster and to ours: equal answers, except for listed differences.
 
-Ours sees callers that may do everything: what remains is behaviour. Stock's handler runs in
-process with a thread pool that never calls out.
+Our callers have all rights, so only behaviour differs. Stock's handler runs in process, with a
+thread pool that never calls slave APIs.
 """
 
 import os
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.ros
 A, B, A2 = "http://h:1/", "http://h:2/", "http://h:3/"
 S1, S2 = "rosrpc://h:11", "rosrpc://h:12"
 T, U = "std_msgs/String", "std_msgs/Bool"
-CANNOT, ASKED = "XML-RPC cannot carry", "in an answer"
+CANNOT, IN_ANSWER = "XML-RPC cannot carry", "in an answer"
 Call = tuple[Any, ...]
 
 TABLES: dict[str, list[Call]] = {
@@ -144,7 +144,7 @@ TABLES: dict[str, list[Call]] = {
 
 # Where ours differs on purpose, by the name under which docs/spec/master.md explains it.
 BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
-    # Stock trips over its own tree walk; the parameter is simply not there.
+    # Stock fails in its own tree walk; the parameter does not exist.
     "delete-below-value": [
         (("deleteParam", "/a", "/tree/a/b/c"), [-1, "parameter [/tree/a/b/c] is not set", 0]),
     ],
@@ -187,15 +187,15 @@ BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
     # Stock stores it, and then no tree that holds it can be read any more.
     "unreadable-values": [
         (("setParam", "/a", "/big", 1 << 31), [
-            -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {ASKED}", 0,
+            -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {IN_ANSWER}", 0,
         ]),
         (("setParam", "/a", "/nil", [None]), [
-            -1, f"Error: invalid arguments: {CANNOT} nil {ASKED}", 0,
+            -1, f"Error: invalid arguments: {CANNOT} nil {IN_ANSWER}", 0,
         ]),
     ],
-    # Stock keeps the type of a topic that nobody publishes or subscribes to any more.
+    # Stock keeps the type of a topic without publishers and subscribers.
     "types-of-the-gone": [(("getTopicTypes", "/gone"), [1, "current system state", []])],
-    # A service that another node took over keeps the old node in stock's list for ever.
+    # After a service was replaced, stock keeps the old node registered.
     "replaced-provider": [(("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""])],
 }  # fmt: skip
 DIFFERENCES = [difference for group in BY_NAME.values() for difference in group]
@@ -214,7 +214,7 @@ TABLES["differences"] = [
 
 
 class NoPool:
-    """Stock's worker threads, which here never call out."""
+    """Stock's worker threads, which here never call slave APIs."""
 
     def queue_task(self, *_: object) -> None:
         pass
@@ -240,14 +240,14 @@ def ours() -> MasterApi:
 
 
 def plain(value: Any) -> Any:
-    """Tuples and lists are one array on the wire."""
+    """Tuples and lists are the same array on the wire."""
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return value
 
 
 def wired(value: Any) -> Any:
-    """As it comes over the wire: base64 is bytes."""
+    """The value as received: base64 is bytes."""
     match value:
         case xmlrpc.client.Binary():
             return value.data

@@ -1,4 +1,4 @@
-"""A lamp that provides a service, and a hall that calls it."""
+"""Nodes: `/lamp` provides a service, `/hall` calls it."""
 
 from collections.abc import AsyncIterator
 

@@ -17,7 +17,7 @@ TOPIC = "/robot/pose"
 
 @pytest.fixture
 async def site(tmp_path: Path) -> AsyncIterator[Site]:
-    """With an identity for `/rviz_*` that may do both."""
+    """A site with an identity for `/rviz_*` that may publish and subscribe."""
     async with Site(tmp_path / "site").running() as site:
         site.enroll("/rviz", wildcard=True)
         site.publish("/rviz", TOPIC)
@@ -56,12 +56,12 @@ async def test_remapping_the_name_finds_the_same_identity(site: Site) -> None:
 
 async def test_closing_a_node_does_not_affect_another_of_its_identity(site: Site) -> None:
     async with site.node("/rviz_1") as one, site.node("/rviz_2") as two:
-        kept = await one.publisher(TOPIC, POSE)
+        publisher = await one.publisher(TOPIC, POSE)
         await two.publisher(TOPIC, POSE)
         await two.close()
         state = await one._session.call("getSystemState")
         assert state == [[[TOPIC, [one.name]]], [], []]
-        assert kept.topic == TOPIC
+        assert publisher.topic == TOPIC
 
 
 async def test_revoking_an_identity_ends_all_its_nodes(site: Site) -> None:

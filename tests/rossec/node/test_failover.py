@@ -1,4 +1,4 @@
-"""A master that is started again: who is back first is told of nobody, and hangs up on nobody."""
+"""A restarted master: a node that reconnects first keeps its connections."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -25,7 +25,7 @@ def registered(site: Site, kind: Kind) -> list[str]:
 async def test_a_subscriber_that_reconnects_first_keeps_its_connections(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every message arrives, over the connection that was there (`undisturbed`)."""
+    """Every message arrives, over the same connection (`undisturbed`)."""
     absent = Absent(monkeypatch)
     async with undisturbed(site) as witness:
         absent.names = {"/robot"}

@@ -1,4 +1,4 @@
-"""A node hears its own topics and calls its own services, as ROS programs do all day."""
+"""A node receives its own topics and calls its own services, as ROS programs often do."""
 
 import asyncio
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.support.witness import until
 TOPIC, SERVICE, STRING, TRIGGER = "/loop", "/echo", "std_msgs/String", "std_srvs/Trigger"
 
 
-def entitled(site: Site, name: str) -> None:
+def grant_all(site: Site, name: str) -> None:
     site.publish(name, TOPIC)
     site.subscribe(name, TOPIC)
     site.grant(name, Right.PROVIDE, SERVICE)
@@ -20,31 +20,31 @@ def entitled(site: Site, name: str) -> None:
 
 async def test_a_node_uses_its_own_topic_and_service(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
-    entitled(site, "/robot")
+    grant_all(site, "/robot")
 
     async def answer(_: Message) -> dict[str, object]:
-        return {"success": True, "message": "said to itself"}
+        return {"success": True, "message": "called itself"}
 
     async with site.running(), site.node("/robot") as robot, asyncio.timeout(60):
-        heard = await robot.subscriber(TOPIC, STRING)
-        said = await robot.publisher(TOPIC, STRING)
-        await said.wait_for_subscribers()
-        said.publish(said.create(data="to itself"))
-        assert (await anext(heard.messages())).data == "to itself"
-        (link,) = said.links
-        assert link.stream.peer.name == "/robot"
+        subscriber = await robot.subscriber(TOPIC, STRING)
+        publisher = await robot.publisher(TOPIC, STRING)
+        await publisher.wait_for_subscribers()
+        publisher.publish(publisher.create(data="to itself"))
+        assert (await anext(subscriber.messages())).data == "to itself"
+        (connection,) = publisher.links
+        assert connection.stream.peer.name == "/robot"
         await robot.service(SERVICE, TRIGGER, answer)
         await robot.wait_for_service(SERVICE, timeout=30)
         for persistent in (False, True):
             async with robot.client(SERVICE, TRIGGER, persistent=persistent) as client:
-                assert (await client()).message == "said to itself"
+                assert (await client()).message == "called itself"
 
 
 async def test_a_node_needs_the_right_for_its_own_topic(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.subscribe("/robot", TOPIC)
     async with site.running(), site.node("/robot") as robot:
-        heard = await robot.subscriber(TOPIC, STRING)
-        heard.update([robot.uri])
-        await until(lambda: heard.refusals)
-        assert not heard.links
+        subscriber = await robot.subscriber(TOPIC, STRING)
+        subscriber.update([robot.uri])
+        await until(lambda: subscriber.refusals)
+        assert not subscriber.links

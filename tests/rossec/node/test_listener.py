@@ -1,4 +1,4 @@
-"""The two ports of a node, spoken to directly by a node that does not play by the rules."""
+"""The two ports of a node, with a peer that violates the protocol."""
 
 import asyncio
 import contextlib
@@ -37,8 +37,8 @@ async def robot(site: Site) -> AsyncIterator[Node]:
         yield robot
 
 
-async def knock(site: Site, robot: Node, *pieces: bytes) -> dict[str, bytes]:
-    """What the topic port answers to `/viewer` sending `pieces`, one unit each."""
+async def request(site: Site, robot: Node, *pieces: bytes) -> dict[str, bytes]:
+    """The answer of the topic port to `/viewer` sending `pieces`, one unit each."""
     credentials = site.enroll("/viewer").credentials()
     _, port = robot.topic_endpoint()
     stream = await connect("127.0.0.1", port, credentials, site.anchor.verify)
@@ -58,25 +58,25 @@ async def ended(stream: SecureStream[Identity]) -> None:
                 await stream.receive()
 
 
-def hello(**fields: str) -> bytes:
+def subscriber_header(**fields: str) -> bytes:
     return header.encode(
         {"callerid": "/viewer", "topic": "/robot/pose", "md5sum": "*", "type": "*", **fields}
     )
 
 
 async def test_a_subscriber_without_a_grant_receives_an_error_only(site: Site, robot: Node) -> None:
-    answer = await knock(site, robot, hello())
+    answer = await request(site, robot, subscriber_header())
     assert answer == {"error": b"rossec: /viewer shows no grant to subscribe /robot/pose"}
 
 
 async def test_the_answer_does_not_reveal_whether_a_topic_exists(site: Site, robot: Node) -> None:
-    there = await knock(site, robot, hello())
-    not_there = await knock(site, robot, hello(topic="/robot/none"))
+    there = await request(site, robot, subscriber_header())
+    not_there = await request(site, robot, subscriber_header(topic="/robot/none"))
     assert there["error"].replace(b"/robot/pose", b"/robot/none") == not_there["error"]
 
 
 async def test_a_false_callerid_is_refused(site: Site, robot: Node) -> None:
-    answer = await knock(site, robot, hello(callerid="/robot"))
+    answer = await request(site, robot, subscriber_header(callerid="/robot"))
     assert b"a node certified as /viewer calls itself /robot" in answer["error"]
 
 
@@ -86,8 +86,10 @@ async def test_an_authorized_subscriber_is_told_that_a_topic_is_not_published(
     site.subscribe("/viewer", "/robot/none")
     (grant,) = site.enroll("/viewer").grants()
     fields = {"rossec_grants": (b"\x81\x59" + len(grant).to_bytes(2) + grant)}
-    answer = await knock(
-        site, robot, header.encode({**header.decode(hello(topic="/robot/none")[4:]), **fields})
+    answer = await request(
+        site,
+        robot,
+        header.encode({**header.decode(subscriber_header(topic="/robot/none")[4:]), **fields}),
     )
     assert answer["error"] == b"rossec: /robot does not publish /robot/none"
 
@@ -97,22 +99,22 @@ async def test_an_authorized_subscriber_is_told_that_a_topic_is_not_published(
     [
         ((b"\xff\xff\xff\x7f",), b""),
         ((b"\4\0\0\0\xff\xff\xff\xff",), b""),
-        ((hello(), hello()), b""),
-        ((hello() + b"\1\0\0",), b"bytes after the connection header"),
+        ((subscriber_header(), subscriber_header()), b""),
+        ((subscriber_header() + b"\1\0\0",), b"bytes after the connection header"),
         ((b"\0\0\0\0",), b"has no 'callerid'"),
     ],
 )
 async def test_malformed_headers_are_refused(
     site: Site, robot: Node, pieces: tuple[bytes, ...], error: bytes
 ) -> None:
-    answer = await knock(site, robot, *pieces)
+    answer = await request(site, robot, *pieces)
     assert answer["error"].startswith(b"rossec: ")
     assert error in answer["error"]
 
 
 async def test_a_header_may_arrive_in_several_units(site: Site, robot: Node) -> None:
-    data = hello()
-    answer = await knock(site, robot, *(data[i : i + 7] for i in range(0, len(data), 7)))
+    data = subscriber_header()
+    answer = await request(site, robot, *(data[i : i + 7] for i in range(0, len(data), 7)))
     assert b"shows no grant" in answer["error"]
 
 
@@ -160,15 +162,15 @@ async def test_the_connections_of_one_identity_are_bounded(
     monkeypatch.setattr(connections, "PEER_CONNECTIONS", 3)
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
 
-    async def met(name: str) -> SecureStream[Identity]:
+    async def connected(name: str) -> SecureStream[Identity]:
         who = site.enroll(name).credentials(), site.anchor.verify
         return await connect("127.0.0.1", port, *who, opening=WireProtocol.HTTP)
 
     callers = ["/viewer"] * 3 + ["/master"] * 4
-    streams = [await met(name) for name in callers]
+    streams = [await connected(name) for name in callers]
     for name, stream in zip(callers, streams, strict=True):
         assert await RpcClient(stream).call("requestTopic", name, "/t", [["TCPROS"]])
-    await ended(await met("/viewer"))
+    await ended(await connected("/viewer"))
     await streams[0].close()
 
 
@@ -185,7 +187,7 @@ async def test_a_caller_that_stays_is_disconnected(
 async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
     site: Site, robot: Node
 ) -> None:
-    """`rosnode ping`, `info` and `kill`; to steer the node is never granted."""
+    """`rosnode ping`, `info` and `kill`; no grant allows to control the node."""
     sees = site.grant("/operator", Right.GRAPH, "/robot")
     ends = site.grant("/operator", Right.ADMIN, "/robot")
     elsewhere = site.grant("/operator", Right.GRAPH | Right.ADMIN, "/other")

@@ -34,15 +34,15 @@ async def test_revoking_a_grant_closes_its_topic_and_no_other(site: Site) -> Non
     site.subscribe("/viewer", "/robot/pose")
     revoked = site.subscribe("/viewer", "/robot/scan")
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
-        kept = await robot.publisher("/robot/pose", POSE)
-        cut = await robot.publisher("/robot/scan", "sensor_msgs/LaserScan")
+        other = await robot.publisher("/robot/pose", POSE)
+        scan = await robot.publisher("/robot/scan", "sensor_msgs/LaserScan")
         await viewer.subscriber("/robot/pose", POSE)
         await viewer.subscriber("/robot/scan", "sensor_msgs/LaserScan")
-        await kept.wait_for_subscribers()
-        await cut.wait_for_subscribers()
+        await other.wait_for_subscribers()
+        await scan.wait_for_subscribers()
         await tell_master(site, robot, site.revoke(revoked))
-        await until(lambda: not cut.links)
-        assert len(kept.links) == 1
+        await until(lambda: not scan.links)
+        assert len(other.links) == 1
 
 
 async def test_revoking_a_key_closes_all_connections_of_its_node(site: Site) -> None:
@@ -239,8 +239,8 @@ async def test_a_node_that_was_off_for_long_has_its_grants_renewed(tmp_path: Pat
         publisher.publish(pose(publisher))
         subscriber = await viewer.subscriber("/robot/pose", POSE)
         await first(subscriber)
-        [link] = publisher.links
-        assert len(link.decision.grant_ids) == 3  # the grant, the delegation and the delegate
+        [connection] = publisher.links
+        assert len(connection.decision.grant_ids) == 3  # the grant, the delegation and the delegate
         id_ = open_delegation(delegation, site.anchor.public_key).id
         site.authority.revoke(id_, "withdrawn", site.now())
         data = site.authority.store.newest_list()

@@ -1,4 +1,4 @@
-"""Parameters of nodes against a real master: read, written, followed, refused."""
+"""Parameters of nodes against a real master: read, written, subscribed to, refused."""
 
 import asyncio
 import contextlib
@@ -71,7 +71,7 @@ async def test_a_parameter_without_the_right_is_refused(robot: Node, viewer: Nod
     with pytest.raises(AnswerRefused, match="param-set"):
         await viewer.params.delete("/robot/value")
     with pytest.raises(AnswerRefused, match="param-get"):
-        await viewer.params.get("/speed", 1)  # the default is for what is unset, not for a refusal
+        await viewer.params.get("/speed", 1)  # a refusal is not "unset"
     with pytest.raises(AnswerRefused, match="param-get"):
         await viewer.params.has("/speed")
     with pytest.raises(AnswerRefused, match="param-get"):

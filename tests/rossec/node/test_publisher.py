@@ -36,18 +36,18 @@ class Stream:
 
 
 class Guard:
-    """Treats messages as a function says, and counts."""
+    """Filters messages with a function, and counts them."""
 
-    def __init__(self, key: object = "k", treat: Any = lambda message: [message]) -> None:
+    def __init__(self, key: object = "k", filter_: Any = lambda message: [message]) -> None:
         self.key = key
-        self.treated = 0
-        self._treat = treat
+        self.applied = 0
+        self._filter = filter_
 
     memory = None
 
     def apply(self, message: Any, _now: int, _mark: object) -> Any:
-        self.treated += 1
-        return self._treat(message)
+        self.applied += 1
+        return self._filter(message)
 
 
 def no_keys(name: str) -> bytes:
@@ -110,8 +110,8 @@ async def test_the_oldest_messages_of_a_slow_subscriber_are_dropped() -> None:
     await settle()
     for data in ("a", "b", "c"):
         topic.publish_bytes(text(data))
-    (link,) = topic.links
-    assert link.dropped == 1
+    (connection,) = topic.links
+    assert connection.dropped == 1
     stream.open.set()
     await settle()
     assert stream.sent[1:] == [framed("first"), framed("b", "c")]
@@ -124,8 +124,8 @@ async def test_subscribers_with_equal_filters_share_the_filtered_message() -> No
     guards = [Guard("same"), Guard("same"), Guard("other", lambda _: None)]
     tasks = [await serve(topic, Stream(), guard) for guard in guards]
     topic.publish_bytes(text("x"))
-    assert sorted(guard.treated for guard in guards) == [0, 1, 1]
-    assert sorted(link.withheld for link in topic.links) == [0, 0, 1]
+    assert sorted(guard.applied for guard in guards) == [0, 1, 1]
+    assert sorted(connection.withheld for connection in topic.links) == [0, 0, 1]
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
@@ -138,7 +138,7 @@ async def test_a_message_that_cannot_be_evaluated_is_withheld(
         raise MessageRefused("not its layout")
 
     topic, stream = publisher(), Stream()
-    task = await serve(topic, stream, Guard(treat=refuse))
+    task = await serve(topic, stream, Guard(filter_=refuse))
     for _ in range(50):
         topic.publish_bytes(b"not a string")
     await settle()
@@ -162,7 +162,7 @@ async def test_an_expired_connection_receives_no_more_messages() -> None:
 async def test_a_latched_message_is_sent_to_new_subscribers(withheld: bool) -> None:
     topic, stream = publisher(latch=True), Stream()
     topic.publish_bytes(text("before"))
-    guard = Guard(treat=(lambda _: None) if withheld else (lambda message: [message]))
+    guard = Guard(filter_=(lambda _: None) if withheld else (lambda message: [message]))
     task = await serve(topic, stream, guard)
     await settle()
     assert stream.sent[1:] == ([] if withheld else [framed("before")])
@@ -185,10 +185,10 @@ async def test_wait_for_subscribers_returns_when_they_are_connected() -> None:
 
 async def test_a_batch_is_bounded() -> None:
     topic, stream = publisher(queue_size=100), Stream()
-    link = SubscriberConnection(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
+    connection = SubscriberConnection(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
     for _ in range(5):
-        link.enqueue([bytes(100_000)])
-    assert [len(link._next_batch()) for _ in range(2)] == [6, 4]
+        connection.enqueue([bytes(100_000)])
+    assert [len(connection._next_batch()) for _ in range(2)] == [6, 4]
     assert topic.topic == "/t"
 
 
@@ -208,15 +208,15 @@ async def test_a_connection_is_registered_before_its_answer_is_sent() -> None:
 async def test_a_buffer_that_changes_later_is_sent_as_it_was_checked() -> None:
     topic, stream = publisher(latch=True), Stream()
     task = await serve(topic, stream, Guard())
-    buffer = bytearray(text("judged"))
+    buffer = bytearray(text("before"))
     topic.publish_bytes(memoryview(buffer))
     buffer[4:] = b"forged"
     await settle()
-    assert stream.sent[1:] == [framed("judged")]
+    assert stream.sent[1:] == [framed("before")]
     late = Stream()
     other = await serve(topic, late, Guard())
     await settle()
-    assert late.sent[1:] == [framed("judged")]
+    assert late.sent[1:] == [framed("before")]
     for running in (task, other):
         running.cancel()
     await asyncio.gather(task, other, return_exceptions=True)

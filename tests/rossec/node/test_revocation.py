@@ -1,4 +1,4 @@
-"""On revocation both ends cut: services as topics, and nothing more of parameters arrives."""
+"""A parameter subscription receives no updates after its grant is revoked."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The server's side of a service, over real sockets: handlers, turns, restrictions."""
+"""The server side of a service, over real sockets: handlers, concurrency, restrictions."""
 
 import asyncio
 from typing import Any
@@ -79,31 +79,31 @@ async def test_a_call_to_a_slow_handler_fails(lamp: Node, hall: Node) -> None:
     client = hall.client(LAMP, BOOL, persistent=True, deadline=0.5)
     with pytest.raises(ServiceFailed, match="did not answer in time"):
         await client(data=True)
-    await until(lambda: not client.links)  # the answer might still come: never used again
+    await until(lambda: not client.links)  # a late answer could arrive: not used again
 
 
 @pytest.mark.parametrize("side", ["caller", "provider"])
 async def test_each_call_is_authorized_again(
     lamp: Node, hall: Node, side: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before the watch looks: what has ended is met by the call itself."""
+    """The call itself checks for expiry, before the watchdog does."""
     service = await lamp.service(LAMP, BOOL, switch)
     client = hall.client(LAMP, BOOL, persistent=True)
     await called(client, data=True)
     for node in (lamp, hall):
         monkeypatch.setattr(node._watchdog, "close_terminated", lambda _: None)
-    (link,) = (client if side == "caller" else service).links
-    monkeypatch.setattr(link, "ends", 0)
+    (connection,) = (client if side == "caller" else service).links
+    monkeypatch.setattr(connection, "ends", 0)
     with pytest.raises(ChannelError, match="expired" if side == "caller" else None):
         await client(data=True)
     await until(lambda: not service.links and not client.links)
 
 
 async def test_conditions_and_filters_of_the_caller_are_applied(site: Site, lamp: Node) -> None:
-    heard: list[bool] = []
+    received: list[bool] = []
 
     def listen(request: Any) -> dict[str, object]:
-        heard.append(request.data)
+        received.append(request.data)
         return switch(request)
 
     await lamp.service(LAMP, BOOL, listen)
@@ -120,9 +120,9 @@ async def test_conditions_and_filters_of_the_caller_are_applied(site: Site, lamp
         ):
             await client(data=True)
         assert await called(client, data=False) == "on is False"
-        with pytest.raises(ServiceFailed, match="rossec: "):  # not one request
+        with pytest.raises(ServiceFailed, match="rossec: "):  # malformed
             await client.call_bytes(b"too long")
-    assert heard == [False, False]
+    assert received == [False, False]
     async with site.node("/dumb") as dumb:
         response = await dumb.client(LAMP, BOOL)(data=True)
         assert (response.success, response.message) == (True, "")
@@ -150,6 +150,6 @@ async def test_an_incomplete_request_times_out(
     service = await lamp.service(LAMP, BOOL, switch)
     client = hall.client(LAMP, BOOL, persistent=True)
     await called(client, data=True)
-    (link,) = client.links
-    await link.stream.send(b"\1\0")
+    (connection,) = client.links
+    await connection.stream.send(b"\1\0")
     await until(lambda: not service.links and not client.links)

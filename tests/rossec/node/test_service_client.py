@@ -1,4 +1,4 @@
-"""The client's side of a service, over real sockets: connections kept, checked and given up."""
+"""The client side of a service, over real sockets: persistent connections, probes, restrictions."""
 
 import asyncio
 from typing import Any
@@ -20,14 +20,14 @@ async def test_a_persistent_connection_is_used_again(lamp: Node, hall: Node) -> 
     service = await lamp.service(LAMP, BOOL, switch)
     async with hall.client(LAMP, BOOL, persistent=True) as client:
         assert await called(client, data=True) == "on is True"
-        (link,) = service.links
-        async with asyncio.TaskGroup() as group:  # calls take turns
+        (connection,) = service.links
+        async with asyncio.TaskGroup() as group:  # one call at a time
             for _ in range(5):
                 group.create_task(called(client, data=True))
-        assert service.links == {link}
-        link.stream.abort("the network broke")
+        assert service.links == {connection}
+        connection.stream.abort("the network broke")
         await until(lambda: not client.links)
-        assert await called(client, data=False) == "on is False"  # over a new one
+        assert await called(client, data=False) == "on is False"  # over a new connection
     await until(lambda: not service.links)
     with pytest.raises(ChannelError, match="closed"):
         await client(data=True)
@@ -43,10 +43,10 @@ async def test_types_must_agree(lamp: Node, hall: Node) -> None:
 
 
 async def test_the_caller_applies_the_restrictions_of_the_provider(site: Site, hall: Node) -> None:
-    heard: list[bool] = []
+    received: list[bool] = []
 
     def listen(request: Any) -> dict[str, object]:
-        heard.append(request.data)
+        received.append(request.data)
         return switch(request)
 
     site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("SetBoolRequest", "!msg.data"))
@@ -57,7 +57,7 @@ async def test_the_caller_applies_the_restrictions_of_the_provider(site: Site, h
         with pytest.raises(ServiceRefused, match="does not allow this request"):
             await client(data=True)
         assert await called(client, data=False) == ""
-    assert heard == [False]
+    assert received == [False]
 
 
 async def test_a_probe_requests_the_header_only(lamp: Node, hall: Node) -> None:
@@ -74,7 +74,7 @@ async def test_a_probe_requests_the_header_only(lamp: Node, hall: Node) -> None:
 async def test_messages_may_arrive_in_several_units(
     site: Site, lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Units are what somebody sent at once: a frame may need several of them."""
+    """A frame may be sent in several units."""
     service = await lamp.service(LAMP, BOOL, switch)
     client = hall.client(LAMP, BOOL, persistent=True)
     send = SecureStream.send

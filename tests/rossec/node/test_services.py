@@ -1,4 +1,4 @@
-"""Services of nodes against a real master over real sockets: who may ask what, and what is cut."""
+"""Services of nodes against a real master over real sockets: rights, revocation, restarts."""
 
 import asyncio
 
@@ -74,7 +74,7 @@ async def test_a_provider_without_the_right_is_refused(site: Site, hall: Node) -
     async with site.node("/eve") as eve:
         with pytest.raises(RossecError, match="provide"):
             await eve.service(LAMP, BOOL, switch)
-        with pytest.raises(RossecError, match="provide"):  # the first try left nothing behind
+        with pytest.raises(RossecError, match="provide"):  # the first attempt left no registration
             await eve.service(LAMP, BOOL, switch)
 
 
@@ -91,7 +91,7 @@ async def test_the_connection_of_a_revoked_caller_is_closed(site: Site, lamp: No
         assert len(service.links) == 1
         await tell(site, lamp, right)
         await until(lambda: not service.links and not client.links)
-        await hall._session._heartbeat()  # a node that registers nothing hears with its heartbeat
+        await hall._session._heartbeat()  # without registrations it learns of it by its heartbeat
         with pytest.raises((RossecError, GrantError)):
             await called(client, data=True)
 
@@ -110,15 +110,15 @@ async def test_the_connection_of_a_revoked_provider_is_closed(site: Site, hall: 
 async def test_a_revoked_right_does_not_affect_other_registrations(
     site: Site, hall: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gone = site.grant("/lamp", Right.PROVIDE, "/lamp/off")
+    revoked = site.grant("/lamp", Right.PROVIDE, "/lamp/off")
     site.grant("/lamp", Right.PROVIDE, LAMP)
     async with site.node("/lamp") as lamp:
         await lamp.service("/lamp/off", BOOL, switch)
         await lamp.service(LAMP, BOOL, switch)
-        newest = site.revoke(gone)
+        newest = site.revoke(revoked)
         await site.restart_master()
         await until(lambda: "/lamp/off is not registered again" in caplog.text)
-        await until(lambda: hall.revocations.data == newest)  # it has met the new master
+        await until(lambda: hall.revocations.data == newest)  # it has connected to the new master
         await hall.wait_for_service(LAMP, timeout=20)
         with pytest.raises(ServiceUnavailable):
             await hall.client("/lamp/off", BOOL)(data=True)

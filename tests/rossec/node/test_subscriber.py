@@ -1,4 +1,4 @@
-"""What a subscriber believes of a publisher whose right is restricted."""
+"""What a subscriber accepts from a publisher whose right is restricted."""
 
 from pathlib import Path
 
@@ -14,14 +14,14 @@ TYPE = "std_msgs/String"
 async def test_the_restrictions_of_a_publisher_are_applied_by_the_subscriber(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The publisher here does not hold itself back: nobody makes it."""
+    """The publisher does not apply the restrictions to itself."""
     site = Site(tmp_path / "site")
     rules = filter_rules({"data": {"truncate": {"length": 4}}})
     restriction = Restriction(TYPE, ('msg.data != "stop"',), rules)
     site.grant("/boss", Right.PUBLISH, "/order", restriction=restriction)
     site.subscribe("/robot", "/order")
     async with site.running(), site.node("/boss") as boss, site.node("/robot") as robot:
-        heard = await robot.subscriber("/order", TYPE)
+        subscriber = await robot.subscriber("/order", TYPE)
         publisher = await boss.publisher("/order", TYPE)
         await publisher.wait_for_subscribers()
         for data in ("stop", "go on"):
@@ -30,7 +30,7 @@ async def test_the_restrictions_of_a_publisher_are_applied_by_the_subscriber(
             publisher.publish_bytes(b"\x02\0\0\0go, and a tail")
         publisher.publish(publisher.create(data="end"))
         words = []
-        async for message in heard:
+        async for message in subscriber:
             words.append(message.data)
             if len(words) == 2:
                 break
@@ -45,6 +45,6 @@ async def test_a_restriction_for_another_type_refuses_the_publisher(tmp_path: Pa
     site.subscribe("/robot", "/order")
     async with site.running(), site.node("/boss") as boss, site.node("/robot") as robot:
         await boss.publisher("/order", TYPE, latch=True)
-        heard = await robot.subscriber("/order", TYPE)
-        await until(lambda: bool(heard.refusals), within=20)
-        assert "restricted for messages of type geometry_msgs/Twist" in str(heard.refusals[0])
+        subscriber = await robot.subscriber("/order", TYPE)
+        await until(lambda: bool(subscriber.refusals), within=20)
+        assert "restricted for messages of type geometry_msgs/Twist" in str(subscriber.refusals[0])

@@ -1,4 +1,4 @@
-"""The vectors of what is inside the channel: connection headers, calls and the grants in them."""
+"""The vectors inside the channel: connection headers, calls and the grants in them."""
 
 import json
 from dataclasses import replace

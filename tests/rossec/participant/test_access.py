@@ -41,7 +41,7 @@ def revocations(site: Site, now: int = NOW) -> Revocations:
     return held
 
 
-def judge(site: Site, presented: bytes | None, *, topic: str = TOPIC, now: int = NOW) -> None:
+def authorize(site: Site, presented: bytes | None, *, topic: str = TOPIC, now: int = NOW) -> None:
     Access(site.anchor, revocations(site, now)).authorize(
         site.identity("/viewer"), presented, Right.SUBSCRIBE, topic, now
     )
@@ -52,68 +52,68 @@ def field(*grants: Value) -> bytes:
 
 
 def test_a_peer_with_a_grant_is_authorized(site: Site) -> None:
-    judge(site, field(site.subscribe("/viewer", TOPIC)))
+    authorize(site, field(site.subscribe("/viewer", TOPIC)))
 
 
 def test_a_peer_without_grants_is_refused(site: Site) -> None:
     with pytest.raises(GrantMissing, match="/viewer shows no grant to subscribe /robot/pose") as no:
-        judge(site, None)
+        authorize(site, None)
     assert "rossec grant sign /viewer --subscribe /robot/pose" in no.value.hint
     with pytest.raises(GrantMissing):
-        judge(site, field())
+        authorize(site, field())
 
 
 def test_a_grant_for_another_topic_is_refused(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC)
     with pytest.raises(GrantMissing) as caught:
-        judge(site, field(grant), topic="/robot/camera")
+        authorize(site, field(grant), topic="/robot/camera")
     assert TOPIC in caught.value.hint
 
 
 def test_a_grant_to_publish_does_not_allow_subscribing(site: Site) -> None:
     with pytest.raises(GrantMissing, match="subscribe"):
-        judge(site, field(site.publish("/viewer", TOPIC)))
+        authorize(site, field(site.publish("/viewer", TOPIC)))
 
 
 def test_a_grant_of_another_key_is_refused(site: Site) -> None:
     with pytest.raises(GrantNotHeld):
-        judge(site, field(site.subscribe("/other", TOPIC)))
+        authorize(site, field(site.subscribe("/other", TOPIC)))
 
 
 def test_an_expired_grant_is_refused_although_it_was_verified_before(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC, lifetime=5)
-    judged = Access(site.anchor, revocations(site))
+    own = Access(site.anchor, revocations(site))
     viewer = site.identity("/viewer")
-    judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 1)
+    own.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 1)
     with pytest.raises(GrantExpired):
-        judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 10)
+        own.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 10)
 
 
 def test_a_grant_of_another_authority_is_refused(site: Site, tmp_path: Path) -> None:
-    stranger = Site(tmp_path / "stranger", clock=lambda: NOW)
+    other = Site(tmp_path / "other", clock=lambda: NOW)
     with pytest.raises(GrantForged):
-        judge(site, field(stranger.subscribe("/viewer", TOPIC)))
+        authorize(site, field(other.subscribe("/viewer", TOPIC)))
 
 
 def test_a_revoked_grant_is_refused(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC)
     site.revoke(grant)
     with pytest.raises(GrantRevoked):
-        judge(site, field(grant))
+        authorize(site, field(grant))
 
 
 def test_a_peer_with_a_revoked_key_is_refused(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC)
     site.revoke(site.identity("/viewer").thumbprint)
     with pytest.raises(Revoked):
-        judge(site, field(grant))
+        authorize(site, field(grant))
 
 
 def test_every_peer_is_refused_while_revocations_are_stale(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC)
-    judged = Access(site.anchor, revocations(site))
+    own = Access(site.anchor, revocations(site))
     with pytest.raises(RevocationsStale):
-        judged.authorize(site.identity("/viewer"), field(grant), Right.SUBSCRIBE, TOPIC, NOW + 60)
+        own.authorize(site.identity("/viewer"), field(grant), Right.SUBSCRIBE, TOPIC, NOW + 60)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_every_peer_is_refused_while_revocations_are_stale(site: Site) -> None:
 )
 def test_a_malformed_list_of_grants_is_refused(site: Site, presented: bytes, said: str) -> None:
     with pytest.raises(GrantMalformed, match=said):
-        judge(site, presented)
+        authorize(site, presented)
 
 
 def test_only_grants_that_cover_the_request_are_presented(site: Site) -> None:
@@ -145,23 +145,23 @@ def test_the_cache_of_verified_grants_is_bounded(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(access, "_CACHE_SIZE", 2)
-    judged = Access(site.anchor, revocations(site))
+    own = Access(site.anchor, revocations(site))
     viewer = site.identity("/viewer")
     for _ in range(4):
         grant = site.subscribe("/viewer", TOPIC)
-        judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW)
-    assert len(judged._verified) == 2
+        own.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW)
+    assert len(own._verified) == 2
 
 
 def test_a_refused_grant_does_not_affect_a_valid_one(site: Site) -> None:
     good = site.subscribe("/viewer", TOPIC)
-    judge(site, field(b"garbage", good, good[:-1] + bytes([good[-1] ^ 1])))
+    authorize(site, field(b"garbage", good, good[:-1] + bytes([good[-1] ^ 1])))
 
 
 def test_the_error_of_a_grant_takes_precedence_over_a_missing_grant(site: Site) -> None:
     expired = site.grant("/viewer", Right.SUBSCRIBE, TOPIC, begin=NOW - 100, lifetime=-10)
     with pytest.raises(GrantExpired):
-        judge(site, field(site.subscribe("/viewer", "/robot/camera"), expired))
+        authorize(site, field(site.subscribe("/viewer", "/robot/camera"), expired))
 
 
 def test_expired_grants_are_not_presented_and_their_number_is_bounded(site: Site) -> None:
@@ -172,7 +172,7 @@ def test_expired_grants_are_not_presented_and_their_number_is_bounded(site: Site
     own = Access(site.anchor, revocations(site), [ended, revoked, *later])
     shown = own.present(Right.SUBSCRIBE, TOPIC, NOW)
     assert shown == field(*reversed(later[-access.MAX_GRANTS :]))
-    judge(site, shown)
+    authorize(site, shown)
     assert own.current(NOW) == later[::-1]
 
 
@@ -190,25 +190,25 @@ async def test_the_hint_for_a_master_without_a_list_names_the_commands_that_make
 
 
 def test_a_list_without_a_timestamp_makes_revocations_stale(site: Site) -> None:
-    """So the master speaks to an identity that is revoked: what it tells counts, and no more."""
+    """The master answers so to a revoked identity: the list is used, nothing else is trusted."""
     held, saved = revocations(site), list[bytes]()
     own = Access(site.anchor, held)
     master = site.identity("/master")
     held.check_fresh(NOW)
-    told = site.revoke(bytes(32))
-    for data in (told, told):  # also when there is nothing new
+    signed = site.revoke(bytes(32))
+    for data in (signed, signed):  # also when the list is not new
         with pytest.raises(
             RevocationsStale, match="the revocation list without a timestamp"
         ) as stale:
             own.update_revocations(data, b"", master, NOW, saved.append)
         assert "enroll the node anew" in stale.value.hint
-        assert (held.data, held.fresh_until) == (told, 0)
-    assert saved == [told]
+        assert (held.data, held.fresh_until) == (signed, 0)
+    assert saved == [signed]
     assert bytes(32) in held.entries
 
 
 def test_stale_revocations_do_not_hide_a_revoked_intermediate(site: Site) -> None:
-    """Else a master below it would end the staleness with its word."""
+    """Otherwise a master below it would end the staleness with its own timestamp."""
     held = revocations(site)
     own, above = Access(site.anchor, held), bytes(32)
     master = replace(site.identity("/master"), issuers=(above,))
@@ -216,12 +216,12 @@ def test_stale_revocations_do_not_hide_a_revoked_intermediate(site: Site) -> Non
     held.update(site.revoke(above), NOW)
     with pytest.raises(Revoked):
         own.check_peer(master, NOW)
-    word = sign_timestamp(
+    timestamp = sign_timestamp(
         site.enroll("/master").credentials().signer,
         Timestamp(held.floor[1], digest(held.data), NOW, 30),
     )
     with pytest.raises(Revoked):
-        own.update_revocations(b"", word, master, NOW, list[bytes]().append)
+        own.update_revocations(b"", timestamp, master, NOW, list[bytes]().append)
     assert held.fresh_until == 0
     other = replace(master, issuers=(bytes([1]) * 32,))
     with pytest.raises(RevocationsStale):

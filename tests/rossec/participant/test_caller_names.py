@@ -1,4 +1,4 @@
-"""Calls under another name, beside stock's own arithmetic."""
+"""Calls with another caller_id, compared with how stock resolves names."""
 
 from typing import Any
 
@@ -40,7 +40,7 @@ def test_a_relative_name_is_resolved_for_the_original_caller(
         ("getParam", ("/ns/tool",)),
         ("getParam", ("/ns/tool", 7)),
         ("getParam", ("/ns/tool", "")),
-        ("getPublishedTopics", ("/ns/tool", "")),  # everything, not the namespace
+        ("getPublishedTopics", ("/ns/tool", "")),  # all topics, not those of the namespace
         ("searchParam", ("/ns/tool", "x")),
         ("getSystemState", ("/ns/tool",)),
     ],

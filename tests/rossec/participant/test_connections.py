@@ -14,7 +14,7 @@ GRANT = b"g" * 16
 KEY, ABOVE = b"k" * 32, b"i" * 32
 
 
-class Linked:
+class FakeConnection:
     def __init__(self, ends: int = NOW + 1000, keep: bool = False) -> None:
         self.stream: Any = SimpleNamespace(peer=SimpleNamespace(keys=(KEY, ABOVE)))
         self.decision: Any = SimpleNamespace(grant_ids=(GRANT,), keep_when_stale=keep)
@@ -37,48 +37,57 @@ def revocations(site: Site) -> Revocations:
 
 
 def test_a_valid_connection_stays_open(site: Site) -> None:
-    assert termination_reason(Linked(), revocations(site), NOW) is None
+    assert termination_reason(FakeConnection(), revocations(site), NOW) is None
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_connection_is_closed_in_the_second_it_expires(site: Site, late: int) -> None:
-    assert termination_reason(Linked(ends=NOW), revocations(site), NOW - 1) is None
-    reason = termination_reason(Linked(ends=NOW), revocations(site), NOW + late)
+    assert termination_reason(FakeConnection(ends=NOW), revocations(site), NOW - 1) is None
+    reason = termination_reason(FakeConnection(ends=NOW), revocations(site), NOW + late)
     assert reason == "its grant or its certificate has expired"
 
 
 @pytest.mark.parametrize("entry", [GRANT, KEY, ABOVE])
 def test_a_revoked_grant_or_key_closes_the_connection(site: Site, entry: bytes) -> None:
     site.authority.revoke(entry, "", NOW)
-    assert termination_reason(Linked(), revocations(site), NOW) == f"{entry.hex()} is revoked"
+    assert (
+        termination_reason(FakeConnection(), revocations(site), NOW) == f"{entry.hex()} is revoked"
+    )
 
 
 def test_a_connection_outlives_stale_revocations_for_the_grace_period(site: Site) -> None:
     held = revocations(site)
     last = held.fresh_until + STALE_GRACE
-    assert termination_reason(Linked(), held, last - 1) is None
-    assert "confirmation ran out" in (termination_reason(Linked(), held, last) or "")
+    assert termination_reason(FakeConnection(), held, last - 1) is None
+    assert "the last confirmation expired" in (
+        termination_reason(FakeConnection(), held, last) or ""
+    )
 
 
 def test_a_connection_is_closed_without_a_revocation_list(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
-    assert termination_reason(Linked(), never, NOW) is not None
+    assert termination_reason(FakeConnection(), never, NOW) is not None
 
 
 def test_a_connection_with_on_stale_keep_ends_by_revocation_or_expiry_only(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
     held = revocations(site)
     long_after = held.fresh_until + 10 * STALE_GRACE
-    assert termination_reason(Linked(keep=True), never, NOW) is None
-    assert termination_reason(Linked(ends=long_after + 1, keep=True), held, long_after) is None
-    assert termination_reason(Linked(keep=True), held, NOW + 1000) is not None
+    assert termination_reason(FakeConnection(keep=True), never, NOW) is None
+    assert (
+        termination_reason(FakeConnection(ends=long_after + 1, keep=True), held, long_after) is None
+    )
+    assert termination_reason(FakeConnection(keep=True), held, NOW + 1000) is not None
     site.authority.revoke(GRANT, "", NOW)
     assert termination_reason(
-        Linked(ends=long_after + 1, keep=True), revocations(site), long_after
+        FakeConnection(ends=long_after + 1, keep=True), revocations(site), long_after
     ) == (f"{GRANT.hex()} is revoked")
 
 
 def test_a_revoked_grant_closes_the_connection_during_the_grace_period(site: Site) -> None:
     site.authority.revoke(GRANT, "", NOW)
     held = revocations(site)
-    assert termination_reason(Linked(), held, held.fresh_until + 1) == f"{GRANT.hex()} is revoked"
+    assert (
+        termination_reason(FakeConnection(), held, held.fresh_until + 1)
+        == f"{GRANT.hex()} is revoked"
+    )

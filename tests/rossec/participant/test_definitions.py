@@ -1,4 +1,4 @@
-"""Whose word about a message type a guard is built from."""
+"""Which side's definition a guard is built from."""
 
 from dataclasses import replace
 from typing import Final
@@ -69,7 +69,7 @@ def test_the_type_is_read_from_a_header() -> None:
 
 
 def test_the_definition_of_a_receiver_is_its_own() -> None:
-    """Whatever the publisher says of the same md5sum."""
+    """Even if the publisher claims another one with the same md5sum."""
     assert receiver_definition(PATH, FORGED, restricted(PATH.name), nothing) is PATH
     assert receiver_definition(PATH, FORGED, restricted(PATH.name), host) is PATH
     assert receiver_definition(WORD, FORGED, restricted(WORD.name), unasked) is WORD
@@ -85,9 +85,9 @@ def test_a_definition_of_the_publisher_is_used_if_the_md5sum_of_the_receiver_pro
     wanted = restricted(WORD.name)
     assert receiver_definition(undefined(WORD), WORD, wanted, unasked) == WORD
     assert receiver_definition(undefined(WORD), undefined(WORD), wanted, host) == WORD
-    lie = replace(WORD, definition="string[] data")
-    assert receiver_definition(undefined(WORD), lie, wanted, host) == WORD
-    for own, said in ((undefined(WORD), lie), (ANY, WORD), (replace(ANY, name=WORD.name), WORD)):
+    forged = replace(WORD, definition="string[] data")
+    assert receiver_definition(undefined(WORD), forged, wanted, host) == WORD
+    for own, said in ((undefined(WORD), forged), (ANY, WORD), (replace(ANY, name=WORD.name), WORD)):
         with pytest.raises(
             ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
         ):
@@ -137,7 +137,7 @@ def test_the_size_of_messages_is_known_for_fixed_types_only() -> None:
 
 
 def test_the_reported_definition_of_a_receiver_is_its_own_or_proven() -> None:
-    """A bound may be as wide as if nothing were known; never as a publisher likes it."""
+    """A publisher cannot choose the size limit by its claim."""
     number = message_type("std_msgs/Int32")
     assert reported_definition(number, FORGED) is number
     assert size_of(reported_definition(undefined(number), number)) == 4

@@ -1,4 +1,4 @@
-"""When grants are renewed, and that only good tokens are held."""
+"""When grants are renewed, and that only valid tokens are held."""
 
 import time
 from itertools import pairwise
@@ -110,20 +110,20 @@ def test_a_grant_is_due_at_about_two_thirds_of_its_lifetime(world: World) -> Non
 
 
 def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> None:
-    """Of a ticket of a minute some 20 s are left then: a pause of a minute would be its end."""
+    """A ticket of a minute has some 20 s left: after a pause of a minute it would have expired."""
     world.hold(lifetime=60)
     [held] = world.access.held_grants()
     asked = [second for second in range(60) if world.renewals.due(world.now + second)]
     assert asked[0] == due_at(held) - world.now
     assert len(asked) >= 4
     assert max(late - early for early, late in pairwise(asked)) <= 7
-    assert world.renewals.due(world.now + 60) == [held]  # and now that it has expired: no hurry
+    assert world.renewals.due(world.now + 60) == [held]  # expired: the longest pause
     assert world.renewals.due(world.now + 60 + RETRY - 1) == []
     assert world.renewals.due(world.now + 60 + RETRY) == [held]
 
 
 async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: World) -> None:
-    """What was renewed a moment ago is not held back as if it had been refused."""
+    """The pause after a refusal does not apply to a renewed grant."""
     delegation = Delegation(
         "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
     )
@@ -136,7 +136,7 @@ async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: W
         await renew(world.answer, world.renewals, now)
         [held] = world.access.held_grants()
         least = min(least, held.grant.expires - now)
-    assert least >= 12  # seconds: some tries more, had the master been out of reach
+    assert least >= 12  # seconds: enough for more tries if the master is out of reach
     assert 13 <= len(world.calls) <= 22
 
 
@@ -218,9 +218,9 @@ async def test_an_invalid_token_is_not_held(
 
 
 def test_a_renewed_grant_of_another_node_is_refused(world: World) -> None:
-    stray = world.site.grant(world.node, P, lifetime=60, cap=DAY)
+    unknown = world.site.grant(world.node, P, lifetime=60, cap=DAY)
     with pytest.raises(GrantMissing, match="is not held by this node"):
-        world.access.hold_renewed(world.renewed(stray), world.now)
+        world.access.hold_renewed(world.renewed(unknown), world.now)
 
 
 def test_tokens_of_a_revoked_delegation_are_refused(world: World) -> None:
@@ -237,7 +237,7 @@ def test_tokens_of_a_revoked_delegation_are_refused(world: World) -> None:
 
 
 def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:
-    """Whoever stole its key could otherwise keep the list fresh that a new one would replace."""
+    """A stolen key could otherwise confirm a list that a newer one replaces."""
     fresh = world.revocations.fresh_until
     with pytest.raises(Revoked):
         world.at(20, world.site.revoke(world.master.identity.thumbprint))
@@ -252,6 +252,6 @@ def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:
 def test_a_peer_that_does_not_know_the_master_refuses_a_renewed_grant(tmp_path: Path) -> None:
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
-    stranger = Access(world.site.anchor, world.revocations)
+    other = Access(world.site.anchor, world.revocations)
     with pytest.raises(GrantError, match="the master's key is not known"):
-        stranger.hold_renewed(token, int(time.time()))
+        other.hold_renewed(token, int(time.time()))

@@ -1,4 +1,4 @@
-"""What a watcher makes of answers, good and bad."""
+"""The graph a watcher builds from valid and malformed answers."""
 
 from typing import Any
 

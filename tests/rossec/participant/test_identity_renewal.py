@@ -1,4 +1,4 @@
-"""An identity renewed by its node: on the disk in one step, live from the next connection on."""
+"""An identity renewed by its node: replaced on the disk, used from the next connection on."""
 
 import time
 from pathlib import Path
@@ -35,7 +35,7 @@ BEGIN = NOW - 15 * DAY
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    """A site whose nodes were enrolled 15 days ago for 20."""
+    """A site whose nodes were enrolled 15 days ago for 20 days."""
     return Site(tmp_path / "site", clock=lambda: BEGIN)
 
 
@@ -110,7 +110,7 @@ def test_an_identity_installed_by_an_operator_is_used(site: Site) -> None:
 def test_an_identity_that_expires_earlier_is_not_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
     before = credentials.certificate
-    site.renew("/robot", DAY)  # shorter, and over by now
+    site.renew("/robot", DAY)  # shorter, and expired by now
     assert asks.request(NOW) is not None
     site._clock = lambda: NOW
     site.renew("/robot", DAY)
@@ -172,5 +172,7 @@ async def test_nodes_work_with_identities_signed_by_the_master(site: Site) -> No
             publisher.publish(pose(publisher))
             subscriber = await viewer.subscriber("/robot/pose", POSE)
             await first(subscriber, within=20)
-            [link] = subscriber.links
-            assert link.stream.peer.issuers == (site.intermediate.authority.issuer.thumbprint,)
+            [connection] = subscriber.links
+            assert connection.stream.peer.issuers == (
+                site.intermediate.authority.issuer.thumbprint,
+            )

@@ -1,4 +1,4 @@
-"""What a latching publisher shows a newcomer."""
+"""What a latching publisher sends to a new subscriber."""
 
 import struct
 
@@ -17,8 +17,8 @@ def guard(memory: Memory | None) -> Guard:
     return Guard(None, decision, None, lambda _: memory or Memory())
 
 
-def shown(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
-    """What a newcomer gets."""
+def latched(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
+    """What a new subscriber receives."""
     for sample in latch.candidates(receiver):
         if receiver.apply(sample.data, now, sample.mark) is not None:
             latch.record(receiver, sample)
@@ -29,10 +29,10 @@ def shown(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
 def test_a_new_subscriber_receives_the_newest_message_or_the_last_one_it_received() -> None:
     latch: Latch[bytes] = Latch()
     memory, other = Memory(), Memory()
-    assert shown(latch, guard(memory)) is None
+    assert latched(latch, guard(memory)) is None
     for number in range(3):
         latch.newest = Sample(struct.pack("<I", number))
-        assert shown(latch, guard(memory)) == struct.pack("<I", 0)
-        assert shown(latch, guard(None)) == latch.newest.data
-    assert shown(latch, guard(other)) == struct.pack("<I", 2)
-    assert shown(latch, guard(memory), NOW + 10) == struct.pack("<I", 2)
+        assert latched(latch, guard(memory)) == struct.pack("<I", 0)
+        assert latched(latch, guard(None)) == latch.newest.data
+    assert latched(latch, guard(other)) == struct.pack("<I", 2)
+    assert latched(latch, guard(memory), NOW + 10) == struct.pack("<I", 2)

@@ -1,4 +1,4 @@
-"""One store of memories for the nodes of a process."""
+"""One memory store for the nodes of a process."""
 
 from grants.decision import Decision
 from grants.model import Right

@@ -1,4 +1,4 @@
-"""The session with the master: what a node does with a master that knows less than it does."""
+"""The session with a master whose revocation list is older than the node's."""
 
 from pathlib import Path
 

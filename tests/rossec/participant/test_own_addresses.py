@@ -1,4 +1,4 @@
-"""What a node takes for its own address."""
+"""Which addresses are a node's own."""
 
 import pytest
 

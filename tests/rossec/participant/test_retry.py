@@ -1,4 +1,4 @@
-"""The pauses after a loss."""
+"""The pauses before reconnecting."""
 
 import pytest
 
@@ -11,12 +11,12 @@ def test_pauses_are_a_second_at_most_for_half_a_minute_and_then_five(rand: float
     while now < 1000 + 2 * FAST_PERIOD:
         pauses.append((now, retry.pause(now)))
         now += pauses[-1][1]
-    cut = 1 - rand / 2
-    assert pauses[0][1] == FIRST * cut
+    factor = 1 - rand / 2
+    assert pauses[0][1] == FIRST * factor
     assert [pause for at, pause in pauses if at < 1000 + FAST_PERIOD][2:] == pytest.approx(
-        [cut] * (len([at for at, _ in pauses if at < 1000 + FAST_PERIOD]) - 2)
+        [factor] * (len([at for at, _ in pauses if at < 1000 + FAST_PERIOD]) - 2)
     )
-    assert pauses[-1][1] == 5 * cut
+    assert pauses[-1][1] == 5 * factor
 
 
 def test_a_success_resets_the_pauses() -> None:

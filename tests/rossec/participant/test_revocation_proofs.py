@@ -1,4 +1,4 @@
-"""Where revocations are a tree: what a node asks for, and a whole site that runs on proofs."""
+"""Where revocations are a tree: which proofs a node requests, and a site that works with them."""
 
 import time
 from collections.abc import AsyncIterator
@@ -15,7 +15,7 @@ from rossec.errors import AnswerMalformed
 from rossec.participant.connections import STALE_GRACE, termination_reason
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
-from tests.rossec.participant.test_connections import Linked
+from tests.rossec.participant.test_connections import FakeConnection
 from tests.support.authority import Site as Authority
 from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import Site
@@ -89,16 +89,16 @@ def test_a_connection_without_a_proof_has_the_same_grace_period_as_without_times
 ) -> None:
     now = int(time.time())
     last = held.status_valid_until(b"g" * 16) + STALE_GRACE
-    assert termination_reason(Linked(ends=last + 99), held, now) is None
+    assert termination_reason(FakeConnection(ends=last + 99), held, now) is None
     assert held.current is not None
-    held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # news go on, proofs do not
-    assert termination_reason(Linked(ends=last + 99), held, last - 1) is None
-    assert "no proof" in (termination_reason(Linked(ends=last + 99), held, last) or "")
+    held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # but no new proof
+    assert termination_reason(FakeConnection(ends=last + 99), held, last - 1) is None
+    assert "no proof" in (termination_reason(FakeConnection(ends=last + 99), held, last) or "")
 
 
 @pytest.fixture
 async def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Site]:
-    """A site whose authority signs trees, as from the 4097th revocation on."""
+    """A site whose authority signs trees, as it does from the 4097th revocation on."""
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     site = Site(tmp_path / "site")
     site.revoke(bytes(32))
@@ -119,8 +119,8 @@ async def test_nodes_work_with_proofs(site: Site) -> None:
         assert len(publisher.links) == 2
         await tell_master(site, robot, site.revoke(right))
         await until(lambda: len(publisher.links) == 1, within=20)
-        [link] = publisher.links
-        assert link.stream.peer.name == "/other"
+        [connection] = publisher.links
+        assert connection.stream.peer.name == "/other"
     assert site.master is not None
     await site.restart_master()
     async with site.node("/robot") as robot:

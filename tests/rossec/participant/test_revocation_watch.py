@@ -14,13 +14,13 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 
-class Linked:
-    """A connection that somebody still serves after it was cut."""
+class Connection:
+    """A connection that a task still serves after it was aborted."""
 
     def __init__(self, ends: int) -> None:
-        self.cuts: list[str] = []
+        self.aborts: list[str] = []
         peer = SimpleNamespace(name="/eve", keys=(b"k" * 32,))
-        self.stream: Any = SimpleNamespace(peer=peer, abort=self.cuts.append)
+        self.stream: Any = SimpleNamespace(peer=peer, abort=self.aborts.append)
         self.decision: Any = SimpleNamespace(grant_ids=(), keep_when_stale=False)
         self.ends = ends
 
@@ -33,23 +33,23 @@ def revocations(site: Site) -> Revocations:
 async def test_an_expired_connection_is_aborted_once(
     revocations: Revocations,
 ) -> None:
-    link = Linked(ends=int(time.time()) - 1)
-    door: Any = SimpleNamespace(abort_revoked=lambda _: None)
-    looks = 0
+    connection = Connection(ends=int(time.time()) - 1)
+    ports: Any = SimpleNamespace(abort_revoked=lambda _: None)
+    checks = 0
 
-    def links() -> tuple[Linked, ...]:
-        nonlocal looks
-        looks += 1
-        return (link,)
+    def connections() -> tuple[Connection, ...]:
+        nonlocal checks
+        checks += 1
+        return (connection,)
 
     async with asyncio.TaskGroup() as group:
-        watching = group.create_task(ConnectionWatchdog(revocations, links, door).run())
-        await until(lambda: link.cuts)
+        watching = group.create_task(ConnectionWatchdog(revocations, connections, ports).run())
+        await until(lambda: connection.aborts)
         for _ in range(1000):
             await asyncio.sleep(0)
         watching.cancel()
-    assert len(link.cuts) == 1
-    assert looks < 10, "it waits for the next period"
+    assert len(connection.aborts) == 1
+    assert checks < 10, "it waits for the next period"
 
 
 def test_revocations_are_stale_after_the_clock_was_set_back(
@@ -62,19 +62,19 @@ def test_revocations_are_stale_after_the_clock_was_set_back(
     assert data is not None
     held.update(data, now)
     assert held.current is not None
-    news = Timestamp(held.current.seq, digest(data), now, 30)
-    held.confirm(news, now)
-    door: Any = SimpleNamespace(abort_revoked=lambda _: None)
-    link = Linked(ends=now + 3600)
-    watch = ConnectionWatchdog(held, lambda: (link,), door)
-    watch.check(now)
+    timestamp = Timestamp(held.current.seq, digest(data), now, 30)
+    held.confirm(timestamp, now)
+    ports: Any = SimpleNamespace(abort_revoked=lambda _: None)
+    connection = Connection(ends=now + 3600)
+    watchdog = ConnectionWatchdog(held, lambda: (connection,), ports)
+    watchdog.check(now)
     held.check_fresh(now)
     shows -= 3600
-    watch.check(clock.now())
+    watchdog.check(clock.now())
     with pytest.raises(RevocationsStale, match="not confirmed"):
         held.check_fresh(clock.now())
-    assert link.cuts == [], "only those that come are refused at once"
-    held.confirm(news, now)
-    watch.check(clock.now())
+    assert connection.aborts == [], "new connections only are refused at once"
+    held.confirm(timestamp, now)
+    watchdog.check(clock.now())
     held.check_fresh(clock.now())
     assert caplog.text.count("the host's clock went back") == 1

@@ -1,4 +1,4 @@
-"""Which restriction of a right holds for which message of a call; no connection."""
+"""Which restriction of a right applies to which message of a call; no connection."""
 
 import secrets
 from pathlib import Path
@@ -83,9 +83,9 @@ def test_a_missing_pseudonym_key_is_refused(tmp_path: Path) -> None:
 
 def test_an_expired_right_and_malformed_bytes_are_refused() -> None:
     both = guard(Restriction("std_srvs/SetBoolRequest", ("!msg.data",)))
-    for treat in (both.request, both.response):
+    for apply in (both.request, both.response):
         with pytest.raises(GrantExpired):
-            treat(OFF, NOW + 10)
+            apply(OFF, NOW + 10)
     rules = filter_rules({"message": {"clear": True}})
     with pytest.raises(MessageRefused):
         guard(Restriction("std_srvs/SetBoolResponse", (), rules)).response(b"", NOW)

@@ -13,24 +13,24 @@ Call = tuple[object, ...]
 
 
 class Node:
-    """Records what the slave API asks of the node."""
+    """Records the events of the slave API."""
 
     def __init__(self) -> None:
-        self.heard: list[Call] = []
+        self.received: list[Call] = []
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        self.heard.append((topic, uris))
+        self.received.append((topic, uris))
 
     def parameter_changed(self, key: str, value: object) -> None:
-        self.heard.append((key, value))
+        self.received.append((key, value))
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         if revocations == b"older":
             raise RollbackRefused("older than one seen")
-        self.heard.append((revocations, timestamp, master.name))
+        self.received.append((revocations, timestamp, master.name))
 
     def shutdown_requested(self, reason: str) -> None:
-        self.heard.append((reason,))
+        self.received.append((reason,))
 
     def topic_endpoint(self) -> tuple[str, int]:
         return "robot.local", 40000
@@ -87,7 +87,7 @@ async def test_no_other_peer_may_control_the_node(
         answer = await call(node, identity, str(given[0]), claimed, *given[1:])
         assert isinstance(answer, list)
         assert (answer[0], "for the master alone" in str(answer[1])) == (-1, True)
-    assert node.heard == []
+    assert node.received == []
 
 
 async def test_calls_of_the_master_reach_the_node(node: Node, identity: Identity) -> None:
@@ -95,7 +95,7 @@ async def test_calls_of_the_master_reach_the_node(node: Node, identity: Identity
     await call(node, master, "publisherUpdate", "/master", "/t", ["http://a:1", 5])
     await call(node, master, "rossec.revocationUpdate", "/master", b"list", b"stamp")
     await call(node, master, "shutdown", "/master", "replaced")
-    assert node.heard == [("/t", ["http://a:1"]), (b"list", b"stamp", "/master"), ("replaced",)]
+    assert node.received == [("/t", ["http://a:1"]), (b"list", b"stamp", "/master"), ("replaced",)]
 
 
 async def test_any_node_may_call_request_topic(node: Node, identity: Identity) -> None:

@@ -1,4 +1,4 @@
-"""A restricted right on a topic, and what it means for the messages of one type."""
+"""The guard of a restricted right on a topic."""
 
 from pathlib import Path
 from typing import Any
@@ -44,9 +44,9 @@ def test_a_guard_applies_conditions_and_filters(setup: AgentSetup) -> None:
     guard = guard_for(WORD, decision(setup, restriction), keyed, memory_scope("/viewer"))
     assert guard is not None
     assert guard(b"\x02\0\0\0no", setup.site.now()) is None
-    treated = guard(b"\x04\0\0\0anna", setup.site.now())
-    assert treated is not None
-    assert len(b"".join(treated)) == 12
+    filtered = guard(b"\x04\0\0\0anna", setup.site.now())
+    assert filtered is not None
+    assert len(b"".join(filtered)) == 12
 
 
 def test_a_restriction_by_rate_or_time_needs_no_definition(setup: AgentSetup) -> None:

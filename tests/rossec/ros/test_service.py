@@ -39,7 +39,7 @@ def test_why_there_is_none() -> None:
 
 
 def test_a_mark_that_is_none() -> None:
-    with pytest.raises(FrameRefused, match="neither good nor bad"):
+    with pytest.raises(FrameRefused, match="neither a success nor a failure"):
         wire.open_response(b"\2abc")
     with pytest.raises(FrameRefused):
         wire.open_response(b"")

@@ -76,7 +76,7 @@ def test_arguments_beat_the_environment() -> None:
         ((), {"ROS_NAMESPACE": "my-robot"}, "not a ROS name", "/robot1/camera"),
         (("in:=",), {}, "lacks a side", "without spaces"),
         ((":=",), {}, "lacks a side", "without spaces"),
-        (("__nam:=x",), {}, "none of ROS's own", "__name"),
+        (("__nam:=x",), {}, "not one of ROS's own", "__name"),
         (("__name:=a/b",), {}, "contains a namespace", "__ns:="),
         (("in:=a b",), {}, "not a ROS name", "/robot1/camera"),
     ],

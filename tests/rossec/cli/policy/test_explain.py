@@ -67,7 +67,7 @@ def test_a_withheld_message_is_explained(shell: Shell, file: str, tmp_path: Path
     raw.write_bytes(bytes(kind.serialize(kind.create())))
     said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file,
                  "--message", str(raw))  # fmt: skip
-    assert 'withheld: not now or not this one: msg.header.frame_id == "map"' in said.out
+    assert 'withheld: the condition is not true: msg.header.frame_id == "map"' in said.out
 
 
 def test_an_explanation_is_printed_as_json(shell: Shell, file: str, message: Path) -> None:

@@ -62,7 +62,7 @@ def options(tmp_path: Path, bag: Path) -> tuple[str, ...]:
 def test_messages_are_counted_before_and_after(shell: Shell, options: tuple[str, ...]) -> None:
     assert shell("simulate", *options).out.splitlines() == [
         "/pose -> /x: 4 of 4 admitted before, 2 after",
-        '  withheld after: not now or not this one: msg.header.frame_id == "map"',
+        '  withheld after: the condition is not true: msg.header.frame_id == "map"',
         "  a message after:",
         "    pose.position.x: 3.3 -> 4.0",
         "/text -> /x: 1 of 1 admitted before, 0 after",

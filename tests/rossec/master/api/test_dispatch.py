@@ -1,4 +1,4 @@
-"""The dispatch: multicall, rossec's own methods, what stock has no test for."""
+"""The dispatch: rossec's own methods and limits, which stock does not have."""
 
 from typing import Any
 

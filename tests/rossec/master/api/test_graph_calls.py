@@ -1,4 +1,4 @@
-"""What is kept of the state between two questions; the answers are in test_differential."""
+"""The caches of graph queries; the answers are compared in test_differential."""
 
 from typing import Any
 
@@ -38,12 +38,12 @@ def test_the_same_caller_receives_changes(api: MasterApi) -> None:
 
 
 def test_a_cached_state_is_not_sent_to_another_caller(api: MasterApi) -> None:
-    """It is kept by the number of an object, which the next one may get."""
+    """The cache key is the id of an object, which may be reused."""
     register(api, "/a", "/t")
     rich, poor = everything("/rich"), caller("/poor")
     assert state(api, rich) != EMPTY
-    kept: Any = api.methods["getSystemState"].handler
-    kept.__self__._states[id(poor)] = kept.__self__._states[id(rich)]
+    handler: Any = api.methods["getSystemState"].handler
+    handler.__self__._states[id(poor)] = handler.__self__._states[id(rich)]
     assert state(api, poor) == EMPTY
 
 
@@ -56,6 +56,6 @@ def test_the_caches_are_bounded(
         register(api, "/a", f"/t{number}")
     for number in range(5):
         assert len(state(api, everything(f"/viewer{number}"))[0]) == 5
-    kept: Any = api.methods["getSystemState"].handler
-    assert len(kept.__self__._states) <= (2 if limit == "_MAX_CACHED_STATES" else 5)
-    assert len(kept.__self__._entries) <= (2 if limit == "_MAX_CACHED_ENTRIES" else 5)
+    handler: Any = api.methods["getSystemState"].handler
+    assert len(handler.__self__._states) <= (2 if limit == "_MAX_CACHED_STATES" else 5)
+    assert len(handler.__self__._entries) <= (2 if limit == "_MAX_CACHED_ENTRIES" else 5)

@@ -1,4 +1,4 @@
-"""Parameter calls: who hears of a change; answers are compared with stock elsewhere."""
+"""Parameter calls: updates, rights, limits; answers are compared in test_differential."""
 
 from dataclasses import replace
 
@@ -38,13 +38,18 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[Mast
 
 
 def test_changes_and_only_changes_are_persisted(api: MasterApi) -> None:
-    def kept(method: str, *params: object) -> list[MasterEvent]:
+    def events_of(method: str, *params: object) -> list[MasterEvent]:
         outcome = api.call(method, ("/a", *params), everything("/a"), 0)
         return [event for event in outcome.events if isinstance(event, PersistParameter)]
 
-    assert kept("setParam", "k", 1) == [PersistParameter(ParameterChange("/k", 1))]
-    assert kept("deleteParam", "k") == [PersistParameter(ParameterChange("/k", deleted=True))]
-    assert kept("deleteParam", "k") == kept("setParam", "/", 1) == kept("getParam", "k") == []
+    assert events_of("setParam", "k", 1) == [PersistParameter(ParameterChange("/k", 1))]
+    assert events_of("deleteParam", "k") == [PersistParameter(ParameterChange("/k", deleted=True))]
+    assert (
+        events_of("deleteParam", "k")
+        == events_of("setParam", "/", 1)
+        == events_of("getParam", "k")
+        == []
+    )
 
 
 def test_all_subscribers_but_the_setter_are_notified_of_a_change(api: MasterApi) -> None:
@@ -151,7 +156,7 @@ def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
     ask(api, everything("/a"), "deleteParam", "/a/big")
     assert put("/a", "/a/more", 4000) == "parameter /a/more set"
     assert put("/a", "/a/more", 3000) == "parameter /a/more set"
-    ask(api, everything("/b"), "deleteParam", "/a")  # somebody else made room
+    ask(api, everything("/b"), "deleteParam", "/a")  # another caller frees space
     assert put("/a", "/a/more", 4000).startswith(full), "what it set counts for its key"
     ask(api, everything("/b"), "deleteParam", "/b")
     assert put("/a", "/a/more", 4000) == "parameter /a/more set", "all of it is gone"
@@ -160,18 +165,18 @@ def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
 def test_a_key_with_many_nodes_is_authorized_once_for_a_change(
     api: MasterApi, statements: FakeStatements, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else one call judges a large tree as often as its caller has nodes."""
+    """Else one call checks a large tree once for each node of its caller."""
     shared = [NodeRef(f"/rviz_{number}", f"http://c:{number}/", b"rviz") for number in range(1, 21)]
     for node in shared:
         statements.callers[node.name] = replace(everything(node.name), thumbprint=b"rviz")
         ask(api, statements.callers[node.name], "subscribeParam", node.uri, "/ns")
-    judged: list[bytes] = []
+    checked: list[bytes] = []
 
     def has_right_on_all(who: Caller, *_: object) -> bool:
-        judged.append(who.thumbprint)
+        checked.append(who.thumbprint)
         return True
 
     monkeypatch.setattr(parameter_calls, "has_right_on_all", has_right_on_all)
     received = ask(api, everything("/b"), "setParam", "/ns", {"k": 1})
     assert {event.node for event in received if isinstance(event, ParameterChanged)} == {A, *shared}
-    assert judged.count(b"rviz") == 1
+    assert checked.count(b"rviz") == 1

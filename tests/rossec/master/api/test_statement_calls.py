@@ -1,4 +1,4 @@
-"""The calls about grants, delegations and revocations, over statements that are made up."""
+"""The calls about grants, delegations and revocations, over fake statements."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Turns end by the clock that is given, and work goes on where it was left."""
+"""Turns end by the given clock, and work resumes where it was suspended."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Following the graph: whole, then differences, and never more than may be seen."""
+"""Watching the graph: the whole state, then changes, and only visible facts."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ class Watcher:
         self.answer: Any = None
 
     def look(self) -> tuple[list[str], list[str], bool]:
-        """What was added, removed, and whether it was told as a whole."""
+        """The facts added and removed, and whether the answer is the whole state."""
         params = [self.who.name, *self.view.next_params]
         self.answer = self.api.call(WATCH, params, self.who, 0).answer
         assert self.answer[0] == 1, self.answer
@@ -78,7 +78,7 @@ def test_the_whole_state_is_sent_first_then_changes(api: MasterApi) -> None:
         [], ["provider /reset rosrpc://l:2", "service /reset /laser", "subscriber /scan /map"],
         False,
     )  # fmt: skip
-    assert watcher.view.version == 8  # each change of the state counts, types and URIs too
+    assert watcher.view.version == 8  # every change of state counts, also of types and URIs
 
 
 def test_a_change_undone_between_two_calls_is_not_sent(api: MasterApi) -> None:
@@ -117,7 +117,7 @@ def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
     watcher.look()
     watcher.api = master("second")
     do(watcher.api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
-    assert watcher.look() == ([], [], True)  # it is all as it was
+    assert watcher.look() == ([], [], True)  # the state is as before
     assert watcher.view.instance == "second"
     assert watcher.look() == ([], [], False)
 
@@ -146,7 +146,7 @@ def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> N
     assert [watcher.look()[2] for watcher in watchers] == [False] * MAX_VIEWS
     Watcher(api).look()
     assert watchers[-1].look() == ([], [], False)
-    assert watchers[0].look()[2]  # it was the first to be forgotten
+    assert watchers[0].look()[2]  # the oldest view was discarded
     assert sum(map(len, api.watch_calls._views.values())) <= MAX_VIEWS
 
 
