@@ -153,8 +153,8 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     """Search from the namespace of `caller`; the master would search from that of `name`."""
-    for place, found in search_places(caller, key):
-        answer = search_result((yield from _call_master(SEARCH, (name, place))), found)
+    for candidate, found in search_places(caller, key):
+        answer = search_result((yield from _call_master(SEARCH, (name, candidate))), found)
         if answer is not None:
             return answer
     return not_found(key)
@@ -200,12 +200,12 @@ def _params_for_master(
         if address is None:
             return None
         changed[index] = address
-    own = _own_api(rule, params)
-    if own is not None and rule.registers:
-        agent.endpoints.set_own_uri(own, str(params[rule.api or 0]))
-        known = agent.programs.get(own)
+    own_api = _own_api(rule, params)
+    if own_api is not None and rule.registers:
+        agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
+        known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
-            agent.programs[own] = Program(caller)
+            agent.programs[own_api] = Program(caller)
     return tuple(changed)
 
 
@@ -236,9 +236,9 @@ def _record_registration(
     master_params: tuple[object, ...],
 ) -> None:
     key = str(master_params[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
-    own = _own_api(rule, params)
-    if rule.registers and own is not None:
-        program = agent.programs.setdefault(own, Program(str(params[0])))
+    own_api = _own_api(rule, params)
+    if rule.registers and own_api is not None:
+        program = agent.programs.setdefault(own_api, Program(str(params[0])))
         program.registrations[method, key] = master_params
     elif rule.unregisters is not None:
         _remove_registration(agent, rule, rule.unregisters, key, master_params)
@@ -247,30 +247,30 @@ def _record_registration(
 def _remove_registration(
     agent: AgentState,
     rule: CallRule,
-    registered_by: str,
+    registering: str,
     key: str,
     master_params: tuple[object, ...],
 ) -> None:
     """Remove the registration with this address; a new program of the same name keeps its own."""
-    index, registered_index = rule.address_index, RULES[registered_by].address_index
+    index, registered_index = rule.address_index, RULES[registering].address_index
     for program in agent.programs.values():
-        made = program.registrations.get((registered_by, key))
+        registration = program.registrations.get((registering, key))
         if (
-            made is not None
+            registration is not None
             and len(master_params) > index
-            and made[registered_index] == master_params[index]
+            and registration[registered_index] == master_params[index]
         ):
-            del program.registrations[registered_by, key]
+            del program.registrations[registering, key]
 
 
 def _answer_for_program(
-    agent: AgentState, rule: CallRule, own: Endpoint | None, answer: list[object]
+    agent: AgentState, rule: CallRule, own_api: Endpoint | None, answer: list[object]
 ) -> Layer[list[object]]:
     """A successful answer of the master, rewritten for the program."""
     code, status, value = answer
     match rule.result:
         case Result.NODES:
-            value = yield from agent.egress_uris(value, own)
+            value = yield from agent.egress_uris(value, own_api)
         case Result.NODE:
             remote = parse_endpoint(value, WireProtocol.HTTP)
             value = "" if remote is None else (yield from _node(agent, remote))
@@ -287,8 +287,8 @@ def _answer_for_program(
 
 def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
     """The URI of a node; a node of the same identity is reached directly."""
-    own = agent.endpoints.program_at(remote)
-    return (yield from agent.egress_uri(remote, own, probe=True))
+    own_api = agent.endpoints.program_at(remote)
+    return (yield from agent.egress_uri(remote, own_api, probe=True))
 
 
 def _not_covered(agent: AgentState, caller: str) -> str:

@@ -32,7 +32,7 @@ from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, own_e
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
-_MAX_EGRESS: Final = 64  # ports that one answer of a peer can open
+_MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
 
 
 def handle_peer_call(
@@ -234,9 +234,9 @@ def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[objec
         match entry:
             case [number, str() as uri, "i", *rest]:
                 remote = parse_endpoint(uri, WireProtocol.HTTP)
-                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS:
-                    own = agent.endpoints.program_at(remote)
-                    uris[uri] = yield from agent.egress_uri(remote, own)
+                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS_PORTS:
+                    own_api = agent.endpoints.program_at(remote)
+                    uris[uri] = yield from agent.egress_uri(remote, own_api)
                 rewritten.append([number, uris.get(uri, uri), _INBOUND, *rest])
             case _:
                 rewritten.append(entry)
