@@ -1,1 +1,1 @@
-"""The record of an authority in SQLite: requests, identities, the log of what was signed."""
+"""The record of an authority in SQLite: requests, identities, and the log."""

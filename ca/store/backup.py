@@ -1,10 +1,9 @@
 """An authority's backup: its files in one, encrypted under a passphrase. Bytes in, bytes out.
 
-scrypt (RFC 7914) makes a key from the passphrase, AES-256-GCM encrypts one deterministic CBOR map
-from file names to contents; everything before the ciphertext is authenticated with it. A wrong
-passphrase and a changed byte look the same, as they must. Names are of a closed set: a backup from
-a stranger cannot write outside the directory it is restored to, nor beside the record what SQLite
-would take for its journal and play into it.
+scrypt (RFC 7914) derives the key from the passphrase, AES-256-GCM encrypts one deterministic CBOR
+map from file names to contents; the header is authenticated data. A wrong passphrase and a changed
+byte cannot be told apart. Names are restricted: an untrusted backup cannot write outside the
+directory it is restored to, nor add a journal file that SQLite would apply to the record.
 """
 
 import re
@@ -25,7 +24,7 @@ MAX_BACKUP: Final = 256 * 1024 * 1024
 _HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
 _N, _R, _P = 2**15, 8, 3  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
 _DIRECTORIES: Final = ("node", "inbox")
-_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which plays them back on opening
+_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
 _NAME: Final = re.compile(r"(?:node/|inbox/)?[A-Za-z0-9_-][A-Za-z0-9_.-]{0,127}")
 
 
@@ -33,7 +32,7 @@ def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: byt
     """Return the backup of `files`; `salt` (16) and `nonce` (12) are random and never used before.
 
     Raises:
-        BackupRefused: a file has a name that a backup does not carry, or all are too large.
+        BackupRefused: a file name that is not allowed, or too much data.
         PassphraseRefused: the passphrase is empty.
     """
     _check_names(files)
@@ -48,12 +47,12 @@ def unseal(data: bytes, passphrase: str) -> dict[str, bytes]:
     """Return the files in a backup.
 
     Raises:
-        BackupRefused: no backup, or cut or too large.
+        BackupRefused: not a backup, truncated, or too large.
         PassphraseRefused: the passphrase is wrong, or a byte was changed.
     """
     if len(data) > MAX_BACKUP or len(data) < _HEAD or not data.startswith(MAGIC):
         raise BackupRefused(
-            "this is no backup of an authority", "name the file that `rossec ca backup` wrote"
+            "this is not a backup of an authority", "name the file that `rossec ca backup` wrote"
         )
     head = data[:_HEAD]
     salt, nonce = head[len(MAGIC) : -NONCE_SIZE], head[-NONCE_SIZE:]
@@ -84,7 +83,7 @@ def _read(plain: bytes) -> dict[str, bytes]:
 def _check_names(files: Mapping[str, bytes]) -> None:
     for name in files:
         if _NAME.fullmatch(name) is None or name in _DIRECTORIES or name.endswith(_JOURNALS):
-            raise BackupRefused(f"{name!a} is no file of an authority")
+            raise BackupRefused(f"{name!a} is not a file of an authority")
 
 
 def _key(passphrase: str, salt: bytes) -> bytes:

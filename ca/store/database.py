@@ -1,9 +1,9 @@
-"""The file of the authority's record: an SQLite database of its owner alone, durable and whole.
+"""The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-A shell. What the tables are, `ca.store.schema` knows; this module opens them, so that a foreign,
-damaged or vanished file is refused and left as it is, and runs transactions: all of it on the disk
-when the call returns, or nothing. What is read to decide a change is read inside `changing`, which
-keeps every other command out until the change is made.
+Does I/O. `ca.store.schema` defines the tables. This module opens the file, refusing a foreign,
+damaged or missing one without changing it, and runs transactions, which are on the disk when the
+call returns. What is read to decide a change must be read inside `transaction`, which excludes
+every other command until the change is made.
 """
 
 import os
@@ -18,14 +18,14 @@ from ca.keys import ownership
 from ca.store import schema
 from ca.store.faults import fault
 
-_BUSY_TIMEOUT: Final = 30.0  # seconds for other commands, which take the lock for milliseconds
-# How a transaction begins, is kept and is undone: a whole one, and one inside another.
+_BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
+# The statements that begin, commit and roll back a transaction, and a nested one.
 _TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
 _SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
 
 
 class Database:
-    """An open record. Make one with `create` or `open`."""
+    """An open database. Create it with `create` or `open`."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self.connection = connection
@@ -35,7 +35,7 @@ class Database:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Make a new, empty record, readable by its owner alone.
+        """Create a new, empty record, readable only by its owner.
 
         Raises:
             StoreError: the file exists, or its directory does not.
@@ -55,7 +55,7 @@ class Database:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; one of an older version is brought up first.
+        """Open an existing record; an older version is migrated first.
 
         Raises:
             StoreError: no file, not a record of rossec, damaged, or of a newer version; or it
@@ -80,7 +80,7 @@ class Database:
         self.connection.close()
 
     def snapshot(self) -> bytes:
-        """The whole file as of this moment, whatever others are writing.
+        """The whole file as of this moment, also while others write.
 
         Raises:
             StoreError: the file is damaged or closed.
@@ -91,7 +91,7 @@ class Database:
             raise fault(self._path, error) from error
 
     def rows(self, query: str, *values: object) -> list[Any]:
-        """What `query` finds.
+        """The rows that `query` selects.
 
         Raises:
             StoreError: the file is damaged or closed.
@@ -102,7 +102,7 @@ class Database:
             raise fault(self._path, error) from error
 
     def check(self) -> None:
-        """Return if the file is whole, and nothing in it runs or answers but what rossec made.
+        """Return if the file is undamaged and has only the triggers and views of rossec.
 
         Raises:
             StoreError: see `ca.store.schema.check_no_foreign_objects`; or the file is damaged.
@@ -117,23 +117,23 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """One transaction, alone: all of it, durably, or nothing.
+        """An exclusive transaction: all of it, durably, or nothing.
 
-        Inside another one it is a part of that: undone alone if it fails, kept when that is.
+        A nested one is rolled back alone if it fails, and committed with the outer one.
 
         Raises:
             StoreError: an entry is refused, the file cannot be written, or it was replaced.
         """
         try:
-            begin, keep, undo = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
+            begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
                 self._check_not_replaced()
                 yield self.connection
-                self.connection.execute(keep)
+                self.connection.execute(commit)
             except BaseException:
-                if self.connection.in_transaction:  # a full disk ends it by itself
-                    for statement in undo:
+                if self.connection.in_transaction:  # a full disk ends the transaction
+                    for statement in rollback:
                         self.connection.execute(statement)
                 raise
         except sqlite3.Error as error:
@@ -141,7 +141,7 @@ class Database:
 
     @contextmanager
     def read_transaction(self) -> Iterator[None]:
-        """What is read inside is of one moment, whatever others write meanwhile."""
+        """A read transaction: a consistent snapshot, also while others write."""
         if self.connection.in_transaction:
             yield
             return
@@ -152,7 +152,7 @@ class Database:
             self.connection.execute("ROLLBACK")
 
     def _check_not_replaced(self) -> None:
-        """A record that was moved aside while this command waited must not take anything in."""
+        """Refuse to write to a record that was moved away while this command waited."""
         try:
             found = self._path.stat()
         except OSError:
@@ -160,7 +160,7 @@ class Database:
         if found is None or (found.st_dev, found.st_ino) != self._file:
             raise StoreError(
                 f"{self._path} was replaced by another command, nothing was changed",
-                "run the command again: it then works on what is there now",
+                "run the command again: it then uses the new record",
             )
 
     def _migrate(self) -> None:
@@ -176,9 +176,9 @@ def _check_file(path: Path) -> None:
     if path.stat().st_mode & 0o077:
         raise StoreError(
             f"{path} can be read or written by others",
-            f"it tells who may see what: chmod 600 {path}",
+            f"it contains grants and identities: chmod 600 {path}",
         )
-    with suppress(FileNotFoundError):  # SQLite will say so
+    with suppress(FileNotFoundError):  # SQLite reports it
         ownership.check_trusted(path)
 
 
@@ -195,7 +195,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _check_kind(db: sqlite3.Connection, path: Path) -> None:
-    """Before anything is set: another program's database must be left as it is."""
+    """Before any PRAGMA is set: a database of another program must not be changed."""
     (application,) = db.execute("PRAGMA application_id").fetchone()
     if application != schema.APPLICATION_ID or not 1 <= schema.version(db) <= schema.VERSION:
         raise StoreError(

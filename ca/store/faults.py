@@ -1,8 +1,8 @@
-"""What a failure of SQLite says to a person: what happened to the record, and what did not.
+"""SQLite errors as `StoreError`: whether the record is damaged, or only cannot be used now.
 
-A record that is damaged is restored; a disk that is full, or another command at work, is no reason
-to: a backup forgets what was revoked since. So only what SQLite itself calls corrupt is called
-damaged here, and everything else says that nothing was changed (https://sqlite.org/rescode.html).
+A damaged record must be restored. A full disk, or another running command, is no reason to: a
+backup lacks the revocations made since. So only what SQLite reports as corrupt is called damaged,
+and every other message says that nothing was changed (https://sqlite.org/rescode.html).
 """
 
 import os
@@ -14,27 +14,27 @@ from typing import Final
 from ca.errors import RecordUnusable, StoreError
 
 _FULL_HINT: Final = "make room and run the command again; do not restore a backup"
-_MIN_FREE: Final = 128 * 1024  # bytes that SQLite needs beside a record to open it
+_MIN_FREE: Final = 128 * 1024  # bytes of free space that SQLite needs to open a record
 _DAMAGED: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 _FAULTS: Final[dict[int, tuple[str, str]]] = {
     sqlite3.SQLITE_FULL: ("the disk is full, nothing was changed", _FULL_HINT),
     sqlite3.SQLITE_BUSY: (
-        "another command is at work on it, nothing was changed",
+        "another command is using it, nothing was changed",
         "run the command again when that one has ended",
     ),
     sqlite3.SQLITE_READONLY: (
-        "it may only be read here, nothing was changed",
+        "it is read-only, nothing was changed",
         "is the file system mounted read-only, or the file another user's?",
     ),
     sqlite3.SQLITE_IOERR: (
-        "the disk refuses, nothing was changed",
-        "is it full or failing? see: df, dmesg; a whole record says so: rossec ca log verify",
+        "the disk reports an error, nothing was changed",
+        "is it full or failing? see: df, dmesg; check the record: rossec ca log verify",
     ),
 }
 
 
 def fault(path: Path, error: sqlite3.Error) -> StoreError:
-    """What `error` means for the record at `path`, as a refusal to raise."""
+    """The exception to raise for an SQLite `error` of the record at `path`."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
     if code in _DAMAGED:
         return RecordUnusable(

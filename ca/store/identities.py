@@ -1,9 +1,8 @@
 """The identities in the authority's record: which were signed, and which key a name may have.
 
-A shell. A name keeps its key. Another one is taken in three cases only: no key of the name is
-alive; the operator speaks the name again (`replace_key`); or the newest living key itself proves
-the renewal (`renews`). An older key that renews once more is a thief's, or a restored disk's: it
-is refused.
+A name keeps its key. Another key is accepted in three cases only: the name has no valid identity;
+the operator gives the name again (`replace_key`); or the newest valid key itself signs the renewal
+(`renews`). A renewal by an older key comes from a copy or a restored disk and is refused.
 """
 
 import sqlite3
@@ -19,7 +18,7 @@ _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 
 
 class IdentityTable:
-    """The certificates of one record."""
+    """The table of certificates."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -33,11 +32,11 @@ class IdentityTable:
         return self._find("WHERE name = ? ORDER BY rowid", name)
 
     def valid(self, name: str, now: int) -> list[CertificateRow]:
-        """Those with which `name` can still prove itself: no key of the chain is revoked."""
+        """The valid identities of `name`: not expired, and no key of the chain is revoked."""
         return self.with_valid_issuer(self.unrevoked(name, now))
 
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
-        """Those not expired whose own key is not revoked: more than these no revocation can end."""
+        """Those not expired whose own key is not revoked: the ones that can still be revoked."""
         return self._find(
             "WHERE name = ? AND not_after >= ?"
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
@@ -45,7 +44,7 @@ class IdentityTable:
         )  # fmt: skip
 
     def with_valid_issuer(self, rows: list[CertificateRow]) -> list[CertificateRow]:
-        """Those of `rows` that no revoked intermediate signed."""
+        """Those of `rows` that were not signed by a revoked intermediate."""
         ended = self._find(
             "WHERE substr(name, 1, ?) = ? AND thumbprint IN (SELECT entry FROM revocation)",
             len(INTERMEDIATE), INTERMEDIATE,
@@ -58,9 +57,9 @@ class IdentityTable:
         return _signer(row, self._find(clause, len(INTERMEDIATE), INTERMEDIATE))
 
     def certified_name(self, name: str, now: int) -> str:
-        """The name under which grants, rules and revocations are for the node called `name`.
+        """The certified name that grants, rules and revocations of the node `name` refer to.
 
-        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        It is `name` itself or, for an anonymous node, that of the valid identity that covers it.
         """
         covering = (row.name for row in self._related(name, now) if row.covers(name))
         return max(covering, key=len, default=name)
@@ -68,16 +67,16 @@ class IdentityTable:
     def check_names(
         self, name: str, thumbprint: bytes, now: int, covers: Callable[[str], bool]
     ) -> None:
-        """Return if no two keys would go by one name, also not through a wildcard tail.
+        """Return if no two keys would share a name, also not through a wildcard tail.
 
-        `covers(other)`: whether the identity to be would stand for `other`.
+        `covers(other)`: whether the new identity would cover `other`.
 
         Raises:
             NameCovered: they would.
         """
         for known in self._related(name, now):
-            one = known.covers(name) or covers(known.name)
-            if known.thumbprint != thumbprint and known.name != name and one:
+            overlap = known.covers(name) or covers(known.name)
+            if known.thumbprint != thumbprint and known.name != name and overlap:
                 raise NameCovered(
                     f"{name} and {known.name}: one is for anonymous nodes and covers the other",
                     f"choose another name, or revoke {known.name} first",
@@ -91,7 +90,7 @@ class IdentityTable:
     def add(
         self, db: sqlite3.Connection, row: CertificateRow, now: int, request: bytes | None
     ) -> None:
-        """Record an identity, inside the caller's transaction."""
+        """Add an identity, inside the caller's transaction."""
         values = (row.serial.to_bytes(20), *row[1:])
         db.execute("INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)", (*values, now))
         if request is not None:
@@ -110,14 +109,14 @@ class IdentityTable:
         """Return if `name` may be certified with the key `thumbprint`.
 
         Raises:
-            KeyChanged: it lives with another key, and nobody said that this one replaces it.
+            KeyChanged: it has another key, and `replace_key` was not given.
             RenewalRefused: `renews` is not its newest key.
             StoreError: the key is revoked, or `replace_key` is another name.
         """
         self.check_not_revoked(name, thumbprint)
         if replace_key is not None and replace_key != name:
             raise StoreError(
-                f"the key of {replace_key} was to be replaced, but {name} asks",
+                f"the key of {replace_key} was to be replaced, but the request is of {name}",
                 "give the name exactly, once for each request",
             )
         known = [row.thumbprint for row in self.valid(name, now)]
@@ -127,22 +126,22 @@ class IdentityTable:
         elif replace_key is None and set(known) - {thumbprint}:
             raise KeyChanged(
                 f"{name} has an identity with another key until it expires",
-                f"was the node set up anew? then say so with --replace-key {name}; if not, refuse",
+                f"if the node was set up again: --replace-key {name}; otherwise deny the request",
             )
 
     def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
-        """Return if the key that asks for `name` is not revoked.
+        """Return if the key `thumbprint` of `name` is not revoked.
 
         Raises:
             StoreError: it is.
         """
         if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
             raise StoreError(
-                f"the key of {name} is revoked", "have the node make a new key and request"
+                f"the key of {name} is revoked", "make a new key and request on the node"
             )
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
-        """Living identities whose name begins with `name`, or the other way round."""
+        """Unexpired, unrevoked identities whose name is a prefix of `name`, or the reverse."""
         found = self._find(
             "WHERE (substr(?, 1, length(name)) = name OR substr(name, 1, length(?)) = ?)"
             " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
@@ -156,15 +155,15 @@ class IdentityTable:
 
 
 def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow | None:
-    if row.name.startswith(INTERMEDIATE):  # which only the root signs
+    if row.name.startswith(INTERMEDIATE):  # only the root signs these
         return None
     return next((issuer for issuer in made if row.is_signed_by(issuer)), None)
 
 
 def _check_newest(name: str, known: list[bytes], renews: bytes) -> None:
-    """An authority that never saw the name (an intermediate) has only the proof to go by."""
+    """Refuse older keys; an authority without a record of the name (an intermediate) cannot."""
     if known and known[-1] != renews:
         raise RenewalRefused(
-            f"{name} was renewed already, by another key than the one that asks now",
-            "a copy of the node is at work: revoke the name, and enroll the right one anew",
+            f"{name} was renewed already, by another key",
+            "there is a copy of the node: revoke the name, and enroll the node again",
         )

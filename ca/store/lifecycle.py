@@ -1,10 +1,9 @@
 """The life of a request for an identity: pending, then approved or denied, then issued.
 
-The states of Kubernetes' certificate signing requests: to approve is a person's word, to issue is
-the authority's act, and both are recorded apart. The table is the whole truth; the record enforces
-it a second time, by triggers made from it. Everything ends: a request has a date after which it
-can no longer be used and is collected. What was issued stays in the record for good, so that one
-request never gets two certificates.
+The states are those of Kubernetes' certificate signing requests: a person approves, the authority
+issues, and both are recorded separately. `TRANSITIONS` is complete; triggers made from it enforce
+it in the database too. Every request expires and is then collected. What was issued stays in the
+record, so that one request never gets two certificates.
 """
 
 from enum import StrEnum
@@ -14,11 +13,11 @@ from ca.errors import RequestClosed, StoreError
 
 HOUR: Final = 3600
 DAY: Final = 24 * HOUR
-MAX_OPEN: Final = 256  # strangers can ask: what they leave here is bounded
+MAX_OPEN: Final = 256  # unauthenticated peers can send requests
 
 
 class RequestState(StrEnum):
-    """Where a request stands."""
+    """The state of a request."""
 
     PENDING = "pending"
     APPROVED = "approved"
@@ -28,7 +27,7 @@ class RequestState(StrEnum):
     @classmethod
     def _missing_(cls, value: object) -> NoReturn:
         raise StoreError(
-            f"the record has a request in a state that is none: {str(value)[:40]!a}",
+            f"the record has a request in an unknown state: {str(value)[:40]!a}",
             "restore it from a backup, and find out who changed it",
         )
 
@@ -40,8 +39,8 @@ TRANSITIONS: Final[dict[RequestState, frozenset[RequestState]]] = {
     RequestState.ISSUED: frozenset(),
 }
 OPEN: Final = frozenset(state for state, following in TRANSITIONS.items() if following)
-# Seconds after its last change. A day is a person's evening and morning; an answer is kept for a
-# week, so that who asked can still be told.
+# Seconds after the last change. A day gives the operator time to answer; an answer is kept for a
+# week, so that the node can still fetch it.
 RETENTION: Final[dict[RequestState, int]] = {
     RequestState.PENDING: DAY,
     RequestState.APPROVED: DAY,
@@ -51,7 +50,7 @@ RETENTION: Final[dict[RequestState, int]] = {
 _HINTS: Final = {
     RequestState.PENDING: "first approve it: rossec ca approve",
     RequestState.APPROVED: "",
-    RequestState.DENIED: "if that was a mistake, have the node make a new request",
+    RequestState.DENIED: "if that was a mistake, make a new request on the node",
     RequestState.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME",
 }
 
@@ -59,8 +58,8 @@ _HINTS: Final = {
 class RequestRow(NamedTuple):
     """One request, as recorded; `digest` is the SHA-256 of `der`, `source` is where it came from.
 
-    `changed` is when it came into its `state`, `reason` what was said then; `replaces`: approved in
-    words although the name lives with another key; `wildcard`: for anonymous nodes too.
+    `changed` is the time of the last change of `state`, `reason` its reason; `replaces`: approved
+    although the name has another key; `wildcard`: for anonymous nodes too.
     """
 
     digest: bytes
@@ -77,7 +76,7 @@ class RequestRow(NamedTuple):
 
     @property
     def expires(self) -> int:
-        """The last second at which it may be used; after it, it is collected."""
+        """The last second at which it may be used; afterwards it is collected."""
         return self.changed + RETENTION[self.state]
 
 
@@ -85,7 +84,7 @@ def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") ->
     """Return the request in its next state.
 
     Raises:
-        RequestClosed: the table does not lead there, or the request's time is over.
+        RequestClosed: no such transition, or the request has expired.
     """
     if state not in TRANSITIONS[row.state]:
         raise RequestClosed(
@@ -93,7 +92,7 @@ def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") ->
         )
     if now > row.expires:
         raise RequestClosed(
-            f"the request of {row.name} was {row.state} for too long and is void",
-            "have the node make a new request",
+            f"the request of {row.name} was {row.state} for too long and has expired",
+            "make a new request on the node",
         )
     return row._replace(state=state, reason=reason, changed=now)

@@ -1,8 +1,7 @@
-"""The log in the authority's record: written with every change, read and recomputed as a whole.
+"""The log in the authority's record: written with every change, and audited as a whole.
 
-A shell around `ca.store.log_entries`. `audit` trusts nothing that is stored: it computes the tree
-from the entries, compares every row of the record with the entry that announced it, replays the
-life of every request, and checks each signed head.
+`audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
+record with its log entry, replays the transitions of every request, and checks each signed head.
 """
 
 import sqlite3
@@ -37,25 +36,25 @@ class AuthorityLog:
         self._database = database
 
     def entries(self) -> list[LogEntry]:
-        """Everything that was done, oldest first."""
+        """All entries, oldest first."""
         rows = self._database.rows(
             "SELECT number, at, what, subject, detail, digest FROM log ORDER BY number"
         )
         return [LogEntry(*row) for row in rows]
 
     def head(self, now: int) -> Head:
-        """The state of the log now, to be signed."""
+        """The current head of the log, to be signed."""
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
         size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
         return Head(size, root_of(split_peaks(peaks)), now)
 
     def add_head(self, data: bytes, now: int) -> None:
-        """Keep a signed head."""
+        """Store a signed head."""
         with self._database.transaction() as db:
             db.execute("INSERT INTO head VALUES (?, ?) ON CONFLICT DO NOTHING", (data, now))
 
     def heads(self) -> list[bytes]:
-        """Every head signed, oldest first."""
+        """Every signed head, oldest first."""
         rows = self._database.rows("SELECT data FROM head ORDER BY rowid")
         return [bytes(data) for (data,) in rows]
 
@@ -64,12 +63,12 @@ class AuthorityLog:
         return Tree(map(leaf, self.entries()))
 
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
-        """Recompute everything; returns the newest head signed, which covers what was checked.
+        """Verify the whole log; returns the newest signed head.
 
-        `key` is the authority's; `more` are heads kept elsewhere.
+        `key` is the authority's; `more` are heads stored elsewhere.
 
         Raises:
-            LogDamaged: the first thing found that is not what was written.
+            LogDamaged: names the first difference.
         """
         with self._database.read_transaction():  # another command may be writing
             return self._audit(key, more)
@@ -94,7 +93,7 @@ class AuthorityLog:
         return [(LogEntry(*row[:-1]), row[-1]) for row in rows]
 
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
-        """The rows of a table are those the log announced, in the same order."""
+        """Check that the rows of a table are those in the log, in the same order."""
         table, columns = schema.LOGGED_TABLES[what]
         rows = self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
         for row, entry in zip_longest(rows, entries):
@@ -106,25 +105,29 @@ class AuthorityLog:
                 )
 
     def _check_requests(self, entries: list[LogEntry]) -> None:
-        """Every request went the way the table allows, and is where the log says."""
+        """Check that every request took allowed transitions, and is in the state the log says."""
         states = _replay(entries)
         rows = self._database.rows("SELECT digest, state, der FROM csr")
         found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
         if found != states:
-            raise LogDamaged("the requests are not where the log says", _HINT)
+            raise LogDamaged("the states of the requests differ from the log", _HINT)
 
 
 def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
-    """Where every request must be that is not collected."""
+    """The states of all requests that were not collected, from the log."""
     states: dict[bytes, RequestState] = {}
     for entry in entries:
-        held = states.get(entry.digest)
-        if entry.what == COLLECTED and held is not None:
+        current = states.get(entry.digest)
+        if entry.what == COLLECTED and current is not None:
             del states[entry.digest]
         elif entry.what in _STATES:
             state = RequestState(entry.what)
-            if not (state is RequestState.PENDING if held is None else state in TRANSITIONS[held]):
-                raise LogDamaged(f"log entry {entry.number} is no way a request can go", _HINT)
+            if not (
+                state is RequestState.PENDING if current is None else state in TRANSITIONS[current]
+            ):
+                raise LogDamaged(
+                    f"log entry {entry.number} is not an allowed transition of a request", _HINT
+                )
             states[entry.digest] = state
     return states
 
@@ -135,5 +138,5 @@ _STATES = frozenset(RequestState)
 def append_entry(
     db: sqlite3.Connection, now: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
-    """Add an entry, inside the transaction of the change it tells of."""
+    """Append an entry, inside the transaction of the change it describes."""
     schema.append(db, now, what, subject, detail, digest)

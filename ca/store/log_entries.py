@@ -1,9 +1,9 @@
 """The log of everything the authority did, as leaves of a Merkle tree, and its signed heads.
 
-An *entry* is one thing done; its leaf is the deterministic CBOR of all its fields, and `digest`
-ties it to the row it speaks of. Beside each entry stand the tree's peaks after it, so that a flaw
-shows at the entry where it is. The *head* is the authority's signature over size and root: triggers
-stop mistakes, but only a head kept elsewhere stops the owner of the file from rewriting the past.
+An *entry* is one action; its leaf is the deterministic CBOR of all its fields, and `digest` binds
+it to the row it is about. The tree's peaks are stored with each entry, so that a difference is
+found at the entry where it is. The *head* is the authority's signature over size and root: triggers
+prevent mistakes, but only a head stored elsewhere prevents the file's owner from rewriting the log.
 """
 
 import hashlib
@@ -27,9 +27,9 @@ _INT_LIMIT: Final = 1 << 53
 
 
 class LogEntry(NamedTuple):
-    """One thing that was done: the how-many-th, when, what, to whom, more of it, and its data.
+    """One action: its number, time, kind, subject, details, and the digest of its data.
 
-    `digest` is `digest_of` the row this entry speaks of, or empty.
+    `digest` is `digest_of` the row this entry is about, or empty.
     """
 
     number: int
@@ -42,7 +42,7 @@ class LogEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class Head:
-    """The state of the log at `issued`: so many entries, under this root."""
+    """The state of the log at `issued`: number of entries, and root."""
 
     size: int
     root: bytes
@@ -55,25 +55,25 @@ def leaf(entry: LogEntry) -> bytes:
 
 
 def digest_of(row: Sequence[int | str | bytes]) -> bytes:
-    """What an entry calls a row of the record by."""
+    """The digest of a row of the record in an entry."""
     return hashlib.sha256(encode(list(row))).digest()
 
 
 def extend_peaks(peaks: bytes, entry: LogEntry) -> bytes:
-    """The peaks, joined, after `entry`; those before it are `peaks`."""
+    """The concatenated peaks after `entry`; those before it are `peaks`."""
     return b"".join(merkle.extend(split_peaks(peaks), entry.number, leaf(entry)))
 
 
 def split_peaks(peaks: bytes) -> tuple[bytes, ...]:
-    """The single peaks of those joined in `peaks`."""
+    """The list of concatenated `peaks`."""
     return tuple(peaks[start : start + HASH_SIZE] for start in range(0, len(peaks), HASH_SIZE))
 
 
 def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
-    """Return the tree of all entries, each given with the peaks recorded beside it.
+    """Return the tree of all entries, each given with the peaks recorded with it.
 
     Raises:
-        LogDamaged: names the first entry that is not what was written.
+        LogDamaged: names the first entry that was changed.
     """
     tree, peaks = merkle.Tree(), b""
     for position, (entry, recorded) in enumerate(rows):
@@ -81,16 +81,16 @@ def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
             raise LogDamaged(f"log entry {position} is missing", _HINT)
         peaks = extend_peaks(peaks, entry)
         if peaks != recorded:
-            raise LogDamaged(f"log entry {position} is not what was written", _HINT)
+            raise LogDamaged(f"log entry {position} was changed", _HINT)
         tree.append(leaf(entry))
     return tree
 
 
 def check_head(tree: merkle.Tree, head: Head) -> None:
-    """Return if the log had this head once.
+    """Return if the log extends this head.
 
     Raises:
-        LogDamaged: it was cut or rewritten since.
+        LogDamaged: it was truncated or rewritten since.
     """
     if head.size > len(tree):
         raise LogDamaged(
@@ -112,13 +112,13 @@ def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
     """Verify and read a head.
 
     Raises:
-        LogDamaged: not signed by the authority, or no head.
+        LogDamaged: not signed by the authority, or not a head.
     """
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:
         raise LogDamaged(
-            f"this is no signed head of the authority's log: {error}", _HINT
+            f"this is not a signed head of the authority's log: {error}", _HINT
         ) from error
     return _read_head(value)
 
@@ -138,5 +138,5 @@ def _in_range(number: int) -> bool:
 
 
 _HINT: Final = (
-    "somebody changed the record: compare with a backup, and trust neither until you know"
+    "the record was changed: compare it with a backup, and trust neither until you know why"
 )

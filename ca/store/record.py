@@ -1,9 +1,9 @@
-"""The authority's record: what was asked, signed and taken back. SQLite, append-only.
+"""The authority's record: requests, certificates, grants and revocations. SQLite, append-only.
 
-A shell, and the one door to it. What was handed out exists and a revocation cannot be undone:
-nothing is ever changed or deleted (triggers refuse it) but requests, which end. Every change
+All access goes through `Store`. Issued certificates exist and a revocation cannot be undone, so
+nothing is ever changed or deleted (triggers refuse it) except requests, which expire. Every change
 appends its entry to the log in the same transaction, and is on the disk when the call returns.
-Whoever decides by what is recorded, and then records, does both inside `changing`.
+Callers that decide by the record and then change it do both inside `transaction`.
 """
 
 import sqlite3
@@ -23,7 +23,7 @@ __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 
 
 class Store:
-    """An open record. Make one with `create` or `open`.
+    """An open record. Create it with `create` or `open`.
 
     `requests` are those for identities, `identities` what came of them, `journal` is the log.
     """
@@ -36,7 +36,7 @@ class Store:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Make a new, empty record, readable by its owner alone.
+        """Create a new, empty record, readable only by its owner.
 
         Raises:
             StoreError: the file exists, or its directory does not.
@@ -45,7 +45,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; one of an older version is brought up first.
+        """Open an existing record; an older version is migrated first.
 
         Raises:
             StoreError: no file, not a record of rossec, damaged, or of a newer version.
@@ -57,7 +57,7 @@ class Store:
         self.database.close()
 
     def check(self) -> None:
-        """Return if the file is rossec's own, through and through: one from elsewhere is asked.
+        """Check a file from another source: it must be undamaged and have only rossec's objects.
 
         Raises:
             StoreError: it is damaged, or holds a trigger or view that is not rossec's.
@@ -65,7 +65,7 @@ class Store:
         self.database.check()
 
     def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
-        """Several steps as one: all or none of them, and no other command in between.
+        """A transaction: all steps or none, and no other command in between.
 
         Raises:
             StoreError: as `ca.store.database.Database.changing`.
@@ -73,7 +73,7 @@ class Store:
         return self.database.transaction()
 
     def read_transaction(self) -> AbstractContextManager[None]:
-        """What is read inside is of one moment."""
+        """A read transaction: a consistent snapshot."""
         return self.database.read_transaction()
 
     def snapshot(self) -> bytes:
@@ -89,16 +89,16 @@ class Store:
         replace_key: str | None = None,
         renews: bytes | None = None,
     ) -> None:
-        """Record an identity before it is handed out.
+        """Record an identity before it is delivered.
 
         `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
-        and `renews` allow another key (`ca.store.identities`). What `replace_key` replaces is
-        revoked in the same step: no crash leaves two keys to one name.
+        and `renews` allow another key (`ca.store.identities`). The key that `replace_key` replaces
+        is revoked in the same transaction: no crash leaves two keys for one name.
 
         Raises:
-            KeyChanged, RenewalRefused: the name lives with another key.
-            NameCovered: another living identity has a wildcard tail that covers the name, or the
-                other way round.
+            KeyChanged, RenewalRefused: the name has another key.
+            NameCovered: another valid identity has a wildcard tail that covers the name, or the
+                reverse.
             RequestClosed: the request is not approved, or has its certificate already.
             StoreError: the key is revoked, or the serial is taken.
         """
@@ -124,16 +124,16 @@ class Store:
         return self.identities.all()
 
     def unrevoked_keys(self, name: str, now: int) -> frozenset[bytes]:
-        """Thumbprints of the keys of `name` that are not revoked: those that a revocation ends.
+        """Thumbprints of the keys of `name` that are not revoked, and so can be.
 
-        Also keys that only a revoked intermediate vouches for: they may be certified anew.
+        Also those certified only by a revoked intermediate: they may be certified again.
         """
         return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
 
     def certified_name(self, name: str, now: int) -> str:
-        """The name under which grants, rules and revocations are for the node called `name`.
+        """The certified name that grants, rules and revocations of the node `name` refer to.
 
-        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        It is `name` itself or, for an anonymous node, that of the valid identity that covers it.
         """
         return self.identities.certified_name(name, now)
 
@@ -148,7 +148,7 @@ class Store:
             if self.identities.unrevoked(name, now):
                 raise StoreError(
                     f"the intermediate that signed the identity of {name} is revoked",
-                    f"enroll it anew: rossec node request {name}, then rossec ca sign",
+                    f"enroll it again: rossec node request {name}, then rossec ca sign",
                 )
             certified = self.certified_name(name, now)
             raise StoreError(
@@ -161,7 +161,7 @@ class Store:
         return alive[-1]
 
     def add_grant(self, row: GrantRow, now: int) -> None:
-        """Record a grant before it is handed out.
+        """Record a grant before it is delivered.
 
         Raises:
             StoreError: the id is taken.
@@ -175,7 +175,7 @@ class Store:
         return self._grants("")
 
     def revoked_grants(self) -> list[GrantRow]:
-        """The grants among what was revoked, oldest first."""
+        """The revoked grants, oldest first."""
         return self._grants("WHERE id IN (SELECT entry FROM revocation)")
 
     def _grants(self, clause: str) -> list[GrantRow]:
@@ -185,7 +185,7 @@ class Store:
         return [GrantRow(*row) for row in rows]
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
-        """Record that a grant id or key thumbprint is revoked; twice is once."""
+        """Record that a grant id or key thumbprint is revoked; idempotent."""
         with self.database.transaction() as db:
             _revoke(db, entry, reason, now)
 
@@ -221,7 +221,7 @@ class Store:
         return None if found is None else bytes(found[0])
 
     def log_event(self, what: str, subject: str, detail: str, now: int) -> None:
-        """Write into the log what changes nothing else in the record, such as a restoration."""
+        """Append a log entry for an event that changes no table, such as a restore."""
         with self.database.transaction() as db:
             append_entry(db, now, what, subject, detail, b"")
 

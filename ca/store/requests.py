@@ -1,8 +1,8 @@
-"""The requests for identities in the authority's record: who asked, and who said yes or no.
+"""The requests for identities in the authority's record: pending, approved, denied, issued.
 
-A shell around `ca.store.lifecycle`. A name has one owner: approving a key for a name that lives
-with another one needs the name spoken again (`replace_key`), and of two keys that ask for one name
-at once neither is approved until the other is denied.
+It applies `ca.store.lifecycle`. A name has one owner: approving a key for a name that has a valid
+identity with another key needs the name again (`replace_key`), and of two keys that request one
+name at the same time neither is approved until the other is denied.
 """
 
 import sqlite3
@@ -24,26 +24,25 @@ _RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION
 
 
 class RequestTable:
-    """The requests of one record."""
+    """The table of requests."""
 
     def __init__(self, database: Database, identities: IdentityTable) -> None:
         self._database = database
         self._identities = identities
 
     def add(self, request: IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
-        """Record a checked request as pending; one that is recorded already is returned as it is.
+        """Record a verified request as pending; an already recorded one is returned unchanged.
 
-        `source` is where it came from, for the person who decides.
+        `source` is where it came from, for the approver.
 
         Raises:
-            RequestClosed: too many are open, or it got its certificate so long ago that the
-                request itself is forgotten.
+            RequestClosed: too many are open, or it got its certificate and was deleted since.
         """
         self.collect(now)
         with self._database.transaction() as db:
-            held = self._find(request.digest)
-            if held is not None:
-                return held
+            stored = self._find(request.digest)
+            if stored is not None:
+                return stored
             self._check_new(request)
             row = RequestRow(
                 request.digest, request.name, request.thumbprint, der, source, now,
@@ -58,7 +57,7 @@ class RequestTable:
         return self._rows("ORDER BY arrived, rowid")
 
     def get(self, digest: bytes) -> RequestRow:
-        """One request, by the whole digest or the beginning of it.
+        """One request, by its digest or a prefix of it.
 
         Raises:
             StoreError: there is none, or more than one.
@@ -79,23 +78,23 @@ class RequestTable:
         replace_key: str | None = None,
         wildcard: bool = False,
     ) -> RequestRow:
-        """Say yes. `replace_key` is the name again, when it lives with another key.
+        """Approve a request. `replace_key` is the name again, when it has another key.
 
-        `wildcard`: the identity is to stand for anonymous nodes too, whatever the request asks.
+        `wildcard`: the identity shall cover anonymous nodes too, whatever the request says.
 
         Raises:
-            RequestClosed: it is not pending, or its time is over.
-            NameCovered: no two keys may go by one name.
-            KeyChanged, NameContested: the name has another key, or somebody else asks for it.
+            RequestClosed: it is not pending, or has expired.
+            NameCovered: two keys would share a name.
+            KeyChanged, NameContested: the name has another key, or another key requests it.
         """
         with self._database.transaction():
             row = self.get(digest)
             self._check_name(row, now, replace_key, wildcard=wildcard)
-            said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
-            return self._advance(said, RequestState.APPROVED, now, reason)
+            approved = row._replace(replaces=replace_key is not None, wildcard=wildcard)
+            return self._advance(approved, RequestState.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
-        """Say no, also to what was approved and not yet issued.
+        """Deny a request, also an approved one that is not issued yet.
 
         Raises:
             RequestClosed: it was issued, or denied before.
@@ -104,8 +103,8 @@ class RequestTable:
             return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
     def collect(self, now: int) -> list[RequestRow]:
-        """Forget every request whose time is over; returns what was forgotten."""
-        if not self._expired(now):  # who only looks takes no lock
+        """Delete every expired request; returns the deleted ones."""
+        if not self._expired(now):  # without the lock of a transaction
             return []
         with self._database.transaction() as db:
             over = self._expired(now)
@@ -120,10 +119,10 @@ class RequestTable:
         Raises:
             RequestClosed: it was not approved.
         """
-        held = self._find(digest)
-        if held is None:
+        stored = self._find(digest)
+        if stored is None:
             raise RequestClosed("the request is not recorded", "first: rossec ca approve")
-        _update(db, advance(held, RequestState.ISSUED, now))
+        _update(db, advance(stored, RequestState.ISSUED, now))
 
     def _expired(self, now: int) -> list[RequestRow]:
         return self._rows(f"WHERE changed + CASE state {_RETENTION} END < ?", now)
@@ -131,11 +130,11 @@ class RequestTable:
     def _check_name(
         self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
     ) -> None:
-        """Return if the key that asks may have the name, as `approve` says."""
+        """Return if the key of the request may have the name, as for `approve`."""
         for other in self._open():
             if other.name == row.name and other.thumbprint != row.thumbprint:
                 raise NameContested(
-                    f"two different keys ask for the name {row.name}",
+                    f"two different keys request the name {row.name}",
                     f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
                 )
         self._identities.check_names(
@@ -151,8 +150,8 @@ class RequestTable:
             )
         if len(self._open()) >= MAX_OPEN:
             raise RequestClosed(
-                f"{MAX_OPEN} requests wait for an answer and no more are taken",
-                "look at them with: rossec ca requests, and deny what nobody knows",
+                f"{MAX_OPEN} requests are pending, the maximum",
+                "list them with: rossec ca requests, and deny unknown ones",
             )
 
     def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
@@ -178,14 +177,18 @@ class RequestTable:
 
 
 def _update(db: sqlite3.Connection, row: RequestRow) -> None:
-    """The triggers of the record refuse a way that is not in the table, whoever was faster."""
+    """Triggers refuse other transitions, also when two commands run at once."""
     db.execute(
         "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
         " WHERE digest = ?",
         (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
     )
-    said = [row.reason, *["replaces the key"] * row.replaces, *["anonymous nodes"] * row.wildcard]
-    append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
+    details = [
+        row.reason,
+        *["replaces the key"] * row.replaces,
+        *["anonymous nodes"] * row.wildcard,
+    ]
+    append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, details)), row.digest)
 
 
 def _short(row: RequestRow) -> str:

@@ -4,11 +4,11 @@ from typing import Final, NamedTuple
 
 from ca import names, svid
 
-INTERMEDIATE: Final = "intermediate/"  # before the key: no node's name begins like this
+INTERMEDIATE: Final = "intermediate/"  # prefix of the key; not a prefix of any node name
 
 
 class CertificateRow(NamedTuple):
-    """One identity that was signed; times in seconds, inclusive."""
+    """One signed identity; times in seconds, inclusive."""
 
     serial: int
     name: str
@@ -19,11 +19,11 @@ class CertificateRow(NamedTuple):
 
     @property
     def wildcard(self) -> bool:
-        """Whether it also stands for anonymous nodes."""
+        """Whether it also covers anonymous nodes."""
         return svid.is_wildcard(self.der)
 
     def covers(self, name: str) -> bool:
-        """Whether its holder may go by `name`."""
+        """Whether its holder may use `name`."""
         related = names.covers(self.name, name, wildcard=True)
         return related and (self.name == name or self.wildcard)
 
@@ -34,7 +34,7 @@ class CertificateRow(NamedTuple):
 
 
 class GrantRow(NamedTuple):
-    """One grant that was signed."""
+    """One signed grant."""
 
     id: bytes
     name: str

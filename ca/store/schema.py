@@ -1,8 +1,8 @@
-"""The tables of the authority's record, what may happen to their rows, and older versions of them.
+"""The tables and triggers of the authority's record, and the migration from older versions.
 
 Certificates, grants, revocations, lists, heads and the log are append-only: triggers refuse every
-change. A request moves along `ca.store.lifecycle.TRANSITIONS` and is deleted at its end; triggers
-made from that table refuse every other way. Everything here runs inside the caller's transaction.
+change. A request follows `ca.store.lifecycle.TRANSITIONS` and is deleted at its end; triggers made
+from that table refuse every other transition. All functions run inside the caller's transaction.
 """
 
 import re
@@ -19,7 +19,7 @@ VERSION: Final = 2
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")
 _TABLES: Final = (*APPEND_ONLY, "answer", "csr")
-# What the log says of a table, and the columns its digest is over, in this order.
+# For each kind of log entry: the table, and the columns in the order of the digest.
 LOGGED_TABLES: Final = {
     "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
     "grant": ("grant_", "id, name, data, not_before, expires"),
@@ -83,7 +83,7 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 
 def create(db: sqlite3.Connection) -> None:
-    """Make the tables of a new record."""
+    """Create the tables of a new record."""
     for statement in (*_VERSION_1, *_VERSION_2, *_triggers((*APPEND_ONLY, "answer"))):
         db.execute(statement)
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -91,34 +91,34 @@ def create(db: sqlite3.Connection) -> None:
 
 
 def check_no_foreign_objects(db: sqlite3.Connection) -> None:
-    """Return if nothing runs or answers in this file but what is made here.
+    """Return if this file has no triggers and views but those created here.
 
-    A trigger could let an entry vanish that it was told to keep, a view or a virtual table could
-    answer for a table. Plain tables may stand beside these, with triggers that make them
-    append-only in this module's form and no others: the inbox for grants has some.
+    A trigger could drop an inserted row, a view or a virtual table could replace a table. Other
+    plain tables are allowed, with triggers that make them append-only in this module's form: the
+    grant request store has some.
 
     Raises:
-        StoreError: with the name of the first that is foreign, missing or changed.
+        StoreError: names the first object that is foreign, missing or changed.
     """
-    ours = sqlite3.connect(":memory:")
-    create(ours)
-    wanted, found = _objects(ours), _objects(db)
-    ours.close()
-    for name, made in found.items():
-        if name in wanted and wanted[name] == made:
+    expected_db = sqlite3.connect(":memory:")
+    create(expected_db)
+    expected, found = _objects(expected_db), _objects(db)
+    expected_db.close()
+    for name, created in found.items():
+        if name in expected and expected[name] == created:
             continue
-        if name in wanted or not _is_extra_table(*made):
+        if name in expected or not _is_extra_table(*created):
             raise StoreError(
-                f"the record holds a {made[0]} that is not rossec's: {name!a}", _RESTORE_HINT
+                f"the record holds a {created[0]} that is not rossec's: {name!a}", _RESTORE_HINT
             )
-    if missing := wanted.keys() - found.keys():
+    if missing := expected.keys() - found.keys():
         raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
 
 
 def _is_extra_table(kind: str, table: str, text: str) -> bool:
-    """Whether it is a plain table beside ours, or what keeps that append-only."""
+    """Whether it is another plain table, or a trigger that makes it append-only."""
     if kind == "trigger":
-        body = text.split()[3:]  # a table that was renamed left its trigger the old name
+        body = text.split()[3:]  # a renamed table left the trigger its old name
         return table not in _TABLES and body in [
             _canonical(_NO_CHANGE.format(table=table, verb=verb)).split()[3:]
             for verb in ("UPDATE", "DELETE")
@@ -127,31 +127,31 @@ def _is_extra_table(kind: str, table: str, text: str) -> bool:
 
 
 def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
-    """What is in a file: kind, table and text of each by its name, but for SQLite's own indexes."""
+    """The objects in a file: kind, table and SQL by name, without SQLite's own indexes."""
     rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
     return {name: (kind, table, _canonical(text)) for name, kind, table, text in rows}
 
 
 def _canonical(text: str) -> str:
-    """A statement without what does not matter: blanks, case, quotes, IF NOT EXISTS, its end.
+    """A statement in canonical form: whitespace, case, quotes and IF NOT EXISTS do not matter.
 
-    Nor does the order of a set: until 0.1.0 that of `csr_moves` was another in each process.
+    Nor does the order of a set: until 0.1.0 that of `csr_moves` differed in each process.
     """
     words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
     return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
 
 
 def version(db: sqlite3.Connection) -> int:
-    """The version of the tables in this file; 0 in a file that is no record."""
+    """The schema version of this file; 0 if it is not a record."""
     (number,) = db.execute("PRAGMA user_version").fetchone()
     return int(number)
 
 
 def check(db: sqlite3.Connection) -> None:
-    """Return if the tables are those made here, which hold values of their types alone.
+    """Return if the tables are those created here, with strict types.
 
     Raises:
-        StoreError: one is missing, or of another form: then nothing in it can be relied on.
+        StoreError: one is missing or different.
     """
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
     found = {name: _normal(sql) for name, sql in rows}
@@ -159,7 +159,7 @@ def check(db: sqlite3.Connection) -> None:
         kind, name = statement.split()[1:3]
         if kind == "TABLE" and found.get(name) != _normal(statement):
             raise StoreError(
-                f"the table {name} of the record is not as rossec makes it",
+                f"the table {name} of the record differs from rossec's schema",
                 "restore it from a backup of your own, and find out who changed it",
             )
 
@@ -169,13 +169,13 @@ def _normal(statement: str) -> str:
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    """Bring a record of version 1 up: its log becomes a tree, and nothing is lost."""
-    if version(db) == VERSION:  # another command was faster
+    """Migrate a record of version 1: its log becomes a tree, and nothing is lost."""
+    if version(db) == VERSION:  # another command has done it
         return
     old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
     db.execute("DROP TABLE log")  # and its triggers with it
     if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
-        # What the inbox for grants called its table in version 1; see rossec.authority.requests.
+        # The name of the grant request table in version 1; see rossec.authority.requests.
         db.execute("ALTER TABLE request RENAME TO grant_request")
     for statement in (*_VERSION_2, *_triggers(("log", "head", "answer"))):
         db.execute(statement)
@@ -184,7 +184,7 @@ def migrate(db: sqlite3.Connection) -> None:
         row = next(rows.get(what, iter(())), None)
         if row is None:
             raise LogDamaged(
-                f"line {number} of the log tells of a {what} that is not recorded",
+                f"line {number} of the log is about a {what} that is not recorded",
                 "restore a backup, and find out who changed the record",
             )
         append(db, at, what, subject, detail, digest_of(row))
@@ -196,7 +196,7 @@ def migrate(db: sqlite3.Connection) -> None:
 def append(
     db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
-    """Add an entry to the log."""
+    """Append an entry to the log."""
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)
@@ -204,7 +204,7 @@ def append(
 
 
 def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
-    """The rows the log calls `what`, oldest first."""
+    """The rows of the log entries of kind `what`, oldest first."""
     table, columns = LOGGED_TABLES[what]
     return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
 
@@ -213,7 +213,7 @@ def _triggers(tables: tuple[str, ...]) -> Iterator[str]:
     for table in tables:
         for verb in ("UPDATE", "DELETE"):
             yield _NO_CHANGE.format(table=table, verb=verb)
-    ways = ", ".join(
+    transitions = ", ".join(
         f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
     )
-    yield from (_NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=ways))
+    yield from (_NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions))

@@ -163,7 +163,7 @@ def test_root_is_told_whose_it_is(mine: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     hint = refused(mine / "ca.pem", "belongs to nobody, who could change what root trusts")
     assert "sudo -u nobody rossec" in hint
-    assert "a ROSSEC_HOME that is root's" in hint
+    assert "a ROSSEC_HOME that root owns" in hint
     as_another(monkeypatch)
     assert "(sudo -u '#4242' rossec ...)" in refused(mine / "ca.pem", "belongs to user 4242")
 

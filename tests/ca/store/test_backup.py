@@ -44,7 +44,7 @@ def test_every_byte_counts(place: int) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"tar", DATA[:43], b"x" + DATA])
 def test_what_is_no_backup(data: bytes) -> None:
-    with pytest.raises(BackupRefused, match="this is no backup of an authority"):
+    with pytest.raises(BackupRefused, match="this is not a backup of an authority"):
         unseal(data, WORDS)
 
 
@@ -58,7 +58,7 @@ def test_cut_or_with_a_tail() -> None:
     "name", ["", "..", "../ca.key", "/etc/passwd", "node/../x", "nodes/x", ".hidden", "a\0", "é"]
 )
 def test_names_stay_inside(name: str, tmp_path: Path) -> None:
-    with pytest.raises(BackupRefused, match="is no file of an authority"):
+    with pytest.raises(BackupRefused, match="is not a file of an authority"):
         sealed({name: b""})
 
 
@@ -78,7 +78,7 @@ def forged(value: Value, monkeypatch: pytest.MonkeyPatch) -> bytes:
         (b"\xff", "the backup is malformed: malformed CBOR"),
         ([], "no files in it"),
         ({"ca.key": 1}, "a file without content"),
-        ({"../ca.key": b""}, "is no file of an authority"),
+        ({"../ca.key": b""}, "is not a file of an authority"),
     ],
 )
 def test_malformed_inside(value: Value, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,5 +91,5 @@ def test_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backup, "MAX_BACKUP", 90_000)
     with pytest.raises(BackupRefused, match="too large for one backup"):
         sealed()
-    with pytest.raises(BackupRefused, match="this is no backup"):
+    with pytest.raises(BackupRefused, match="this is not a backup"):
         unseal(DATA, WORDS)

@@ -52,7 +52,7 @@ def test_nobody_writes_between_a_decision_and_its_record(
     with database.transaction() as db:
         assert noted(database) == []
         with (
-            pytest.raises(RecordUnusable, match="another command is at work"),
+            pytest.raises(RecordUnusable, match="another command is using it"),
             other.transaction(),
         ):
             pytest.fail("two are at work")

@@ -24,10 +24,10 @@ def failure(code: int, text: str = "what SQLite said") -> sqlite3.Error:
     ("code", "said", "hint"),
     [
         (sqlite3.SQLITE_FULL, "the disk is full, nothing was changed", "make room"),
-        (sqlite3.SQLITE_BUSY, "another command is at work on it, nothing was", "when that one"),
-        (sqlite3.SQLITE_BUSY_SNAPSHOT, "another command is at work on it", "when that one"),
-        (sqlite3.SQLITE_READONLY_DIRECTORY, "it may only be read here", "mounted read-only"),
-        (sqlite3.SQLITE_IOERR_FSYNC, "the disk refuses, nothing was changed", "df, dmesg"),
+        (sqlite3.SQLITE_BUSY, "another command is using it, nothing was", "when that one"),
+        (sqlite3.SQLITE_BUSY_SNAPSHOT, "another command is using it", "when that one"),
+        (sqlite3.SQLITE_READONLY_DIRECTORY, "it is read-only", "mounted read-only"),
+        (sqlite3.SQLITE_IOERR_FSYNC, "the disk reports an error, nothing was changed", "df, dmesg"),
         (sqlite3.SQLITE_MISUSE, "what SQLite said, nothing was changed", "run the command again"),
     ],
 )
@@ -70,4 +70,4 @@ def test_a_disk_that_does_not_answer_is_not_called_full(monkeypatch: pytest.Monk
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr("os.statvfs", gone)
-    assert "the disk refuses" in str(fault(PATH, failure(sqlite3.SQLITE_IOERR_READ)))
+    assert "the disk reports an error" in str(fault(PATH, failure(sqlite3.SQLITE_IOERR_READ)))

@@ -43,5 +43,5 @@ def test_and_no_others(old: RequestState, new: RequestState) -> None:
 def test_its_time_ends(state: RequestState) -> None:
     assert row(state).expires == NOW + DAY
     advance(row(state), RequestState.DENIED, NOW + DAY)
-    with pytest.raises(RequestClosed, match=f"was {state} for too long and is void"):
+    with pytest.raises(RequestClosed, match=f"was {state} for too long and has expired"):
         advance(row(state), RequestState.DENIED, NOW + DAY + 1)

@@ -82,7 +82,7 @@ def test_a_record_in_order(store: Store) -> None:
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
-        ("UPDATE log SET detail = 'x' WHERE number = 3", "log entry 3 is not what was written"),
+        ("UPDATE log SET detail = 'x' WHERE number = 3", "log entry 3 was changed"),
         ("DELETE FROM log WHERE number = 3", "log entry 3 is missing"),
         ("UPDATE certificate SET name = '/x' WHERE name = '/d'", "the certificate of log entry"),
         ("UPDATE certificate SET not_after = 9", "the certificate of log entry [0-9]+ is missing"),
@@ -92,9 +92,9 @@ def test_a_record_in_order(store: Store) -> None:
         ("UPDATE list SET data = x'00' WHERE seq = 2", "the list of log entry"),
         ("INSERT INTO revocation VALUES (x'01', '', 0)", "a revocation is recorded that is not"),
         ("INSERT INTO grant_ VALUES (x'01', '/m', x'', 0, 0, 0)", "a grant is recorded that is"),
-        ("UPDATE csr SET state = 'approved' WHERE name = '/c'", "not where the log says"),
-        ("DELETE FROM csr WHERE name = '/c'", "the requests are not where the log says"),
-        ("UPDATE head SET data = x'00'", "no signed head"),
+        ("UPDATE csr SET state = 'approved' WHERE name = '/c'", "differ from the log"),
+        ("DELETE FROM csr WHERE name = '/c'", "the states of the requests differ from the log"),
+        ("UPDATE head SET data = x'00'", "not a signed head"),
     ],
 )
 def test_what_was_changed_is_found(store: Store, path: Path, statement: str, message: str) -> None:
@@ -141,10 +141,12 @@ def test_a_way_no_request_goes(store: Store, path: Path) -> None:
 
                 append_entry(db, NOW, what, "/a", "", b"d" * 32)
             if what in {"issued", "approved"}:
-                with pytest.raises(LogDamaged, match="log entry 0 is no way a request can go"):
+                with pytest.raises(
+                    LogDamaged, match="log entry 0 is not an allowed transition of a request"
+                ):
                     audited(other)
             elif what == "pending":
-                with pytest.raises(LogDamaged, match="the requests are not where"):
+                with pytest.raises(LogDamaged, match="the states of the requests differ"):
                     audited(other)
             else:
                 audited(other)

@@ -47,7 +47,7 @@ def test_a_log_as_it_was_written() -> None:
 def test_the_wrong_entry_is_named(wrong: int, change: dict[str, Any]) -> None:
     rows = recorded(9)
     rows[wrong] = (rows[wrong][0]._replace(**change), rows[wrong][1])
-    with pytest.raises(LogDamaged, match=f"log entry {wrong} is not what was written"):
+    with pytest.raises(LogDamaged, match=f"log entry {wrong} was changed"):
         check_entries(rows)
 
 
@@ -61,7 +61,7 @@ def test_a_missing_entry_is_named() -> None:
 def test_changed_peaks_are_named() -> None:
     rows = recorded(3)
     rows[1] = (rows[1][0], bytes(32))
-    with pytest.raises(LogDamaged, match="log entry 1 is not what was written"):
+    with pytest.raises(LogDamaged, match="log entry 1 was changed"):
         check_entries(rows)
 
 
@@ -88,7 +88,7 @@ def test_a_head_the_log_had() -> None:
 def test_only_heads_of_this_authority() -> None:
     head = Head(7, b"r" * 32, NOW)
     for data in (b"", sign_head(new_signer(), head), Profile("x+cwt").sign(KEY, {}), bytes(513)):
-        with pytest.raises(LogDamaged, match="this is no signed head"):
+        with pytest.raises(LogDamaged, match="this is not a signed head"):
             open_head(data, KEY.public_key)
 
 

@@ -112,7 +112,7 @@ def test_everything_is_collected_at_its_date(store: Store) -> None:
 
 def test_a_void_request_is_not_approved(store: Store) -> None:
     request = pending(store)
-    with pytest.raises(RequestClosed, match="was pending for too long and is void"):
+    with pytest.raises(RequestClosed, match="was pending for too long and has expired"):
         store.requests.approve(request.digest, NOW + DAY + 1)
 
 
@@ -126,7 +126,7 @@ def test_strangers_cannot_fill_the_record(store: Store, monkeypatch: pytest.Monk
     monkeypatch.setattr(request_record, "MAX_OPEN", 2)
     first = pending(store)
     pending(store, "/b")
-    with pytest.raises(RequestClosed, match="2 requests wait for an answer"):
+    with pytest.raises(RequestClosed, match="2 requests are pending"):
         pending(store, "/c")
     store.requests.deny(first.digest, NOW)
     pending(store, "/c")
@@ -143,7 +143,7 @@ def test_found_by_the_beginning_of_its_digest(store: Store) -> None:
 
 def test_two_who_ask_for_one_name(store: Store) -> None:
     first, second = pending(store), pending(store)
-    with pytest.raises(NameContested, match="two different keys ask for the name /a") as caught:
+    with pytest.raises(NameContested, match="two different keys request the name /a") as caught:
         store.requests.approve(first.digest, NOW)
     assert f"rossec ca deny {second.digest.hex()[:8]}" in caught.value.hint
     store.requests.deny(second.digest, NOW)
@@ -167,7 +167,9 @@ def test_a_known_name_keeps_its_key_unless_it_is_said(store: Store) -> None:
     with pytest.raises(KeyChanged) as caught:
         store.requests.approve(second.digest, NOW)
     assert "--replace-key /a" in caught.value.hint
-    with pytest.raises(StoreError, match="the key of /b was to be replaced, but /a asks"):
+    with pytest.raises(
+        StoreError, match="the key of /b was to be replaced, but the request is of /a"
+    ):
         store.requests.approve(second.digest, NOW, replace_key="/b")
     row = store.requests.approve(second.digest, NOW, "new disk", replace_key="/a")
     assert row.replaces

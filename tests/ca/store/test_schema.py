@@ -103,7 +103,7 @@ def test_an_old_log_that_does_not_fit_is_not_brought_up(old: Path, change: str, 
     with closing(sqlite3.connect(old, isolation_level=None)) as db:
         db.execute(change)
         before = shape(db)
-    with pytest.raises(LogDamaged, match=f"line 20 of the log tells of a {what} that is not"):
+    with pytest.raises(LogDamaged, match=f"line 20 of the log is about a {what} that is not"):
         Store.open(old)
     with closing(sqlite3.connect(old)) as db:
         assert shape(db) == before
@@ -228,7 +228,9 @@ def test_tables_of_another_form_hold_nothing_that_counts(tmp_path: Path) -> None
         db.execute("DROP TABLE head")
         db.execute("CREATE TABLE head (data, at)")
         db.execute("INSERT INTO head VALUES (-1, 'never')")
-    with pytest.raises(StoreError, match="the table head of the record is not as rossec makes it"):
+    with pytest.raises(
+        StoreError, match="the table head of the record differs from rossec's schema"
+    ):
         Store.open(path)
 
 
@@ -241,5 +243,5 @@ def test_a_state_that_is_none_is_told(tmp_path: Path) -> None:
         db.execute(f"INSERT INTO csr VALUES ({','.join('?' * len(row))})", row)
     with closing(Store.open(path)) as store:
         for look in (store.requests.all, lambda: store.log.audit(new_signer().public_key)):
-            with pytest.raises(StoreError, match="a state that is none: 'begun'"):
+            with pytest.raises(StoreError, match="an unknown state: 'begun'"):
                 look()

@@ -257,7 +257,7 @@ def test_nobody_revokes_into_a_record_that_is_being_replaced(
 
     monkeypatch.setattr(backups, "_check_replacement", meanwhile)
     restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
-    assert "another command is at work" in refused[0]
+    assert "another command is using it" in refused[0]
     with pytest.raises(StoreError, match="was replaced by another command"):
         other.revoke(b"k" * 32, "afterwards", NOW)
     assert b"k" * 32 in home.unlock(PASSPHRASE).revoke(b"k" * 32, "again", NOW).entries

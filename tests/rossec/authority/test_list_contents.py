@@ -145,7 +145,7 @@ def test_a_second_signer_waits_for_the_first(home: AuthorityHome, opened: Signin
     opened.authority.signer = SlowToken(opened, intrude)
     assert opened.revoke(KEY, "first", NOW).entries == {KEY}
     assert refusals
-    assert all("another command is at work on it, nothing was changed" in it for it in refusals)
+    assert all("another command is using it, nothing was changed" in it for it in refusals)
     assert other.revoke(OTHER, "afterwards", NOW).entries == {KEY, OTHER}
     assert missing(opened) == frozenset()
 

@@ -94,7 +94,7 @@ async def test_connections_end_when_the_list_is_not_confirmed(
             closed = await listener.hears(
                 "closed the connection with /robot (/robot/words): ", within=90
             )
-            assert "the last confirmation ran out" in closed
+            assert "the last confirmation expired" in closed
     assert "Traceback" not in listener.said
 
 

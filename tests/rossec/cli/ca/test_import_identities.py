@@ -127,7 +127,7 @@ def test_what_a_revoked_intermediate_signed_is_alive_no_longer(
     assert "/other  until" in listed
     assert shell("ca", "show", "/robot").out.splitlines()[-1].endswith("  revoked")
     said = shell.unlocked(*GRANT, str(tmp_path / "robot.grant"))
-    hint = "enroll it anew: rossec node request /robot"
+    hint = "enroll it again: rossec node request /robot"
     refused(said, "the intermediate that signed the identity of /robot is revoked", hint)
     refused(shell.unlocked("ca", "renew", "/robot"), "the intermediate that signed", hint)
     shell.enroll("/robot")  # with a new key, which takes nothing from anybody

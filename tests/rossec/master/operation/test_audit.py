@@ -1,4 +1,4 @@
-"""The audit: each line bound to the one before, bounded, and still there after a rotation."""
+"""The audit: lines are chained, bounded, and continue after a rotation."""
 
 import json
 import logging
@@ -16,7 +16,7 @@ from tests.support.pki import new_signer
 
 
 class Book:
-    """An audit with a clock of its own."""
+    """An audit with a chosen clock."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -170,7 +170,7 @@ def test_a_full_disk_leaves_no_half_line(
 def test_a_removed_directory_leaks_no_descriptor(
     book: Book, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The number of a closed file may be a node's connection a moment later."""
+    """The number of a closed descriptor may be that of a new connection."""
     book.write("one")
     away = book.path.parent.with_name("away")
     book.path.parent.rename(away)
