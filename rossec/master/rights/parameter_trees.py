@@ -28,7 +28,7 @@ class TreeDecision(NamedTuple):
 
 
 def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
-    """Raise `Refused` unless `caller` has `right` on everything in `items`, which is not empty.
+    """Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty.
 
     The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
     nearly cover it, or the size of the tree would reveal which parameters exist.
