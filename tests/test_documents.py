@@ -29,10 +29,34 @@ def test_links_are_found() -> None:
     assert ("README.md", "SECURITY.md") in set(links())
 
 
-@pytest.mark.parametrize("part", re.findall(r"^- `(?:channel|node|master|net)\.[a-z]+",
-    (ROOT / "docs" / "architecture.md").read_text(), re.MULTILINE))  # fmt: skip
-def test_a_module_the_architecture_names_exists(part: str) -> None:
-    assert (ROOT / "rossec" / f"{part[3:].replace('.', '/')}.py").exists()
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
+PATHS = sorted(set(re.findall(r"`((?:rossec|ca|grants|tests|docs|bench)/[\w/.]*)`", ARCHITECTURE)))
+FOLDERS = sorted(
+    str(found.parent.relative_to(ROOT))
+    for package in ("ca", "grants", "rossec")
+    for found in (ROOT / package).rglob("__init__.py")
+    if len(found.relative_to(ROOT).parts) > 2
+)
+_WITHIN = {f"rossec/{within}" for within in (
+    "master/api", "master/operation", "master/rights", "master/server", "master/state",
+    "cli/ca", "cli/grant", "cli/master", "cli/node", "cli/policy", "cli/ros", "cli/shared",
+)}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_what_the_architecture_names_is_there(path: str) -> None:
+    assert (ROOT / path).exists()
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_the_architecture_describes_every_folder(folder: str) -> None:
+    """Those of the master and of the command line stand in the paragraph of the folder above."""
+    name = folder.rpartition("/")[2]
+    assert f"`{folder}/`" in ARCHITECTURE or (folder in _WITHIN and name in ARCHITECTURE)
+
+
+def test_the_architecture_can_be_read_in_one_go() -> None:
+    assert len(ARCHITECTURE.splitlines()) <= 120
 
 
 UNITS = sorted(ROOT.glob("examples/**/*.service"))

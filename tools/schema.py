@@ -1,5 +1,7 @@
 """Write `grants/policy/policy.schema.json` anew, after operators or rights have changed."""
 
+from pathlib import Path
+
 from grants.policy import schema
 
-schema.FILE.write_text(schema.text())
+Path(schema.__file__).with_name("policy.schema.json").write_text(schema.text())

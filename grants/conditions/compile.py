@@ -265,9 +265,7 @@ def _zone(arguments: tuple[Expression, ...]) -> str:
             return zone
         case _:
             pass
-    raise ConditionRefused(
-        "a time zone must be a text", 'for example now.getHours("Europe/Zurich")'
-    )
+    raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
 
 
 def _in_64_bits(value: int) -> int:

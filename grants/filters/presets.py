@@ -2,7 +2,7 @@
 
 Rounding a position alone hides little: changes at a cell's border, an exact velocity, stamps and
 sequence numbers reveal the rest. A preset treats the field with its related fields. Every text here
-is shown to the people who decide; `docs/spec/grant.md` lists the attacks.
+is shown to the operator; `docs/spec/grant.md` lists the attacks.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,8 +1,8 @@
-"""The decision of a policy: deny > allow > prompt > default, and the answer to "why?".
+"""The decision of a policy: deny > allow > prompt > default, and its explanation.
 
-All rules that match are looked at, whatever their order: one denial outweighs everything, and of
-the allowing rules *all* restrictions hold together, so adding a rule never silently widens what
-another narrowed. An unknown right, a name out of syntax or no rule at all is never a yes.
+All rules that match are evaluated, whatever their order: one denial overrides everything, and of
+the allowing rules *all* restrictions apply together, so adding a rule never silently widens what
+another narrowed. An unknown right, an invalid name or no matching rule is never allowed.
 """
 
 from collections.abc import Collection, Iterable
@@ -15,7 +15,7 @@ from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge
 from grants.names import check_pattern
 from grants.policy.index import Hit, Index, hits
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
-from grants.policy.patterns import concerns, gives
+from grants.policy.patterns import gives, overlaps
 
 MAX_NEAR_MISSES: Final = 5
 _STRENGTH: Final = (Effect.DENY, Effect.ALLOW, Effect.PROMPT)
@@ -23,10 +23,10 @@ _STRENGTH: Final = (Effect.DENY, Effect.ALLOW, Effect.PROMPT)
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the policy says, and everything needed to explain it. True only for a plain yes.
+    """The decision, and everything needed to explain it. True only for ALLOW.
 
     Args:
-        rules: those that decided, by id; none when the default did.
+        rules: the deciding rules, by id; none if the default decided.
         restrictions, rate: all that must be applied together, for ALLOW and PROMPT.
         lifetime, renew_until: seconds; the shortest of the deciding rules.
     """
@@ -45,12 +45,12 @@ class Verdict:
 
     @property
     def restrictions(self) -> tuple[Restriction, ...]:
-        """What restricts the right; all of it holds together."""
+        """The restrictions of the right; all of them apply together."""
         return merge(clause.restriction for clause in self.clauses)
 
     @property
     def rate(self) -> float | None:
-        """At most so many messages a second, or None."""
+        """The maximum of messages a second, or None."""
         return min((c.rate for c in self.clauses if c.rate is not None), default=None)
 
     @property
@@ -72,27 +72,27 @@ class Decider:
         self._index = Index(policy)
 
     def decide(self, subject: Subject, right: Right, name: str) -> Verdict:
-        """Say what the policy says about one right on one name (or a whole pattern).
+        """Evaluate the policy for one right on one name (or a whole pattern).
 
         Raises:
-            PatternRefused: `name` is in no syntax.
-            NameRefused: `subject.name` is no absolute name.
+            PatternRefused: `name` is invalid.
+            NameRefused: `subject.name` is not an absolute name.
             PolicyRefused: not exactly one right.
         """
         check_name(subject.name)
         check_pattern(name)
         if right.bit_count() != 1:
             raise PolicyRefused(f"{int(right)} is not one right")
-        return self._judge(subject, right, name, self._index.find(subject, right, name))
+        return self._evaluate(subject, right, name, self._index.find(subject, right, name))
 
-    def without(self, verdict: Verdict) -> Verdict:
-        """What the answer would be if the rules that gave it were not there."""
+    def decide_without(self, verdict: Verdict) -> Verdict:
+        """The verdict without the rules that decided it."""
         rules = [rule for rule in self.policy.rules if rule not in verdict.rules]
         found = hits(rules, verdict.subject, verdict.right, verdict.name)
-        return self._judge(verdict.subject, verdict.right, verdict.name, list(found))
+        return self._evaluate(verdict.subject, verdict.right, verdict.name, list(found))
 
     def explain(self, verdict: Verdict) -> list[str]:
-        """The verdict for people, line by line."""
+        """The verdict as text, line by line."""
         lines = [verdict.headline]
         for rule, clause in zip(verdict.rules, verdict.clauses, strict=False):
             lines.append(f"  {rule.reason} ({rule.effect} {clause.right.label} {clause.pattern})")
@@ -104,34 +104,34 @@ class Decider:
         return lines + [f"  {line}" for line in self.changes(verdict)]
 
     def near_misses(self, verdict: Verdict) -> list[str]:
-        """For an answer by default: the rules that nearly matched, and why they did not."""
+        """For a decision by default: the rules that nearly matched, and why they did not."""
         if verdict.rules:
             return []
-        found = (_miss(rule, verdict) for rule in self.policy.rules)
+        found = (_near_miss(rule, verdict) for rule in self.policy.rules)
         return [miss for miss in found if miss][:MAX_NEAR_MISSES]
 
     def changes(self, verdict: Verdict) -> list[str]:
-        """What would change the answer."""
+        """The change of the policy that would change the decision."""
         subject, right, name = verdict.subject.name, verdict.right.label, verdict.name
         if verdict.rules:
             ids = " and ".join(dict.fromkeys(rule.id for rule in verdict.rules))
-            otherwise = self.without(verdict)
-            return [f"without {ids} it would be {otherwise.effect}{_by(otherwise)}"]
+            alternative = self.decide_without(verdict)
+            return [f"without {ids} it would be {alternative.effect}{_deciding_rules(alternative)}"]
         rule = f"an allow rule for {subject} with {right}: [{name}]"
         return [f"{rule} would change it"]
 
-    def _judge(self, subject: Subject, right: Right, name: str, found: list[Hit]) -> Verdict:
-        bare = Verdict(Effect.DENY, subject, right, name)
+    def _evaluate(self, subject: Subject, right: Right, name: str, found: list[Hit]) -> Verdict:
+        base = Verdict(Effect.DENY, subject, right, name)
         for effect in _STRENGTH:
             matching = sorted(
                 (hit for hit in found if hit[0].effect is effect),
                 key=lambda hit: (hit[0].id, hit[1].pattern),
             )
             if matching and (effect is Effect.DENY or _complete(matching, right, name)):
-                return _verdict(bare, effect, matching)
+                return _verdict(base, effect, matching)
         default = self.policy.defaults
         return replace(
-            bare,
+            base,
             effect=default.decision,
             lifetime=default.lifetime,
             renew_until=default.renew_until,
@@ -139,14 +139,14 @@ class Decider:
 
 
 def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
-    """Whether some rule gives *all* of what is asked; others only add their restrictions."""
+    """Whether some rule gives the *whole* request; others only add their restrictions."""
     return "*" not in name or any(gives(clause.pattern, right, name) for _, clause in matching)
 
 
-def _verdict(bare: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:
+def _verdict(base: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:
     rules = tuple(rule for rule, _ in matching)
     return replace(
-        bare,
+        base,
         effect=effect,
         rules=rules,
         clauses=tuple(clause for _, clause in matching),
@@ -156,7 +156,7 @@ def _verdict(bare: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdic
 
 
 def restriction_lines(verdict: Verdict) -> list[str]:
-    """The restrictions and the validity, for people."""
+    """The restrictions and the validity as text."""
     lines = [line for restriction in verdict.restrictions for line in restriction.lines()]
     if verdict.rate is not None:
         lines.append(f"at most {verdict.rate:g} messages a second")
@@ -167,32 +167,34 @@ def restriction_lines(verdict: Verdict) -> list[str]:
 
 
 def span(seconds: int) -> str:
-    """Seconds as they are written in a policy: `7d`, `90s`."""
+    """Seconds in the notation of a policy: `7d`, `90s`."""
     for size, unit in ((DAY, "d"), (HOUR, "h"), (MINUTE, "m")):
         if seconds and seconds % size == 0:
             return f"{seconds // size}{unit}"
     return f"{seconds}s"
 
 
-def _by(verdict: Verdict) -> str:
+def _deciding_rules(verdict: Verdict) -> str:
     ids = " and ".join(dict.fromkeys(rule.id for rule in verdict.rules))
     return f", by {ids}" if ids else ", by default"
 
 
-def _miss(rule: PolicyRule, verdict: Verdict) -> str:
-    """Why a rule that gives something did not match, if only one thing was different."""
+def _near_miss(rule: PolicyRule, verdict: Verdict) -> str:
+    """Why an allowing rule did not match, if it differs in one point only."""
     if rule.effect is Effect.DENY:
         return ""
-    on_name = [c for c in rule.clauses if concerns(c.pattern, verdict.right, verdict.name)]
-    gave = [clause for clause in on_name if clause.right is verdict.right]
-    if not rule.is_for(verdict.subject):
-        if not gave:
+    on_name = [c for c in rule.clauses if overlaps(c.pattern, verdict.right, verdict.name)]
+    given = [clause for clause in on_name if clause.right is verdict.right]
+    if not rule.applies_to(verdict.subject):
+        if not given:
             return ""
-        pinned = any(who.admits(replace(verdict.subject, key=who.key or b"")) for who in rule.who)
-        other = "another key of " if pinned else ""
-        return f"rule {rule.id} is for {other}{rule.people}, not {verdict.subject.name}"
-    if gave:
-        return f"rule {rule.id} covers {gave[0].pattern}, which is not all of {verdict.name}"
+        other_key = any(
+            who.matches(replace(verdict.subject, key=who.key or b"")) for who in rule.who
+        )
+        prefix = "another key of " if other_key else ""
+        return f"rule {rule.id} is for {prefix}{rule.subjects_text}, not {verdict.subject.name}"
+    if given:
+        return f"rule {rule.id} covers {given[0].pattern}, which is not all of {verdict.name}"
     if on_name:
         rights = ", ".join(dict.fromkeys(clause.right.label for clause in on_name))
         return f"rule {rule.id} gives {rights}, not {verdict.right.label}"

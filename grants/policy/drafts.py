@@ -1,7 +1,7 @@
 """From verdicts to grants: what the authority may sign for a node, no more than was decided.
 
 A right that the policy restricts in several rules becomes several permissions in one grant, each
-with its restriction: whoever checks the grant applies all of them.
+with its restriction: the verifier of the grant applies all of them.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,15 +16,15 @@ from grants.request import RequestedRight
 
 @dataclass(frozen=True)
 class Plan:
-    """The rights a node requests, sorted by what the policy says."""
+    """The rights a node requests, by decision."""
 
     allowed: tuple[Verdict, ...]
-    asked: tuple[Verdict, ...]
+    prompted: tuple[Verdict, ...]
     denied: tuple[Verdict, ...]
 
 
 def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
-    """Decide every wish by itself.
+    """Decide on every requested right separately.
 
     Raises:
         PatternRefused, PolicyRefused: as `Decider.decide`.
@@ -38,22 +38,22 @@ def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -
 
 
 def approve(verdict: Verdict) -> Verdict:
-    """A person said yes to what the policy wanted asked; its restrictions stay.
+    """The verdict after a person approved it; its restrictions stay.
 
     Raises:
-        PolicyRefused: the policy denies it: no person is asked over a denial.
+        PolicyRefused: the policy denies it: a denial cannot be approved.
     """
     if verdict.effect is Effect.DENY:
         reason = verdict.rules[0].reason if verdict.rules else "no rule allows it"
         raise PolicyRefused(
             f"the policy denies {verdict.right.label} {verdict.name}: {reason}",
-            "change the policy first, if it must be",
+            "to allow it, change the policy first",
         )
     return replace(verdict, effect=Effect.ALLOW)
 
 
 def approximate(verdict: Verdict, restriction: Restriction) -> Verdict:
-    """The same, restricted by `restriction` as well.
+    """The verdict, additionally restricted by `restriction`.
 
     Raises:
         PolicyRefused: not a subscription.
@@ -62,28 +62,28 @@ def approximate(verdict: Verdict, restriction: Restriction) -> Verdict:
         raise PolicyRefused(
             f"{verdict.right.label} {verdict.name} cannot be approximate", "only subscriptions can"
         )
-    bare = replace(restriction, rate=None)
-    extra = Clause(verdict.right, verdict.name, bare, restriction.rate, restriction.type)
+    base = replace(restriction, rate=None)
+    extra = Clause(verdict.right, verdict.name, base, restriction.rate, restriction.type)
     return replace(verdict, clauses=(*verdict.clauses, extra))
 
 
 def shorten(verdict: Verdict, seconds: int) -> Verdict:
-    """The same for at most `seconds`, not to be renewed."""
+    """The verdict for at most `seconds`, without renewal."""
     return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=0)
 
 
 def drafts(
     verdicts: Iterable[Verdict], *, domain: str, now: int, serial: Callable[[], bytes]
 ) -> list[Draft]:
-    """What to sign for allowed verdicts of one subject: one draft per validity.
+    """The drafts to sign for allowed verdicts: one for each subject and validity.
 
     Raises:
-        PolicyRefused: a verdict that is no yes.
+        PolicyRefused: a verdict other than ALLOW.
     """
     groups: dict[tuple[Subject, int, int], list[Verdict]] = {}
     for verdict in verdicts:
         if verdict.effect is not Effect.ALLOW:
-            raise PolicyRefused(f"not allowed: {verdict.headline}", "only a yes can be signed")
+            raise PolicyRefused(f"not allowed: {verdict.headline}", "only ALLOW can be signed")
         key = (verdict.subject, verdict.lifetime, verdict.renew_until)
         groups.setdefault(key, []).append(verdict)
     return [
@@ -97,18 +97,18 @@ def drafts(
 
 
 def permissions(verdict: Verdict) -> list[Permission]:
-    """The entries of a grant that say what `verdict` says."""
+    """The permissions of a grant for `verdict`."""
     restrictions: list[Restriction | None] = list(verdict.restrictions) or [None]
     if verdict.rate is not None:
         restrictions = [_limited(item, verdict.rate) for item in restrictions]
     if verdict.keep_when_stale:
-        restrictions = [_kept(item) for item in restrictions]
+        restrictions = [_keep_when_stale(item) for item in restrictions]
     return [Permission(verdict.name, verdict.right, item) for item in restrictions]
 
 
-def _kept(restriction: Restriction | None) -> Restriction:
-    bare = Restriction(keep_when_stale=True)
-    return bare if restriction is None else replace(restriction, keep_when_stale=True)
+def _keep_when_stale(restriction: Restriction | None) -> Restriction:
+    base = Restriction(keep_when_stale=True)
+    return base if restriction is None else replace(restriction, keep_when_stale=True)
 
 
 def _limited(restriction: Restriction | None, rate: float) -> Restriction:

@@ -1,7 +1,7 @@
-"""Adding to a policy file without touching the rest: comments, order and quotes stay.
+"""Adding rules to a policy file without changing the rest: comments, order and quotes stay.
 
-Text in, text out; the text must be one `load` has accepted (it bounds what YAML can do to us).
-Whoever writes the result should load it once more.
+Text in, text out; `load` must have accepted the text (it bounds the cost of its YAML). The caller
+should load the result again.
 """
 
 from collections.abc import Iterable, Mapping
@@ -41,7 +41,7 @@ def empty(robot: str = "robot") -> str:
 
 
 def add_rules(text: str, rules: Iterable[NewRule]) -> str:
-    """`text` with `rules` added; one whose id is there gains what it lacks."""
+    """`text` with `rules` added; an existing rule with the same id is extended."""
     yaml = _yaml()
     data = yaml.load(text)
     known = _rules(data)
@@ -53,14 +53,14 @@ def add_rules(text: str, rules: Iterable[NewRule]) -> str:
     return out.getvalue()
 
 
-def free_id(taken: Iterable[str], wish: str) -> str:
-    """`wish`, or `wish-2` and so on."""
+def free_id(taken: Iterable[str], preferred: str) -> str:
+    """`preferred`, or `preferred-2` and so on."""
     used = taken if isinstance(taken, AbstractSet) else set(taken)
     number = 1
-    name = wish
+    name = preferred
     while name in used:
         number += 1
-        name = f"{wish}-{number}"
+        name = f"{preferred}-{number}"
     return name
 
 
@@ -76,32 +76,32 @@ def _add_types(data: Any, types: Mapping[str, str]) -> None:
     if types and not data.get("types"):
         data["types"] = CommentedMap()
     for topic, kind in types.items():
-        if topic not in data["types"]:  # before the rest: comments hang on the last
+        if topic not in data["types"]:  # before the others: comments belong to the last
             data["types"].insert(0, topic, kind)
 
 
 def _rules(data: Any) -> dict[str, Any]:
-    """The rules that are there, by their ids; the list is made fit to be added to."""
+    """The existing rules by id; afterwards `data` has a list of rules."""
     if not data["rules"]:
         data["rules"] = CommentedSeq()
-    if isinstance(data["rules"], CommentedMap):  # a single rule may stand without a dash
+    if isinstance(data["rules"], CommentedMap):  # a single rule may be written without a dash
         data["rules"] = CommentedSeq([data["rules"]])
     return {item["id"]: item for item in data["rules"]}
 
 
 def _add_rule(data: Any, known: dict[str, Any], rule: NewRule) -> None:
     if rule.id not in known:
-        made = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
-        made[rule.effect] = CommentedMap()
+        entry = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
+        entry[rule.effect] = CommentedMap()
         if rule.filter is not None:
-            made["filter"] = CommentedMap(use=rule.filter)
-        data["rules"].append(made)
+            entry["filter"] = CommentedMap(use=rule.filter)
+        data["rules"].append(entry)
     rights = known[rule.id][rule.effect]
     for label, patterns in rule.rights.items():
-        there = rights.get(label, [])
-        there = there if isinstance(there, list) else [there]
-        new = [name for name in patterns if name not in there]
-        rights[label] = _flow([*there, *new])
+        present = rights.get(label, [])
+        present = present if isinstance(present, list) else [present]
+        new = [name for name in patterns if name not in present]
+        rights[label] = _flow([*present, *new])
 
 
 def _flow(items: Iterable[str]) -> CommentedSeq:

@@ -1,7 +1,7 @@
-"""Field filters and conditions in a policy: how they are written, and whether they fit a type.
+"""Field filters and conditions in a policy: their notation, and whether they fit a type.
 
-Written shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. Whether an operator
-exists is asked of `grants.filters.operators`, so a policy knows exactly what its grants will know.
+The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators
+are those of `grants.filters.operators`, so a policy supports exactly what its grants support.
 """
 
 import re
@@ -32,19 +32,19 @@ _FIELD: Final = re.compile(r"\bmsg((?:\.[A-Za-z]\w*)+)", re.ASCII)
 
 @dataclass(frozen=True)
 class FieldRule:
-    """A filter rule and where it stands."""
+    """A filter rule and its position."""
 
-    place: SourcePosition
+    position: SourcePosition
     rule: FilterRule
 
 
 @dataclass(frozen=True)
-class When:
-    """A condition and where it stands; `message` says whether it looks into the message."""
+class ConditionRule:
+    """A condition and its position; `reads_message` if it names fields of the message."""
 
-    place: SourcePosition
+    position: SourcePosition
     text: str
-    message: bool
+    reads_message: bool
 
 
 def read_fields(part: YamlMapping, mistakes: Mistakes) -> tuple[FieldRule, ...]:
@@ -59,20 +59,20 @@ def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | 
         hint = "for example {round: 0.5} or {clear: true}"
         mistakes.add(part, f"{path}: exactly one operator per field", hint)
         return None
-    [(operator, (place, value))] = part.entries.items()
+    [(operator, (position, value))] = part.entries.items()
     if operator not in OPERATORS:
         hint = suggest(operator, OPERATORS)
-        mistakes.add(place, f"{path}: unknown operator {operator[:60]!r}", hint)
+        mistakes.add(position, f"{path}: unknown operator {operator[:60]!r}", hint)
         return None
     parameters = _parameters(operator, value)
     if parameters is None:
-        mistakes.add(value, f"{path}: {operator} cannot take this", _example(operator))
+        mistakes.add(value, f"{path}: invalid parameters of {operator}", _example(operator))
         return None
     try:
         rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
         treatment_for(rule)
     except GrantError as error:
-        mistakes.add(place, str(error), error.hint or _example(operator))
+        mistakes.add(position, str(error), error.hint or _example(operator))
         return None
     return FieldRule(key, rule)
 
@@ -105,42 +105,42 @@ def _example(operator: str) -> str:
 
 
 def check_fields(
-    layout: Layout, rules: tuple[FieldRule, ...], place: SourcePosition, mistakes: Mistakes
+    layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes
 ) -> bool:
     """Whether the rules fit messages of `layout`: each alone, then together."""
-    fine = True
+    fits = True
     for item in rules:
-        fine = _fits(layout, (item,), item.place, mistakes) and fine
-    return fine and _fits(layout, rules, place, mistakes)
+        fits = _fits(layout, (item,), item.position, mistakes) and fits
+    return fits and _fits(layout, rules, position, mistakes)
 
 
 def _fits(
-    layout: Layout, rules: tuple[FieldRule, ...], place: SourcePosition, mistakes: Mistakes
+    layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes
 ) -> bool:
     try:
         compile_filter(layout, (item.rule for item in rules))
     except GrantError as error:
-        hint = nearest_field(layout, rules[0].rule.path)
-        mistakes.add(place, f"{layout.type_name}: {error}", hint or error.hint)
+        hint = suggest_field(layout, rules[0].rule.path)
+        mistakes.add(position, f"{layout.type_name}: {error}", hint or error.hint)
         return False
     return True
 
 
-def check_preset(layout: Layout, name: str, place: SourcePosition, mistakes: Mistakes) -> bool:
+def check_preset(layout: Layout, name: str, position: SourcePosition, mistakes: Mistakes) -> bool:
     """Whether the preset `name` exists for messages of `layout`."""
     try:
         preset(name).restriction(layout)
     except FilterRefused as error:
-        mistakes.add(place, f"{name}: {error}", error.hint)
+        mistakes.add(position, f"{name}: {error}", error.hint)
         return False
     return True
 
 
-def read_when(part: Part, mistakes: Mistakes) -> When | None:
-    """Read one condition: in the language, if not yet for a type."""
+def read_condition(part: Part, mistakes: Mistakes) -> ConditionRule | None:
+    """Read one condition: its syntax is checked, not yet its types."""
     text = part.value if isinstance(part, YamlScalar) else None
     if not isinstance(text, str):
-        mistakes.add(part, "a condition must be a text", "put it in single quotes")
+        mistakes.add(part, "a condition must be text", "put it in single quotes")
         return None
     try:
         check_syntax(text)
@@ -153,25 +153,25 @@ def read_when(part: Part, mistakes: Mistakes) -> When | None:
         if _FIELD.search(text) is None:
             mistakes.add(part, str(error), error.hint)
             return None
-        return When(part, text, message=True)
-    return When(part, text, message=False)
+        return ConditionRule(part, text, reads_message=True)
+    return ConditionRule(part, text, reads_message=False)
 
 
-def check_when(layout: Layout, when: When, mistakes: Mistakes) -> bool:
+def check_condition(layout: Layout, condition: ConditionRule, mistakes: Mistakes) -> bool:
     """Whether the condition fits messages of `layout`."""
     try:
-        compile_condition(layout, when.text)
+        compile_condition(layout, condition.text)
     except ConditionRefused as error:
-        paths = (found[1][1:] for found in _FIELD.finditer(when.text))
-        hints = [hint for path in paths if (hint := nearest_field(layout, path))]
+        paths = (found[1][1:] for found in _FIELD.finditer(condition.text))
+        hints = [hint for path in paths if (hint := suggest_field(layout, path))]
         message = f"{layout.type_name}: {error}"
-        mistakes.add(when.place, message, hints[0] if hints else error.hint)
+        mistakes.add(condition.position, message, hints[0] if hints else error.hint)
         return False
     return True
 
 
-def nearest_field(layout: Layout, path: str) -> str:
-    """For a path that leads nowhere: the field that was probably meant; else nothing."""
+def suggest_field(layout: Layout, path: str) -> str:
+    """For an invalid path: a hint with the most similar field; else empty."""
     kind: Type = layout.root
     for step in path.split("."):
         while isinstance(kind, Array):

@@ -1,9 +1,9 @@
-"""Which clauses speak about a name: a tree over segments, so the cost does not grow with the rules.
+"""An index of clauses by name: a tree over segments, so the cost does not grow with the rules.
 
-Walking the tree follows the segments of the name and the wildcards beside them, nothing else.
-Below a node, clauses for one exact node name are found by that name; the others are looked at
-one by one. `hits` is the same question asked slowly, of every clause: the tests compare them, and
-whole patterns are only ever answered by it.
+A lookup follows the segments of the name and the wildcards beside them, nothing else. In a tree
+node, clauses for one exact node name are found by that name; the others are compared one by one.
+`hits` gives the same result by comparing every clause: the tests compare both, and whole patterns
+are only ever looked up with it.
 """
 
 from collections.abc import Iterable, Iterator
@@ -12,17 +12,17 @@ from typing import Final, TypeAlias
 
 from grants.model import TREE_RIGHTS, Right
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
-from grants.policy.patterns import concerns, gives, segments
+from grants.policy.patterns import gives, overlaps, segments
 
 Hit: TypeAlias = tuple[PolicyRule, Clause]
 
-_ANYBODY: Final = ""
+_ANY_NODE: Final = ""
 
 
 @dataclass
 class _Branch:
     children: dict[str, "_Branch"] = field(default_factory=dict)
-    hits: dict[str, list[Hit]] = field(default_factory=dict)  # by exact node name, or _ANYBODY
+    hits: dict[str, list[Hit]] = field(default_factory=dict)  # by exact node name, or _ANY_NODE
 
 
 class Index:
@@ -33,14 +33,14 @@ class Index:
         self._roots: dict[Right, _Branch] = {}
         for rule in policy.rules:
             for clause in rule.clauses:
-                self._plant(rule, clause)
+                self._insert(rule, clause)
 
     def find(self, subject: Subject, right: Right, name: str) -> list[Hit]:
-        """Every clause that decides about the exact `name`, for `subject`; in no order.
+        """Every clause that decides on the exact `name` for `subject`; unordered.
 
         Args:
             right: exactly one.
-            name: an absolute name, or for `hits` a pattern.
+            name: an absolute name, or a pattern (then by `hits`).
         """
         if "*" in name:
             return list(hits(self._policy.rules, subject, right, name))
@@ -50,16 +50,16 @@ class Index:
         branches: dict[int, tuple[_Branch, bool]] = {}
         for branch, whole in _reach(root, name, tree=bool(right & TREE_RIGHTS)):
             _, before = branches.get(id(branch), (branch, False))
-            branches[id(branch)] = (branch, whole or before)  # `**` leads to one in several ways
+            branches[id(branch)] = (branch, whole or before)  # reached by `**` in several ways
         found: list[Hit] = []
         for branch, whole in branches.values():
-            for key in (subject.name, _ANYBODY):
+            for key in (subject.name, _ANY_NODE):
                 for rule, clause in branch.hits.get(key, ()):
-                    if (whole or rule.effect is Effect.DENY) and rule.is_for(subject):
+                    if (whole or rule.effect is Effect.DENY) and rule.applies_to(subject):
                         found.append((rule, clause))
         return found
 
-    def _plant(self, rule: PolicyRule, clause: Clause) -> None:
+    def _insert(self, rule: PolicyRule, clause: Clause) -> None:
         branch = self._roots.setdefault(clause.right, _Branch())
         for segment in segments(clause.pattern):
             branch = branch.children.setdefault(segment, _Branch())
@@ -67,47 +67,49 @@ class Index:
             branch.hits.setdefault(key, []).append((rule, clause))
 
 
-def hits(rules: Iterable[PolicyRule], subject: Subject, right: Right, asked: str) -> Iterator[Hit]:
-    """Every clause of `rules` that decides about `asked`, a name or a pattern.
+def hits(
+    rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str
+) -> Iterator[Hit]:
+    """Every clause of `rules` that decides on `requested`, a name or a pattern.
 
-    Denials count when they touch any of it. Allowing rules with restrictions count too, so that
-    they add these; whether all of it is allowed is for `decision` to see.
+    Denials count if they overlap with it. So do allowing rules with restrictions, to add these;
+    whether all of it is allowed is checked in `decision`.
     """
     for rule in rules:
-        if not rule.is_for(subject):
+        if not rule.applies_to(subject):
             continue
         for clause in rule.clauses:
-            if clause.right is right and _decides(rule, clause, asked):
+            if clause.right is right and _decides(rule, clause, requested):
                 yield rule, clause
 
 
-def _decides(rule: PolicyRule, clause: Clause, asked: str) -> bool:
-    if rule.effect is Effect.DENY or ("*" in asked and clause.restriction is not None):
-        return concerns(clause.pattern, clause.right, asked)
-    return gives(clause.pattern, clause.right, asked)
+def _decides(rule: PolicyRule, clause: Clause, requested: str) -> bool:
+    if rule.effect is Effect.DENY or ("*" in requested and clause.restriction is not None):
+        return overlaps(clause.pattern, clause.right, requested)
+    return gives(clause.pattern, clause.right, requested)
 
 
 def _keys(rule: PolicyRule) -> set[str]:
-    """Under which node names to look for the rule.
+    """The node names under which the rule is found.
 
-    Whom a pinned key denies may have any name.
+    A denial by pinned key applies to any name.
     """
     nodes = {who.node for who in rule.who}
     by_key = rule.effect is Effect.DENY and any(who.key is not None for who in rule.who)
     if by_key or any(node is None or "*" in node for node in nodes):
-        return {_ANYBODY}
+        return {_ANY_NODE}
     return {node for node in nodes if node is not None}
 
 
 def _reach(root: _Branch, name: str, *, tree: bool) -> Iterator[tuple[_Branch, bool]]:
-    """Branches whose pattern covers `name` (True), or lies below it (False, trees only)."""
+    """Branches whose pattern covers `name` (True), or is below it (False, trees only)."""
     states = {(id(root), False): (root, False)}
     for segment in segments(name):
         following: dict[tuple[int, bool], tuple[_Branch, bool]] = {}
-        for branch, stays in states.values():
+        for branch, repeats_here in states.values():
             if tree and branch is not root:
-                yield branch, True  # a right above is a right to all below
-            for after, repeats in _follow(branch, segment, stays=stays):
+                yield branch, True  # a right to a parent covers its descendants
+            for after, repeats in _follow(branch, segment, repeats_here=repeats_here):
                 following[id(after), repeats] = (after, repeats)
         states = following
     for branch in {id(branch): branch for branch, _ in states.values()}.values():
@@ -116,8 +118,8 @@ def _reach(root: _Branch, name: str, *, tree: bool) -> Iterator[tuple[_Branch, b
             yield from _below(branch)
 
 
-def _follow(branch: _Branch, segment: str, *, stays: bool) -> Iterator[tuple[_Branch, bool]]:
-    if stays:
+def _follow(branch: _Branch, segment: str, *, repeats_here: bool) -> Iterator[tuple[_Branch, bool]]:
+    if repeats_here:
         yield branch, True
     for key in (segment, "*", "**"):
         child = branch.children.get(key)

@@ -1,10 +1,9 @@
-"""From what was seen to rules for it: exact names, one rule a node, marked for review.
+"""From observed use to rules: exact names, one rule per node, marked for review.
 
 Two sources. The graph of a running master names publishers, subscribers and providers; callers
-and parameters do not show in it. The complain log holds what enforcing nodes and masters would
-have denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}`
-and perhaps `"type"`. What a rule of the policy decides already is not learned again, least of all
-what it denies.
+and parameters are not part of it. The denial log holds what enforcing nodes and masters would have
+denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}` and
+optionally `"type"`. What a rule already decides is not learned again, in particular no denial.
 """
 
 import json
@@ -37,16 +36,16 @@ class Observation:
 
 
 def from_graph(state: object, types: object = ()) -> list[Observation]:
-    """What `getSystemState` and `getTopicTypes` answered.
+    """The observations in results of `getSystemState` and `getTopicTypes`.
 
     Raises:
-        PolicyRefused: an answer of another shape.
+        PolicyRefused: a malformed result.
     """
     rights = (Right.PUBLISH, Right.SUBSCRIBE, Right.PROVIDE)
     try:
         kinds = {str(topic): str(kind) for topic, kind in _list(types)}
         return sorted(
-            _seen(node, right, name, kinds.get(str(name), ""))
+            _observation(node, right, name, kinds.get(str(name), ""))
             for right, entries in zip(rights, _list(state), strict=True)
             for name, nodes in _list(entries)
             for node in _list(nodes)
@@ -56,10 +55,10 @@ def from_graph(state: object, types: object = ()) -> list[Observation]:
 
 
 def from_log(lines: Iterable[str]) -> list[Observation]:
-    """What a complain log says.
+    """The observations in a denial log.
 
     Raises:
-        PolicyRefused: a line that is none, by its number.
+        PolicyRefused: an invalid line, by its number.
     """
     found: set[Observation] = set()
     for number, line in enumerate(lines, 1):
@@ -71,20 +70,20 @@ def from_log(lines: Iterable[str]) -> list[Observation]:
 
 
 def log_line(at: int, node: str, right: Right, name: str, type_name: str = "") -> str:
-    """One line of a complain log, without its end."""
+    """One line of a denial log, without the newline."""
     row: dict[str, Any] = {"at": at, "node": node, "right": right.label, "name": name}
     return json.dumps({**row, "type": type_name} if type_name else row)
 
 
 def learn(
-    text: str, decider: Decider, seen: Sequence[Observation], day: str
+    text: str, decider: Decider, observed: Sequence[Observation], day: str
 ) -> tuple[str, list[NewRule]]:
-    """`text`, the policy of `decider`, with what it does not decide yet; and the rules added.
+    """`text`, the policy of `decider`, with rules for what it does not decide yet; and these rules.
 
     Args:
-        day: when it was seen, for the reason.
+        day: the date of observation, for the reason.
     """
-    new = [item for item in seen if not _decided(decider, item)]
+    new = [item for item in observed if not _decided(decider, item)]
     by_node: dict[str, list[Observation]] = {}
     for item in new:
         by_node.setdefault(item.node, []).append(item)
@@ -92,20 +91,20 @@ def learn(
     return add_rules(text, rules) if rules else text, rules
 
 
-def _rule(node: str, seen: Sequence[Observation], day: str) -> NewRule:
+def _rule(node: str, observed: Sequence[Observation], day: str) -> NewRule:
     rights: dict[str, list[str]] = {}
-    for item in seen:
+    for item in observed:
         rights.setdefault(item.right.label, []).append(item.name)
-    types = {item.name: item.type for item in seen if item.type not in _NO_TYPE}
+    types = {item.name: item.type for item in observed if item.type not in _NO_TYPE}
     name = "learned-" + node[1:].replace("/", "-")
     return NewRule(name[:80], f"seen running {day}; review me", node, "allow", rights, types)
 
 
-def _decided(decider: Decider, seen: Observation) -> bool:
-    """Whether a rule speaks about it; any key, since what was seen shows none."""
+def _decided(decider: Decider, observed: Observation) -> bool:
+    """Whether a rule decides it; for any key, since observations have none."""
     keys = {who.key for rule in decider.policy.rules for who in rule.who if who.key is not None}
     return any(
-        decider.decide(Subject(seen.node, key), seen.right, seen.name).rules
+        decider.decide(Subject(observed.node, key), observed.right, observed.name).rules
         for key in (bytes(32), *keys)
     )
 
@@ -113,10 +112,10 @@ def _decided(decider: Decider, seen: Observation) -> bool:
 def _line(number: int, line: str) -> Observation:
     try:
         row = _row(line)
-        return _seen(row["node"], RIGHTS[row["right"]], row["name"], row.get("type", ""))
+        return _observation(row["node"], RIGHTS[row["right"]], row["name"], row.get("type", ""))
     except (ValueError, TypeError, KeyError, RecursionError, GrantError) as error:
         raise PolicyRefused(
-            f"line {number} of the complain log is none: {error}",
+            f"line {number} of the denial log is invalid: {error}",
             '{"at": 0, "node": "/a", "right": "publish", "name": "/b"}',
         ) from error
 
@@ -126,13 +125,13 @@ def _row(line: str) -> dict[str, Any]:
         raise ValueError(f"more than {MAX_LINE} characters")
     row = json.loads(line)
     if not isinstance(row, dict) or not {"node", "right", "name"} <= row.keys() <= _FIELDS:
-        raise ValueError("other fields than at, node, right, name, type")
+        raise ValueError("fields other than at, node, right, name, type")
     return row
 
 
-def _seen(node: object, right: Right, name: object, kind: object) -> Observation:
+def _observation(node: object, right: Right, name: object, kind: object) -> Observation:
     if not (isinstance(node, str) and isinstance(name, str) and isinstance(kind, str)):
-        raise TypeError("a name is no text")
+        raise TypeError("a name is not text")
     try:
         return Observation(check_name(node), right, check_name(name), kind)
     except Exception as error:

@@ -1,7 +1,7 @@
-"""What is wrong in a policy file: where, what, and the word that was probably meant.
+"""Mistakes in a policy file: position, message, and the value that was probably meant.
 
-Reading goes on after a mistake, so that all of them are reported at once; only then is the file
-refused as a whole. A policy that exists has none.
+Reading continues after a mistake, so that all of them are reported at once; then the file is
+refused as a whole. A `Policy` never has mistakes.
 """
 
 import difflib
@@ -11,12 +11,12 @@ from typing import NoReturn, Protocol
 
 from grants.errors import PolicyRefused
 
-MAX_MISTAKES = 200  # nobody reads further, and a hostile file may not make us write a book
-_MAX_WORDS = 12
+MAX_MISTAKES = 200  # more are not useful, and a hostile file must not cause a long report
+_MAX_SUGGESTIONS = 12
 
 
 class SourcePosition(Protocol):
-    """Something that has a place in the file, both counted from 1."""
+    """A position in the file, line and column counted from 1."""
 
     @property
     def line(self) -> int:
@@ -48,40 +48,40 @@ class Mistakes:
     file: str
     found: list[Mistake] = field(default_factory=list)
 
-    def add(self, place: SourcePosition, message: str, hint: str = "") -> None:
-        """Note one mistake.
+    def add(self, position: SourcePosition, message: str, hint: str = "") -> None:
+        """Record one mistake.
 
         Raises:
-            PolicyRefused: there are so many that to go on would be work for nobody.
+            PolicyRefused: the maximum number is reached.
         """
-        self.found.append(Mistake(place.line, place.column, message, hint, self.file))
+        self.found.append(Mistake(position.line, position.column, message, hint, self.file))
         if len(self.found) >= MAX_MISTAKES:
-            self.refuse()
+            self.raise_all()
 
-    def refuse_any(self) -> None:
-        """Return if there are none.
+    def raise_if_any(self) -> None:
+        """Raise `PolicyRefused` with all mistakes, in the order of the file, if there are any.
 
         Raises:
-            PolicyRefused: with all of them, in the order of the file.
+            PolicyRefused: there are mistakes.
         """
         if self.found:
-            self.refuse()
+            self.raise_all()
 
-    def refuse(self) -> NoReturn:
-        """Raise `PolicyRefused` with everything found so far, which is something."""
+    def raise_all(self) -> NoReturn:
+        """Raise `PolicyRefused` with all mistakes so far, at least one."""
         ordered = tuple(sorted(set(self.found)))
         more = len(ordered) - 1
         rest = f" (and {more} more, see: rossec policy check {self.file})" if more else ""
         raise PolicyRefused(f"{ordered[0]}{rest}", ordered[0].hint, ordered)
 
 
-def suggest(word: str, known: Iterable[str]) -> str:
-    """A hint: the known word that was probably meant, or a choice of them."""
-    words = sorted(set(known))
-    close = difflib.get_close_matches(word, words, 1, 0.6)
+def suggest(value: str, known: Iterable[str]) -> str:
+    """A hint: the most similar known value, or a list of them."""
+    values = sorted(set(known))
+    close = difflib.get_close_matches(value, values, 1, 0.6)
     if close:
         return f"did you mean {close[0]!r}?"
-    if not words:
-        return "there are none"
-    more = ", ..." if len(words) > _MAX_WORDS else ""
-    return f"there are {', '.join(words[:_MAX_WORDS])}{more}"
+    if not values:
+        return "none is defined"
+    more = ", ..." if len(values) > _MAX_SUGGESTIONS else ""
+    return f"expected one of {', '.join(values[:_MAX_SUGGESTIONS])}{more}"

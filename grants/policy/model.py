@@ -1,7 +1,7 @@
-"""A policy as values: identities, rules, and what each rule says about which names.
+"""A policy as values: identities, rules, and the names and rights in each rule.
 
-Everything here is made by `grants.policy.read`, which checked it; nothing refers to the file any
-more, except the line that a rule can be found at.
+All values are made by `grants.policy.read`, which checked them; nothing refers to the file any
+more, except the line number of a rule.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ PROMPT_TIMEOUT: Final = MINUTE
 
 
 class Effect(StrEnum):
-    """What a rule or a decision says; the strongest first."""
+    """The effect of a rule or a decision; the strongest first."""
 
     DENY = "deny"
     ALLOW = "allow"
@@ -28,7 +28,7 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class Subject:
-    """Who asks: the certified name of a node and the thumbprint (32 bytes) of its key."""
+    """The requester: the certified name of a node and the thumbprint (32 bytes) of its key."""
 
     name: str
     key: bytes
@@ -36,11 +36,11 @@ class Subject:
 
 @dataclass(frozen=True)
 class SubjectPattern:
-    """Whom a rule is for: a name or name pattern, and perhaps one pinned key.
+    """The nodes a rule is for: a name or name pattern, and optionally one pinned key.
 
     Args:
-        label: as the policy calls it.
-        node: a name or pattern; None for whoever has the key.
+        label: its name in the policy.
+        node: a name or pattern; None for any node with the key.
         key: a thumbprint of 32 bytes, or None for any key.
     """
 
@@ -48,12 +48,12 @@ class SubjectPattern:
     node: str | None = None
     key: bytes | None = None
 
-    def admits(self, subject: Subject) -> bool:
-        """Whether `subject` is surely meant: the name fits, and the key if one is pinned."""
+    def matches(self, subject: Subject) -> bool:
+        """Whether `subject` matches for certain: by name, and by key if one is pinned."""
         return self._name_fits(subject) and self.key in (None, subject.key)
 
-    def suspects(self, subject: Subject) -> bool:
-        """Whether `subject` has the name *or* the pinned key: enough to be denied."""
+    def may_match(self, subject: Subject) -> bool:
+        """Whether `subject` matches by name *or* by pinned key: enough for a denial."""
         by_key = self.key is not None and self.key == subject.key
         by_name = self.node is not None and covers(self.node, subject.name)
         return by_key or by_name
@@ -64,7 +64,7 @@ class SubjectPattern:
 
 @dataclass(frozen=True)
 class Clause:
-    """One right on one pattern, as a rule restricts it; `rate` is in messages per second."""
+    """One right on one pattern, with the restriction of its rule; `rate` in messages per second."""
 
     right: Right
     pattern: str
@@ -73,7 +73,7 @@ class Clause:
     type: str | None = None
 
     def lines(self) -> list[str]:
-        """The restrictions for people."""
+        """The restrictions as text."""
         lines = self.restriction.lines() if self.restriction is not None else []
         return lines if self.rate is None else [*lines, f"at most {self.rate:g} messages a second"]
 
@@ -83,9 +83,9 @@ class PolicyRule:
     """One rule.
 
     Args:
-        lifetime, renew_until: seconds; `renew_until` 0 is never. Already the policy's defaults
-            where the rule names none; `own_lifetime` says whether it did.
-        keep_when_stale: its connections outlive missing news of revocations (`on_stale: keep`).
+        lifetime, renew_until: seconds; `renew_until` 0 is never. The policy's defaults if the
+            rule has none; `has_lifetime` says whether it has.
+        keep_when_stale: connections stay open on stale revocation data (`on_stale: keep`).
     """
 
     id: str
@@ -96,21 +96,21 @@ class PolicyRule:
     exceptions: tuple[SubjectPattern, ...] = ()
     lifetime: int = LIFETIME
     renew_until: int = 0
-    own_lifetime: bool = False
+    has_lifetime: bool = False
     keep_when_stale: bool = False
     line: int = 0
 
-    def is_for(self, subject: Subject) -> bool:
-        """Whether the rule speaks about `subject`; a denial does so on the weaker evidence."""
-        if any(who.admits(subject) for who in self.exceptions):
+    def applies_to(self, subject: Subject) -> bool:
+        """Whether the rule is for `subject`; a denial needs a weaker match."""
+        if any(who.matches(subject) for who in self.exceptions):
             return False
         if self.effect is Effect.DENY:
-            return any(who.suspects(subject) for who in self.who)
-        return any(who.admits(subject) for who in self.who)
+            return any(who.may_match(subject) for who in self.who)
+        return any(who.matches(subject) for who in self.who)
 
     @property
-    def people(self) -> str:
-        """Whom it is for, in the policy's words."""
+    def subjects_text(self) -> str:
+        """The subjects, by their labels in the policy."""
         exceptions = ", ".join(who.label for who in self.exceptions)
         return ", ".join(who.label for who in self.who) + (
             f" except {exceptions}" if exceptions else ""
@@ -118,19 +118,19 @@ class PolicyRule:
 
     @property
     def reason(self) -> str:
-        """The id and the reason, for people."""
+        """The id and the reason as text."""
         return f"rule {self.id}" + (f": {self.why}" if self.why else "")
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """What holds where no rule says otherwise; an unanswered prompt is a denial."""
+    """Values for rules without their own; an unanswered prompt is a denial."""
 
     decision: Effect = Effect.DENY
     lifetime: int = LIFETIME
     renew_until: int = 0
     prompt_timeout: int = PROMPT_TIMEOUT
-    own_lifetime: bool = False
+    has_lifetime: bool = False
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Policy:
     filters: Mapping[str, tuple[FilterRule, ...]] = field(default_factory=dict)
 
     def type_of(self, name: str) -> str | None:
-        """The message type of the topic or pattern `name`, if the policy says one."""
+        """The message type of the topic or pattern `name`, if the policy has one."""
         return type_of(self.types, name)
 
 

@@ -1,7 +1,7 @@
-"""Two patterns side by side: does one lie within the other, do they meet at all?
+"""Comparison of two patterns: does one include the other, do they intersect?
 
-Needed where a whole pattern is asked for: a right to `/a/**` may only be given if every name in
-it may be had, and not if one of them is denied. Names are infinite, so both are decided on the
+Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in
+it is allowed, and not if one of them is denied. Names are infinite, so both are decided on the
 automata of the patterns: a position in each, moved segment by segment.
 """
 
@@ -11,7 +11,7 @@ from typing import Final
 
 from grants.model import TREE_RIGHTS, Right
 
-_ANY: Final = "*"  # as a letter: a segment no pattern spells out
+_ANY: Final = "*"  # a segment that only wildcards match
 
 
 def segments(pattern: str) -> tuple[str, ...]:
@@ -21,7 +21,7 @@ def segments(pattern: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=4096)
 def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
-    """Whether every name `inner` stands for is one `outer` stands for (`tree`: or lies below)."""
+    """Whether `outer` covers every name that `inner` covers (`tree`: or a parent of it)."""
     wide, narrow = segments(outer), segments(inner)
     seen: set[tuple[int, frozenset[int]]] = set()
     todo = [(0, frozenset({0}))]
@@ -30,40 +30,44 @@ def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
         if state in seen:
             continue
         seen.add(state)
-        at, reached = state
+        position, reached = state
         if tree and len(wide) in reached:
-            continue  # whatever follows lies below
-        if at == len(narrow) and len(wide) not in reached:
+            continue  # all further names are below
+        if position == len(narrow) and len(wide) not in reached:
             return False
-        for letter, after in _moves(narrow, at):
-            todo.append((after, _step(wide, reached, letter)))
+        for segment, after in _moves(narrow, position):
+            todo.append((after, _step(wide, reached, segment)))
     return True
 
 
 @lru_cache(maxsize=4096)
 def intersects(one: str, other: str) -> bool:
-    """Whether some name lies under both."""
+    """Whether both cover a common name."""
     return _walk(segments(one), segments(other), lambda a, b: a and b)
 
 
 @lru_cache(maxsize=4096)
 def intersects_tree(pattern: str, name: str) -> bool:
-    """Whether some key lies under `pattern` or below it, and also under `name` or below it."""
+    """Whether the trees below names of `pattern` and of `name` have a common key."""
     return _walk(segments(pattern), segments(name), lambda a, b: a or b)
 
 
-def concerns(pattern: str, right: Right, asked: str) -> bool:
-    """Whether a rule about `pattern` touches any of what is `asked`: enough for a denial."""
-    return intersects_tree(pattern, asked) if right & TREE_RIGHTS else intersects(pattern, asked)
+def overlaps(pattern: str, right: Right, requested: str) -> bool:
+    """Whether a rule on `pattern` overlaps with `requested`: enough for a denial."""
+    return (
+        intersects_tree(pattern, requested)
+        if right & TREE_RIGHTS
+        else intersects(pattern, requested)
+    )
 
 
-def gives(pattern: str, right: Right, asked: str) -> bool:
-    """Whether a rule about `pattern` gives all of what is `asked`."""
-    return includes(pattern, asked, tree=bool(right & TREE_RIGHTS))
+def gives(pattern: str, right: Right, requested: str) -> bool:
+    """Whether a rule on `pattern` gives all of `requested`."""
+    return includes(pattern, requested, tree=bool(right & TREE_RIGHTS))
 
 
 def _walk(one: tuple[str, ...], other: tuple[str, ...], ends: Callable[[bool, bool], bool]) -> bool:
-    """Move through both at once; True where `ends(one at its end, other at its end)`."""
+    """Advance in both at once; True if `ends(end of one reached, end of other reached)`."""
     seen: set[tuple[int, int]] = set()
     todo = [(0, 0)]
     while todo:
@@ -74,24 +78,27 @@ def _walk(one: tuple[str, ...], other: tuple[str, ...], ends: Callable[[bool, bo
         here, there = state
         if here + there and ends(here == len(one), there == len(other)):
             return True
-        for letter, after in _moves(one, here):
-            for other_letter, other_after in _moves(other, there):
-                if letter == other_letter or _ANY in (letter, other_letter):
+        for segment, after in _moves(one, here):
+            for other_segment, other_after in _moves(other, there):
+                if segment == other_segment or _ANY in (segment, other_segment):
                     todo.append((after, other_after))
     return False
 
 
-def _moves(pattern: tuple[str, ...], at: int) -> list[tuple[str, int]]:
-    """Which segment may come at a position, and where it leads; `**` may stay."""
+def _moves(pattern: tuple[str, ...], position: int) -> list[tuple[str, int]]:
+    """The segments possible at a position, and the next position; `**` may stay."""
     moves: list[tuple[str, int]] = []
-    if at < len(pattern):
-        moves.append((_ANY if pattern[at] == "**" else pattern[at], at + 1))
-    if at > 0 and pattern[at - 1] == "**":
-        moves.append((_ANY, at))
+    if position < len(pattern):
+        moves.append((_ANY if pattern[position] == "**" else pattern[position], position + 1))
+    if position > 0 and pattern[position - 1] == "**":
+        moves.append((_ANY, position))
     return moves
 
 
-def _step(pattern: tuple[str, ...], reached: frozenset[int], letter: str) -> frozenset[int]:
+def _step(pattern: tuple[str, ...], reached: frozenset[int], segment: str) -> frozenset[int]:
     return frozenset(
-        after for at in reached for want, after in _moves(pattern, at) if want in (_ANY, letter)
+        after
+        for position in reached
+        for expected, after in _moves(pattern, position)
+        if expected in (_ANY, segment)
     )

@@ -1,8 +1,7 @@
 """Which data is collected, who has access and why: every field, every receiver, until when.
 
-What a right means field by field, for a record of processing (GDPR article 30) as much as for
-somebody at home. Built from what may be had (the policy) or from what is held (live grants):
-both are an `ReceiverAccess` here.
+The effect of a right field by field, for a record of processing (GDPR article 30) as much as for
+users at home. Built from what the policy allows or from live grants: both are `ReceiverAccess`.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,7 +21,7 @@ _MAX_LEAVES: Final = 512
 
 @dataclass(frozen=True)
 class ReceiverAccess:
-    """One receiver may see one topic (or all that a pattern covers)."""
+    """Access of one receiver to one topic (or all topics of a pattern)."""
 
     topic: str
     type: str | None
@@ -50,7 +49,7 @@ class PrivacyRow:
 
 
 def from_policy(decider: Decider) -> list[ReceiverAccess]:
-    """Who may get what: every allowing subscription that no denial takes back."""
+    """The access that the policy allows: every subscription that no denial overrides."""
     found: dict[tuple[str, str], ReceiverAccess] = {}
     for rule in decider.policy.rules:
         if rule.effect is not Effect.ALLOW:
@@ -89,10 +88,10 @@ def rows(
     for access in accesses:
         filters = [rule for item in access.restrictions for rule in item.filters]
         kind = access.type
-        fields = leaves(layout_of(kind)) if kind is not None else [WHOLE]
+        fields = leaf_paths(layout_of(kind)) if kind is not None else [WHOLE]
         found += [
             PrivacyRow(access.topic, kind or "type not known", access.receiver, path,
-                ", then ".join(map(_words, treats(filters, path))) or AS_IT_IS, _when(access),
+                ", then ".join(map(_text, filters_of(filters, path))) or AS_IT_IS, _when(access),
                 access.why, access.until, access.by)
             for path in fields
         ]  # fmt: skip
@@ -106,23 +105,23 @@ def _when(access: ReceiverAccess) -> str:
     return " and ".join(dict.fromkeys(parts)) or "always"
 
 
-def _words(rule: FilterRule) -> str:
+def _text(rule: FilterRule) -> str:
     return " ".join([rule.operator, *(f"{name} {value}" for name, value in rule.parameters)])
 
 
-def treats(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
-    """The rules that treat the field at `path`: for it, or for something it lies in."""
+def filters_of(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
+    """The rules that apply to the field at `path`: its own, and those of its parents."""
     steps = path.replace("[*]", "").split(".")
     found = []
     for rule in filters:
-        above = rule.path.replace("[*]", "").split(".")
-        if steps[: len(above)] == above:
+        parent = rule.path.replace("[*]", "").split(".")
+        if steps[: len(parent)] == parent:
             found.append(rule)
     return found
 
 
-def leaves(layout: Layout) -> list[str]:
-    """The paths of all fields that hold something, as filters write them."""
+def leaf_paths(layout: Layout) -> list[str]:
+    """The paths of all leaf fields, in the notation of filters."""
     found: list[str] = []
     _walk(layout.root, "", found)
     return found[:_MAX_LEAVES]
@@ -140,18 +139,18 @@ def _walk(kind: Type, path: str, found: list[str]) -> None:
 
 
 def lines(found: Sequence[PrivacyRow]) -> list[str]:
-    """The report for a terminal: fields of one treatment together."""
-    said: list[str] = []
+    """The report for a terminal: fields with the same treatment together."""
+    report: list[str] = []
     groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in found:
         key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.by)
         groups.setdefault(key, {}).setdefault(row.treatment, []).append(row.field)
     for (topic, kind, receiver, when, why, until, by), treatments in groups.items():
-        said.append(f"{topic} ({kind}) -> {receiver}")
-        said.append(f"  why: {why or 'no reason given'} ({by})")
-        said += [f"  when: {when}", f"  until: {until}"]
-        said += [f"  {name}: {', '.join(fields)}" for name, fields in treatments.items()]
-    return said or ["nobody sees anything"]
+        report.append(f"{topic} ({kind}) -> {receiver}")
+        report.append(f"  why: {why or 'no reason given'} ({by})")
+        report += [f"  when: {when}", f"  until: {until}"]
+        report += [f"  {name}: {', '.join(fields)}" for name, fields in treatments.items()]
+    return report or ["no receiver has access"]
 
 
 def as_json(found: Sequence[PrivacyRow]) -> list[dict[str, str]]:
@@ -167,7 +166,7 @@ td, th {{ border-bottom: 1px solid #ccc; padding: .3em .6em; text-align: left;
          vertical-align: top }}
 .open {{ background: #fff3d6 }}
 </style></head><body><h1>{title}</h1>
-<p>Each field of each topic, who sees it, how, why and until when. To take something back:
+<p>Each field of each topic, who receives it, how, why and until when. To revoke access:
 <code>rossec privacy opt-out NAME</code>.</p>
 {body}
 </body></html>
@@ -175,7 +174,7 @@ td, th {{ border-bottom: 1px solid #ccc; padding: .3em .6em; text-align: left;
 
 
 def html(found: Sequence[PrivacyRow], title: str) -> str:
-    """The report as one page that loads nothing from anywhere; every text is escaped."""
+    """The report as one page without external resources; every text is escaped."""
     topics = dict.fromkeys((row.topic, row.type) for row in found)
     parts: list[str] = []
     for topic, kind in topics:
@@ -187,5 +186,5 @@ def html(found: Sequence[PrivacyRow], title: str) -> str:
                 mark = ' class="open"' if row.treatment == AS_IT_IS else ""
                 parts.append(f"<tr{mark}>" + "".join(f"<td>{escape(cell)}" for cell in cells))
         parts.append("</table>")
-    body = "\n".join(parts) or "<p>Nobody sees anything.</p>"
+    body = "\n".join(parts) or "<p>No receiver has access.</p>"
     return _PAGE.format(title=escape(title), body=body)

@@ -1,4 +1,4 @@
-"""What a policy holds ready for a name: shown to the person who is about to give it to a key."""
+"""What a policy would grant to a name: shown before the name is certified for a key."""
 
 from collections.abc import Iterator
 
@@ -6,8 +6,8 @@ from grants.policy.model import Policy, PolicyRule, Subject
 
 
 def projected_grants(policy: Policy, subject: Subject) -> list[str]:
-    """What `subject` gets, may get or never gets, a line each, in the order of the rules."""
-    return [line for rule in policy.rules if rule.is_for(subject) for line in _lines(rule)]
+    """What is allowed, prompted or denied for `subject`, a line each, in the order of the rules."""
+    return [line for rule in policy.rules if rule.applies_to(subject) for line in _lines(rule)]
 
 
 def _lines(rule: PolicyRule) -> Iterator[str]:

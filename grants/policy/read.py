@@ -1,7 +1,7 @@
 """The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes.
 
-Whatever is not named here is a mistake. Conditions and filters are compiled against the message
-type of every topic they are for, so a rule that could not be applied is never accepted.
+Any other key is a mistake. Conditions and filters are compiled against the message type of every
+topic they are for, so a rule that cannot be applied is never accepted.
 """
 
 from collections.abc import Callable, Collection
@@ -43,8 +43,8 @@ def load(
 
     Args:
         text: of the file.
-        definition: the definition text of a message type by name; raises a `HintedError` when
-            there is none.
+        definition: the definition text of a message type by name; raises a `HintedError` if it
+            is unknown.
         file: its name, for mistakes.
         known_types: names to suggest for a misspelt type.
 
@@ -53,8 +53,8 @@ def load(
     """
     mistakes = Mistakes(file)
     source = read_source(text, mistakes)
-    policy = _Reader(mistakes, definition, known_types).read(source)
-    mistakes.refuse_any()
+    policy = _PolicyReader(mistakes, definition, known_types).read(source)
+    mistakes.raise_if_any()
     return policy
 
 
@@ -64,7 +64,7 @@ def mistakes_in(error: Exception) -> tuple[Mistake, ...]:
     return tuple(item for item in found if isinstance(item, Mistake))
 
 
-class _Reader:
+class _PolicyReader:
     def __init__(
         self, mistakes: Mistakes, definition: Definition, known_types: Collection[str]
     ) -> None:
@@ -74,10 +74,10 @@ class _Reader:
 
     def read(self, source: Part | None) -> Policy:
         if not isinstance(source, YamlMapping):
-            place = source or YamlScalar("", 1, 1)
-            self._mistakes.add(place, "a policy is a mapping", "begin with: rossec: 1")
+            position = source or YamlScalar("", 1, 1)
+            self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
             source = YamlMapping({}, 1, 1)
-        readers.closed(source, "the policy", _TOP, ("rossec", "robot", "rules"), self._mistakes)
+        readers.check_keys(source, "the policy", _TOP, ("rossec", "robot", "rules"), self._mistakes)
         self._version(source.get("rossec"))
         defaults = self._defaults(source.get("defaults"))
         identities = self._identities(source.get("identities"))
@@ -86,8 +86,10 @@ class _Reader:
         reader = RuleReader(self._mistakes, defaults, identities, types, layouts, filters)
         rules = self._rules(source.get("rules"), reader)
         robot = readers.text(source.get("robot"), "robot", self._mistakes)
-        plain = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
-        return Policy(robot or "", defaults, identities, types, rules, self._mistakes.file, plain)
+        filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
+        return Policy(
+            robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules
+        )
 
     def _version(self, part: Part | None) -> None:
         if part is not None and not (isinstance(part, YamlScalar) and part.value is not True
@@ -96,54 +98,56 @@ class _Reader:
             self._mistakes.add(part, "a policy of an unknown version", hint)
 
     def _defaults(self, part: Part | None) -> Defaults:
-        table = readers.table(part, "defaults", self._mistakes)
-        if table is None:
+        mapping = readers.mapping(part, "defaults", self._mistakes)
+        if mapping is None:
             return Defaults()
-        readers.closed(table, "defaults", _DEFAULTS, (), self._mistakes)
-        said = readers.choice(
-            table.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
+        readers.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
+        decision = readers.choice(
+            mapping.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
         )
-        lifetime = readers.duration(table.get("lifetime"), "lifetime", self._mistakes)
+        lifetime = readers.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
         renew = readers.duration(
-            table.get("renew_until"), "renew_until", self._mistakes, never=True
+            mapping.get("renew_until"), "renew_until", self._mistakes, never=True
         )
-        timeout = readers.duration(table.get("prompt_timeout"), "prompt_timeout", self._mistakes)
+        timeout = readers.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
         return Defaults(
-            Effect(said) if said is not None else Effect.DENY,
+            Effect(decision) if decision is not None else Effect.DENY,
             LIFETIME if lifetime is None else lifetime,
             renew or 0,
             PROMPT_TIMEOUT if timeout is None else timeout,
-            own_lifetime=lifetime is not None,
+            has_lifetime=lifetime is not None,
         )
 
     def _identities(self, part: Part | None) -> dict[str, SubjectPattern]:
-        table = readers.table(part, "identities", self._mistakes)
+        mapping = readers.mapping(part, "identities", self._mistakes)
         found: dict[str, SubjectPattern] = {}
-        for name, (key, value) in table.entries.items() if table is not None else ():
+        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
             who = self._identity(name, key, value)
-            # Kept even if faulty, so that its users are not reported as well.
+            # Kept even if invalid, so that rules with it are not reported as well.
             found[name] = who or SubjectPattern(name)
         return found
 
     def _identity(self, name: str, key: YamlScalar, part: Part) -> SubjectPattern | None:
         if name == EVERYONE or name.startswith("/"):
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
-        table = readers.table(part, f"identity {name}", self._mistakes)
-        if table is None:
+        mapping = readers.mapping(part, f"identity {name}", self._mistakes)
+        if mapping is None:
             return None
-        readers.closed(table, f"identity {name}", ("node", "key"), (), self._mistakes)
-        node = readers.pattern(table.get("node"), f"node of {name}", self._mistakes)
-        pinned = readers.key(table.get("key"), self._mistakes)
-        if table.get("node") is None and table.get("key") is None:
-            self._mistakes.add(table, f"identity {name} is nobody", "add node: /name, or key: ...")
+        readers.check_keys(mapping, f"identity {name}", ("node", "key"), (), self._mistakes)
+        node = readers.pattern(mapping.get("node"), f"node of {name}", self._mistakes)
+        pinned = readers.key(mapping.get("key"), self._mistakes)
+        if mapping.get("node") is None and mapping.get("key") is None:
+            self._mistakes.add(
+                mapping, f"identity {name} has neither node nor key", "add node: /name, or key: ..."
+            )
         return SubjectPattern(name, node, pinned)
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
         """Layouts by type name, and type names by topic pattern."""
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
-        table = readers.table(part, "types", self._mistakes)
-        for key, value in table.entries.values() if table is not None else ():
+        mapping = readers.mapping(part, "types", self._mistakes)
+        for key, value in mapping.entries.values() if mapping is not None else ():
             topic = readers.pattern(key, "topic", self._mistakes)
             name = readers.text(value, f"the type of {key.value}", self._mistakes)
             if name is not None and topic is not None:
@@ -152,31 +156,31 @@ class _Reader:
                 self._layout(name, value, layouts)
         return layouts, types
 
-    def _layout(self, name: str, place: Part, layouts: dict[str, Layout]) -> None:
+    def _layout(self, name: str, position: Part, layouts: dict[str, Layout]) -> None:
         try:
             layouts[name] = parse(name, self._definition(name))
         except HintedError as error:
             hint = suggest(name, self._known_types) if self._known_types else error.hint
-            self._mistakes.add(place, str(error), hint)
+            self._mistakes.add(position, str(error), hint)
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
-        table = readers.table(part, "filters", self._mistakes)
-        for name, (_, value) in table.entries.items() if table is not None else ():
-            fields = readers.table(value, f"filter {name}", self._mistakes)
+        mapping = readers.mapping(part, "filters", self._mistakes)
+        for name, (_, value) in mapping.entries.items() if mapping is not None else ():
+            fields = readers.mapping(value, f"filter {name}", self._mistakes)
             found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
         seen: dict[str, int] = {}
         rules: list[PolicyRule] = []
-        for item in readers.words(part):
+        for item in readers.items(part):
             rule = reader.read(item)
             if rule is None:
                 continue
             if rule.id in seen:
-                message = f"a second rule {rule.id!r}; the first stands in line {seen[rule.id]}"
-                self._mistakes.add(item, message, "give it an id of its own")
+                message = f"duplicate rule {rule.id!r}; the first is in line {seen[rule.id]}"
+                self._mistakes.add(item, message, "use a unique id")
             seen.setdefault(rule.id, rule.line)
             rules.append(rule)
         return tuple(rules)

@@ -1,7 +1,7 @@
-"""Reading parts of a policy as what they should be: a text, a duration, a name pattern, a key.
+"""Readers of the parts of a policy: text, duration, name pattern, key thumbprint.
 
-Each function takes a part and notes a mistake where it is something else; it then returns None,
-and the reader goes on with the rest of the file.
+Each function takes a part and records a mistake if it is something else; it then returns None,
+and reading continues with the rest of the file.
 """
 
 import re
@@ -23,7 +23,7 @@ _MAX_TEXT: Final = 1000
 What: TypeAlias = Literal["mapping", "text", "list"]
 
 
-def table(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | None:
+def mapping(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | None:
     """A mapping; a missing one is None and no mistake."""
     if part is None or isinstance(part, YamlMapping):
         return part
@@ -31,24 +31,24 @@ def table(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | Non
     return None
 
 
-def closed(
+def check_keys(
     part: YamlMapping,
     what: str,
     known: Collection[str],
-    needed: Collection[str],
+    required: Collection[str],
     mistakes: Mistakes,
 ) -> None:
-    """Note every key that is not known, and every needed one that is missing."""
+    """Record every unknown key, and every required one that is missing."""
     for name, (key, _) in part.entries.items():
         if name not in known:
             mistakes.add(key, f"unknown key {name[:60]!r} in {what}", suggest(name, known))
-    for name in needed:
+    for name in required:
         if name not in part.entries:
             mistakes.add(part, f"{what} has no {name!r}", f"add {name}: ...")
 
 
 def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    """A text that is not empty."""
+    """A non-empty text."""
     if part is None:
         return None
     if (
@@ -57,11 +57,11 @@ def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
         and 0 < len(part.value) <= _MAX_TEXT
     ):
         return part.value
-    mistakes.add(part, f"{what} must be a text of 1 to {_MAX_TEXT} characters", "put it in quotes")
+    mistakes.add(part, f"{what} must be text of 1 to {_MAX_TEXT} characters", "put it in quotes")
     return None
 
 
-def words(part: Part | None) -> tuple[Part, ...]:
+def items(part: Part | None) -> tuple[Part, ...]:
     """One part, or the parts of a list."""
     if part is None:
         return ()
@@ -71,7 +71,7 @@ def words(part: Part | None) -> tuple[Part, ...]:
 def duration(
     part: Part | None, what: str, mistakes: Mistakes, *, never: bool = False
 ) -> int | None:
-    """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` where that may be."""
+    """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` if allowed."""
     if part is None:
         return None
     value = part.value if isinstance(part, YamlScalar) else None
@@ -80,7 +80,7 @@ def duration(
     match = _DURATION.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         choice = "write 30s, 15m, 8h, 7d or 4w" + (", or never" if never else "")
-        mistakes.add(part, f"{what} is no duration{_shown(value)}", choice)
+        mistakes.add(part, f"{what} is not a duration{_quoted(value)}", choice)
         return None
     return int(match[1]) * _UNITS[match[2]]
 
@@ -105,7 +105,7 @@ def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
     match = _KEY.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         hint = "write sha256: and 64 hexadecimal digits, see: rossec ca show --json"
-        mistakes.add(part, f"not a key thumbprint{_shown(value)}", hint)
+        mistakes.add(part, f"not a key thumbprint{_quoted(value)}", hint)
         return None
     return bytes.fromhex(match[1])
 
@@ -117,20 +117,20 @@ def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
     value = part.value if isinstance(part, YamlScalar) else None
     if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= MAX_RATE:
         return value
-    mistakes.add(part, f"{what} must be a number above zero{_shown(value)}", "for example 0.2")
+    mistakes.add(part, f"{what} must be a number above zero{_quoted(value)}", "for example 0.2")
     return None
 
 
 def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mistakes) -> str | None:
-    """One of the known words."""
+    """One of the known values."""
     if part is None:
         return None
     value = str(part.value) if isinstance(part, YamlScalar) else ""
     if value in known:
         return value
-    mistakes.add(part, f"unknown {what}{_shown(value)}", suggest(value, known))
+    mistakes.add(part, f"unknown {what}{_quoted(value)}", suggest(value, known))
     return None
 
 
-def _shown(value: object) -> str:
+def _quoted(value: object) -> str:
     return "" if value is None or value == "" else f": {str(value)[:60]!r}"

@@ -1,6 +1,6 @@
-"""One rule of a policy: for whom, which rights on which names, and how restricted.
+"""One rule of a policy: its subjects, its rights on names, and their restrictions.
 
-The restriction of a rule is worked out for every topic of the rule by itself, against the type of
+The restriction of a rule is determined for every topic of the rule separately, against the type of
 that topic: a filter that fits one of two topics is a mistake, not half a filter.
 """
 
@@ -14,13 +14,13 @@ from grants.filters.presets import PRESETS, preset
 from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, FilterRule, Restriction, Right
 from grants.policy import readers
 from grants.policy.fields import (
+    ConditionRule,
     FieldRule,
-    When,
+    check_condition,
     check_fields,
     check_preset,
-    check_when,
+    read_condition,
     read_fields,
-    read_when,
 )
 from grants.policy.mistakes import Mistakes, SourcePosition, suggest
 from grants.policy.model import (
@@ -45,16 +45,16 @@ _Fields = tuple[FieldRule, ...]
 
 
 @dataclass(frozen=True)
-class _Chosen:
-    """What filters one topic: fields, or a preset by name."""
+class _TopicFilter:
+    """The filter of one topic: fields, or a preset by name."""
 
-    place: SourcePosition
+    position: SourcePosition
     fields: _Fields = ()
     preset: str | None = None
 
 
 class RuleReader:
-    """Reads rules in the light of the rest of the policy."""
+    """Reads rules in the context of the policy."""
 
     def __init__(
         self,
@@ -73,56 +73,58 @@ class RuleReader:
         self._filters = filters
 
     def read(self, part: Part) -> PolicyRule | None:
-        """One rule, or None if not even its outline is right."""
-        table = readers.table(part, "a rule", self._mistakes)
-        if table is None:
+        """One rule, or None if its structure is invalid."""
+        mapping = readers.mapping(part, "a rule", self._mistakes)
+        if mapping is None:
             return None
-        name = readers.text(table.get("id"), "id", self._mistakes) or "?"
+        name = readers.text(mapping.get("id"), "id", self._mistakes) or "?"
         if name != "?" and _ID.fullmatch(name) is None:
-            self._mistakes.add(table, f"not an id: {name[:60]!r}", "letters, digits and dashes")
-        readers.closed(table, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
-        effect, rights = self._effect(table, name)
+            self._mistakes.add(mapping, f"not an id: {name[:60]!r}", "letters, digits and dashes")
+        readers.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
+        effect, rights = self._effect(mapping, name)
         if effect is None or rights is None:
             return None
-        lifetime = readers.duration(table.get("lifetime"), "lifetime", self._mistakes)
+        lifetime = readers.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
         renew = readers.duration(
-            table.get("renew_until"), "renew_until", self._mistakes, never=True
+            mapping.get("renew_until"), "renew_until", self._mistakes, never=True
         )
-        stale = readers.choice(table.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
+        stale = readers.choice(mapping.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
         return PolicyRule(
             id=name,
             effect=effect,
-            who=self._people(table.get("who")),
-            exceptions=self._people(table.get("except")),
-            why=readers.text(table.get("why"), "why", self._mistakes) or "",
-            clauses=self._clauses(table, rights, name),
+            who=self._subjects(mapping.get("who")),
+            exceptions=self._subjects(mapping.get("except")),
+            why=readers.text(mapping.get("why"), "why", self._mistakes) or "",
+            clauses=self._clauses(mapping, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
-            own_lifetime=lifetime is not None,
+            has_lifetime=lifetime is not None,
             keep_when_stale=stale == "keep",
-            line=table.line,
+            line=mapping.line,
         )
 
-    def _effect(self, table: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
-        said = [effect for effect in Effect if effect.value in table.entries]
-        if len(said) != 1:
-            hint = "write it as two rules" if said else "for example allow: {subscribe: [/topic]}"
-            self._mistakes.add(table, f"rule {name} needs one of allow, deny and prompt", hint)
+    def _effect(self, mapping: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
+        effects = [effect for effect in Effect if effect.value in mapping.entries]
+        if len(effects) != 1:
+            hint = (
+                "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
+            )
+            self._mistakes.add(mapping, f"rule {name} needs one of allow, deny and prompt", hint)
             return None, None
-        [effect] = said
-        for word in _RESTRICTING if effect is Effect.DENY else ():
-            if word in table.entries:
-                place = table.entries[word][0]
-                message = f"rule {name}: a denial has no {word!r}, it always holds"
-                self._mistakes.add(place, message, "take it out, or write an allow rule")
-        rights = table.get(effect.value)
-        return effect, readers.table(rights, f"{effect.value} of rule {name}", self._mistakes)
+        [effect] = effects
+        for key in _RESTRICTING if effect is Effect.DENY else ():
+            if key in mapping.entries:
+                position = mapping.entries[key][0]
+                message = f"rule {name}: a deny rule cannot have {key!r}"
+                self._mistakes.add(position, message, "remove it, or write an allow rule")
+        rights = mapping.get(effect.value)
+        return effect, readers.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
 
-    def _people(self, part: Part | None) -> tuple[SubjectPattern, ...]:
-        people = (self._person(item) for item in readers.words(part))
-        return tuple(who for who in people if who is not None)
+    def _subjects(self, part: Part | None) -> tuple[SubjectPattern, ...]:
+        subjects = (self._subject(item) for item in readers.items(part))
+        return tuple(who for who in subjects if who is not None)
 
-    def _person(self, part: Part) -> SubjectPattern | None:
+    def _subject(self, part: Part) -> SubjectPattern | None:
         label = readers.text(part, "who", self._mistakes)
         if label is None:
             return None
@@ -137,38 +139,40 @@ class RuleReader:
             return None
         return self._identities[label]
 
-    def _clauses(self, table: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
-        named = self._named(rights, name)
-        whens = [read_when(item, self._mistakes) for item in readers.words(table.get("when"))]
-        conditions = [when for when in whens if when is not None]
+    def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
+        named = self._named_rights(rights, name)
+        read = [read_condition(item, self._mistakes) for item in readers.items(mapping.get("when"))]
+        conditions = [when for when in read if when is not None]
         topics = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
-        filters = self._filters_of(table.get("filter"), topics, name)
-        rate = self._rate(table.get("limit"), topics, name)
+        filters = self._filters_of(mapping.get("filter"), topics, name)
+        rate = self._rate(mapping.get("limit"), topics, name)
         clauses: list[Clause] = []
-        for right, pattern, place in named:
-            clauses += self._clause(right, pattern, place, conditions, filters, rate)
-        restricting = conditions or filters or rate or table.get("on_stale") is not None
+        for right, pattern, position in named:
+            clauses += self._clause(right, pattern, position, conditions, filters, rate)
+        restricting = conditions or filters or rate or mapping.get("on_stale") is not None
         if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
             self._mistakes.add(
                 rights,
-                f"rule {name}: parameters, graph and admin cannot be restricted by messages",
-                "put these rights into a rule of their own",
+                f"rule {name}: parameters, graph and admin rights cannot have restrictions",
+                "put these rights into a separate rule",
             )
         return tuple(clauses)
 
-    def _named(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
-        """Every right and pattern the rule names."""
+    def _named_rights(
+        self, rights: YamlMapping, name: str
+    ) -> list[tuple[Right, str, SourcePosition]]:
+        """Every right and pattern in the rule."""
         if not rights.entries:
-            self._mistakes.add(rights, f"rule {name} names no right", suggest("", RIGHTS))
+            self._mistakes.add(rights, f"rule {name} has no rights", suggest("", RIGHTS))
         found: list[tuple[Right, str, SourcePosition]] = []
         for label, (key, value) in rights.entries.items():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in rule {name}"
                 self._mistakes.add(key, message, suggest(label, RIGHTS))
                 continue
-            items = readers.words(value)
+            items = readers.items(value)
             if not items:
-                self._mistakes.add(value, f"rule {name}: {label} of nothing", "add a name")
+                self._mistakes.add(value, f"rule {name}: {label} has no names", "add a name")
             for item in items:
                 pattern = readers.pattern(item, label, self._mistakes)
                 if pattern is not None:
@@ -179,96 +183,110 @@ class RuleReader:
         self,
         right: Right,
         pattern: str,
-        place: SourcePosition,
-        conditions: list[When],
-        filters: Mapping[str, _Chosen],
+        position: SourcePosition,
+        conditions: list[ConditionRule],
+        filters: Mapping[str, _TopicFilter],
         rate: float | None,
     ) -> list[Clause]:
-        seen = right is Right.SUBSCRIBE
-        chosen = filters.get(pattern, _Chosen(place)) if seen else _Chosen(place)
+        subscribes = right is Right.SUBSCRIBE
+        topic_filter = (
+            filters.get(pattern, _TopicFilter(position)) if subscribes else _TopicFilter(position)
+        )
         kind = type_of(self._types, pattern)
-        looks = chosen.fields or chosen.preset or any(when.message for when in conditions)
-        if looks and not self._fits(right, pattern, place, kind, conditions, chosen):
+        reads_message = (
+            topic_filter.fields
+            or topic_filter.preset
+            or any(when.reads_message for when in conditions)
+        )
+        if reads_message and not self._fits(
+            right, pattern, position, kind, conditions, topic_filter
+        ):
             return []
-        rules, limit = self._treatment(chosen, kind, rate if seen else None)
+        rules, limit = self._treatment(topic_filter, kind, rate if subscribes else None)
         if not conditions and not rules:
             return [Clause(right, pattern, None, limit, kind)]
         texts = tuple(dict.fromkeys(when.text for when in conditions))
-        restriction = Restriction(kind if looks else None, texts, rules)
+        restriction = Restriction(kind if reads_message else None, texts, rules)
         return [Clause(right, pattern, restriction, limit, kind)]
 
     def _treatment(
-        self, chosen: _Chosen, kind: str | None, rate: float | None
+        self, topic_filter: _TopicFilter, kind: str | None, rate: float | None
     ) -> tuple[tuple[FilterRule, ...], float | None]:
-        """The rules and the rate; a preset brings its own, and the lower rate holds."""
-        if chosen.preset is None or kind is None:
-            return tuple(sorted(item.rule for item in chosen.fields)), rate
-        made = preset(chosen.preset).restriction(self._layouts[kind])
-        rates = [one for one in (made.rate, rate) if one is not None]
-        return made.filters, min(rates, default=None)
+        """The rules and the rate; a preset has its own, and the lower rate applies."""
+        if topic_filter.preset is None or kind is None:
+            return tuple(sorted(item.rule for item in topic_filter.fields)), rate
+        restriction = preset(topic_filter.preset).restriction(self._layouts[kind])
+        rates = [one for one in (restriction.rate, rate) if one is not None]
+        return restriction.filters, min(rates, default=None)
 
     def _fits(
-        self, right: Right, pattern: str, place: SourcePosition, kind: str | None,
-        conditions: list[When], chosen: _Chosen,
+        self, right: Right, pattern: str, position: SourcePosition, kind: str | None,
+        conditions: list[ConditionRule], topic_filter: _TopicFilter,
     ) -> bool:  # fmt: skip
-        """Whether what looks into the messages of `pattern` fits their type."""
+        """Whether conditions and filters on messages of `pattern` fit their type."""
         if not right & (Right.SUBSCRIBE | Right.PUBLISH):
             message = f"{right.label} {pattern}: conditions on messages are for topics"
-            self._mistakes.add(place, message, "put this right into a rule of its own")
+            self._mistakes.add(position, message, "put this right into a separate rule")
             return False
         if kind is None:
-            message = f"the message type of {pattern} is not known here"
+            message = f"the message type of {pattern} is unknown"
             hint = f"add it to types: {{{pattern}: package/Type}}"
-            self._mistakes.add(place, message, hint)
+            self._mistakes.add(position, message, hint)
             return False
         if kind not in self._layouts:
-            return False  # the type itself is the mistake, and noted
+            return False  # the type itself is the mistake, and recorded
         layout = self._layouts[kind]
-        checked = [check_when(layout, when, self._mistakes) for when in conditions]
-        if chosen.preset is not None:
-            checked.append(check_preset(layout, chosen.preset, chosen.place, self._mistakes))
-        if chosen.fields:
-            checked.append(check_fields(layout, chosen.fields, chosen.place, self._mistakes))
+        checked = [check_condition(layout, when, self._mistakes) for when in conditions]
+        if topic_filter.preset is not None:
+            checked.append(
+                check_preset(layout, topic_filter.preset, topic_filter.position, self._mistakes)
+            )
+        if topic_filter.fields:
+            checked.append(
+                check_fields(layout, topic_filter.fields, topic_filter.position, self._mistakes)
+            )
         return all(checked)
 
-    def _filters_of(self, part: Part | None, topics: list[str], name: str) -> dict[str, _Chosen]:
+    def _filters_of(
+        self, part: Part | None, topics: list[str], name: str
+    ) -> dict[str, _TopicFilter]:
         """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
-        table = readers.table(part, f"filter of rule {name}", self._mistakes)
-        if table is None:
+        mapping = readers.mapping(part, f"filter of rule {name}", self._mistakes)
+        if mapping is None:
             return {}
-        if not topics or not table.entries:
-            hint = "add a subscribe right, or take the filter out"
-            self._mistakes.add(table, f"rule {name}: nothing to filter", hint)
+        if not topics or not mapping.entries:
+            hint = "add a subscribe right, or remove the filter"
+            self._mistakes.add(mapping, f"rule {name}: nothing to filter", hint)
             return {}
-        if not any(key.startswith("/") for key in table.entries):
-            return dict.fromkeys(topics, self._choice(table, table))
-        found: dict[str, _Chosen] = {}
-        for topic, (key, value) in table.entries.items():
+        if not any(key.startswith("/") for key in mapping.entries):
+            return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
+        found: dict[str, _TopicFilter] = {}
+        for topic, (key, value) in mapping.entries.items():
             if topic not in topics:
-                message = f"rule {name} does not let subscribe {topic[:80]!r}"
+                message = f"rule {name} has no subscribe right on {topic[:80]!r}"
                 self._mistakes.add(key, message, suggest(topic, topics))
                 continue
-            inner = readers.table(value, f"filter of {topic}", self._mistakes)
+            inner = readers.mapping(value, f"filter of {topic}", self._mistakes)
             if inner is not None:
-                found[topic] = self._choice(key, inner)
+                found[topic] = self._topic_filter(key, inner)
         return found
 
-    def _choice(self, place: SourcePosition, table: YamlMapping) -> _Chosen:
+    def _topic_filter(self, position: SourcePosition, mapping: YamlMapping) -> _TopicFilter:
         """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
-        if "use" not in table.entries:
-            return _Chosen(place, read_fields(table, self._mistakes))
-        readers.closed(table, "a filter with use", ("use",), (), self._mistakes)
+        if "use" not in mapping.entries:
+            return _TopicFilter(position, read_fields(mapping, self._mistakes))
+        readers.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
         known = {**PRESETS, **self._filters}
-        name = readers.choice(table.get("use"), "filter", known, self._mistakes)
+        name = readers.choice(mapping.get("use"), "filter", known, self._mistakes)
         if name is None or name in self._filters:
-            return _Chosen(place, self._filters.get(name or "", ()))
-        return _Chosen(place, preset=name)
+            return _TopicFilter(position, self._filters.get(name or "", ()))
+        return _TopicFilter(position, preset=name)
 
     def _rate(self, part: Part | None, topics: list[str], name: str) -> float | None:
-        table = readers.table(part, f"limit of rule {name}", self._mistakes)
-        if table is None:
+        mapping = readers.mapping(part, f"limit of rule {name}", self._mistakes)
+        if mapping is None:
             return None
-        readers.closed(table, f"limit of rule {name}", ("rate",), ("rate",), self._mistakes)
+        readers.check_keys(mapping, f"limit of rule {name}", ("rate",), ("rate",), self._mistakes)
         if not topics:
-            self._mistakes.add(table, f"rule {name}: nothing to limit", "add a subscribe right")
-        return readers.number(table.get("rate"), "rate", self._mistakes)
+            self._mistakes.add(mapping, f"rule {name}: nothing to limit", "add a subscribe right")
+        return readers.number(mapping.get("rate"), "rate", self._mistakes)

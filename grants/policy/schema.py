@@ -1,17 +1,14 @@
-"""The JSON Schema of a policy, for editors: completion and a red line while typing.
+"""The JSON Schema of a policy, for editors: completion and errors while typing. Pure.
 
-It knows the outline and the words, not the message types; `rossec policy check` knows all. The
-file beside this module is its text; a test keeps the two equal.
+It covers the structure and the keys, not the message types; `rossec policy check` covers all.
+`policy.schema.json` beside this module is its text; a test compares the two.
 """
 
 import json
-from pathlib import Path
 from typing import Any, Final
 
 from grants.filters.operators import OPERATORS
 from grants.policy.rules import RIGHTS
-
-FILE: Final = Path(__file__).with_name("policy.schema.json")
 
 _NAME: Final = r"[A-Za-z][A-Za-z0-9_]*"
 _SEGMENT: Final = rf"(?:{_NAME}|\*\*?)"
@@ -21,11 +18,11 @@ _RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
 _TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
 
 
-def _closed(properties: dict[str, Any], *needed: str) -> dict[str, Any]:
+def _object(properties: dict[str, Any], *required: str) -> dict[str, Any]:
     return {
         "type": "object",
         "properties": properties,
-        "required": list(needed),
+        "required": list(required),
         "additionalProperties": False,
     }
 
@@ -35,7 +32,7 @@ def _one_or_many(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _operator() -> dict[str, Any]:
-    found = _closed(dict.fromkeys(sorted(OPERATORS), True))
+    found = _object(dict.fromkeys(sorted(OPERATORS), True))
     return {**found, "minProperties": 1, "maxProperties": 1}
 
 
@@ -49,14 +46,14 @@ def _fields() -> dict[str, Any]:
 
 
 def _rule() -> dict[str, Any]:
-    rights = {**_closed({right: _one_or_many(_PATTERN) for right in RIGHTS}), "minProperties": 1}
-    use = _closed({"use": _TEXT}, "use")
+    rights = {**_object({right: _one_or_many(_PATTERN) for right in RIGHTS}), "minProperties": 1}
+    use = _object({"use": _TEXT}, "use")
     plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
     topics = {
         "type": "object", "patternProperties": {"^/": plain}, "additionalProperties": False,
     }  # fmt: skip
     effects = ("allow", "deny", "prompt")
-    rule = _closed(
+    rule = _object(
         {
             "id": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$"},
             "why": _TEXT,
@@ -65,7 +62,7 @@ def _rule() -> dict[str, Any]:
             **{effect: {"$ref": "#/$defs/rights"} for effect in effects},
             "when": _one_or_many(_TEXT),
             "filter": {"anyOf": [plain, topics]},
-            "limit": _closed({"rate": {"type": "number", "exclusiveMinimum": 0}}, "rate"),
+            "limit": _object({"rate": {"type": "number", "exclusiveMinimum": 0}}, "rate"),
             "on_stale": {"enum": ["cut", "keep"]},
             "lifetime": _DURATION,
             "renew_until": _RENEW,
@@ -73,24 +70,24 @@ def _rule() -> dict[str, Any]:
         "id", "who",
     )  # fmt: skip
     restricting = ("when", "filter", "limit", "on_stale", "lifetime", "renew_until")
-    bare: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
+    unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
     return {
         "$defs": {"rights": rights},
         **rule,
         "oneOf": [{"required": [effect]} for effect in effects],
         "if": {"required": ["deny"]},
-        "then": bare,
+        "then": unrestricted,
     }
 
 
 def schema() -> dict[str, Any]:
-    """The schema, for the operators this version knows."""
+    """The schema, for the operators of this version."""
     rule = _rule()
     rights = rule.pop("$defs")["rights"]
-    identity = _closed(
+    identity = _object(
         {"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}}
     )
-    defaults = _closed(
+    defaults = _object(
         {
             "decision": {"enum": ["deny", "prompt"]},
             "lifetime": _DURATION,
@@ -99,7 +96,7 @@ def schema() -> dict[str, Any]:
         }
     )
     types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
-    top = _closed(
+    top = _object(
         {
             "rossec": {"const": 1},
             "robot": _TEXT,
@@ -128,5 +125,5 @@ def schema() -> dict[str, Any]:
 
 
 def text() -> str:
-    """The schema as it stands in the file."""
+    """The schema as the text of the file."""
     return json.dumps(schema(), indent=2) + "\n"

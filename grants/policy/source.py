@@ -1,9 +1,9 @@
-"""From YAML text to a tree in which every part knows its line. YAML 1.2, and less than all of it.
+"""From YAML text to a tree in which every part has its position. A subset of YAML 1.2.
 
 `grants.yaml_text` bounds the text and refuses anchors, aliases, tags, directives and further
-documents; duplicate keys are refused here: in a policy the second of two equal keys would silently
-win. Words are texts unless they are plainly a number or true/false: `22:00`, `no` and `2026-11-20`
-stay what was written.
+documents; duplicate keys are refused here: otherwise the second of two equal keys would silently
+win. Plain scalars are texts unless they are clearly a number or true/false: `22:00`, `no` and
+`2026-11-20` stay as written.
 """
 
 import re
@@ -24,14 +24,14 @@ from grants.model import Scalar
 from grants.policy.mistakes import Mistakes
 from grants.yaml_text import Bounds, events, is_quoted, position
 
-BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 words
+BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 events
 MAX_SIZE: Final = BOUNDS.size
 
 _INT: Final = re.compile(r"[-+]?[0-9]{1,18}", re.ASCII)
 _FLOAT: Final = re.compile(
     r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)(?:[eE][-+]?[0-9]{1,3})?", re.ASCII
 )
-_TRUTH: Final = {"true": True, "false": False}
+_BOOLEANS: Final = {"true": True, "false": False}
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class YamlSequence:
 
 @dataclass(frozen=True, eq=False)
 class YamlMapping:
-    """A mapping: by key, the key's own place and the value."""
+    """A mapping: for each key its position and the value."""
 
     entries: "dict[str, tuple[YamlScalar, Part]]"
     line: int
@@ -70,17 +70,17 @@ Part: TypeAlias = YamlScalar | YamlSequence | YamlMapping
 
 
 def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part | None:
-    """Read one YAML document; duplicate keys are noted and left out.
+    """Read one YAML document; duplicate keys are recorded as mistakes and omitted.
 
     Raises:
-        PolicyRefused: not one document of the subset; what was read so far means nothing.
+        PolicyRefused: not one document of the subset; other mistakes are then discarded.
     """
     try:
         return _Builder(events(text, bounds), mistakes).document()
     except YamlRefused as error:
-        mistakes.found.clear()  # what was noted on the way there means nothing
+        mistakes.found.clear()  # earlier mistakes may be wrong
         mistakes.add(error, str(error), error.hint)
-    return mistakes.refuse()
+    return mistakes.raise_all()
 
 
 class _Builder:
@@ -91,7 +91,7 @@ class _Builder:
         self._mistakes = mistakes
 
     def document(self) -> Part | None:
-        """The one document, None when there is none; all of the text has been read then."""
+        """The document, None if the text is empty; reads the whole text."""
         found = None
         for event in self._events:
             if isinstance(event, NodeEvent):
@@ -100,12 +100,12 @@ class _Builder:
 
     def _part(self, event: Any) -> Part:
         if isinstance(event, ScalarEvent):
-            return _word(event)
+            return _scalar(event)
         line, column = position(event.start_mark)
         if isinstance(event, SequenceStartEvent):
             items = []
-            while not isinstance(after := next(self._events), SequenceEndEvent):
-                items.append(self._part(after))
+            while not isinstance(item := next(self._events), SequenceEndEvent):
+                items.append(self._part(item))
             return YamlSequence(tuple(items), line, column)
         return YamlMapping(self._entries(), line, column)
 
@@ -120,21 +120,21 @@ class _Builder:
             name = str(key.value)
             if name in entries:
                 first = entries[name][0].line
-                hint = "keep one of them; which would count is not for the parser to choose"
-                self._mistakes.add(key, f"{name!r} again: it stands in line {first} already", hint)
+                hint = "keep one of them"
+                self._mistakes.add(key, f"duplicate key {name!r}, first in line {first}", hint)
                 continue
             entries[name] = (key, value)
         return entries
 
 
-def _word(event: Any) -> YamlScalar:
+def _scalar(event: Any) -> YamlScalar:
     value: Scalar = event.value if is_quoted(event) else _plain(event.value)
     return YamlScalar(value, *position(event.start_mark))
 
 
 def _plain(text: str) -> Scalar:
-    if text in _TRUTH:
-        return _TRUTH[text]
+    if text in _BOOLEANS:
+        return _BOOLEANS[text]
     if _INT.fullmatch(text):
         return int(text)
     return float(text) if _FLOAT.fullmatch(text) else text

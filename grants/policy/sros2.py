@@ -1,8 +1,8 @@
-"""Policies of SROS2 (XML) as rules of ours. What does not fit is said, never guessed.
+"""Conversion of SROS2 policies (XML). What cannot be converted is reported, never guessed.
 
 Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions`
 (design article "ROS 2 access control policies"). DTDs are refused before anything in them is
-looked at. SROS2 matches with fnmatch; of that only whole segments of `*` exist here.
+read. SROS2 matches with fnmatch; only whole segments of `*` are supported here.
 """
 
 import io
@@ -35,10 +35,10 @@ _ROS2_ONLY: Final = ("parameter_events", "describe_parameters", "get_parameter_t
 
 
 def import_sros2(xml: str) -> tuple[str, list[str]]:
-    """A policy text, and what of the XML is not in it, one line each.
+    """A policy text, and the parts of the XML that are not in it, one line each.
 
     Raises:
-        PolicyRefused: no XML, XML with a DTD, or not an SROS2 policy.
+        PolicyRefused: not XML, XML with a DTD, or not an SROS2 policy.
     """
     root = _parse(xml)
     notes: list[str] = []
@@ -48,13 +48,13 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     for profile in root.iter("profile"):
         for rule in _profile(profile, notes):
             repeated[rule.id] += 1
-            again = repeated[rule.id] > 1
-            name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if again else rule.id)
+            duplicate = repeated[rule.id] > 1
+            name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if duplicate else rule.id)
             taken.add(name)
             rules.append(NewRule(name, rule.why, rule.who, rule.effect, rule.rights))
     notes += [f"{item.tag} is not followed" for item in root.iter() if "include" in str(item.tag)]
     if not rules:
-        raise PolicyRefused("no profile in this policy says anything", "is it an SROS2 policy?")
+        raise PolicyRefused("no profile in this policy has rules", "is it an SROS2 policy?")
     return add_rules(empty("imported"), rules), notes
 
 
@@ -64,7 +64,7 @@ def _parse(xml: str) -> Any:
     try:
         root = _bounded(xml)
     except DefusedXmlException as error:
-        raise PolicyRefused("a policy with a DTD is refused", "take the DOCTYPE out") from error
+        raise PolicyRefused("a policy with a DTD is refused", "remove the DOCTYPE") from error
     except (ParseError, ValueError) as error:
         raise PolicyRefused(f"not XML: {error}", "is it an SROS2 policy?") from error
     if root.tag != "policy":
@@ -73,7 +73,7 @@ def _parse(xml: str) -> Any:
 
 
 def _bounded(xml: str) -> Any:
-    """The root; what a tree costs lies in its elements and attributes, so each is counted first."""
+    """The root; the cost of a tree is in its elements and attributes, so they are counted first."""
     root, depth, count = None, 0, 0
     data = io.BytesIO(xml.encode(errors="replace"))
     for event, element in iterparse(data, events=("start", "end"), forbid_dtd=True):
@@ -89,9 +89,9 @@ def _bounded(xml: str) -> Any:
 
 
 def _profile(profile: Any, notes: list[str]) -> Iterator[NewRule]:
-    """The rules of one node: what it may, and what it may not."""
-    space = "/" + profile.get("ns", "/").strip("/")
-    node = f"{space.rstrip('/')}/{profile.get('node', '').strip('/')}"
+    """The rules of one node: allowed and denied rights."""
+    namespace = "/" + profile.get("ns", "/").strip("/")
+    node = f"{namespace.rstrip('/')}/{profile.get('node', '').strip('/')}"
     if not _is_pattern(node):
         notes.append(f"profile {node}: not a node name or pattern")
         return
@@ -103,7 +103,7 @@ def _profile(profile: Any, notes: list[str]) -> Iterator[NewRule]:
                 if effect is None:
                     continue
                 for item in group.findall(child):
-                    pattern = _resolve((item.text or "").strip(), space, node)
+                    pattern = _resolve((item.text or "").strip(), namespace, node)
                     _add(rights[effect], attribute, names, pattern, node, notes)
     for effect, found in rights.items():
         if found:
@@ -134,12 +134,12 @@ def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[st
     return goals + [("publish" if server else "subscribe", f"{name}/{part}") for part in _RESULTS]
 
 
-def _resolve(name: str, space: str, node: str) -> str:
+def _resolve(name: str, namespace: str, node: str) -> str:
     if name.startswith("/"):
         return name
     if name.startswith("~"):
         return f"{node}/{name[1:].lstrip('/')}"
-    return f"{space.rstrip('/')}/{name}"
+    return f"{namespace.rstrip('/')}/{name}"
 
 
 def _is_pattern(text: str) -> bool:

@@ -1,7 +1,7 @@
-"""What a verdict would do to one message: sent or withheld, and which fields change. Pure.
+"""The effect of a verdict on one message: sent or withheld, and which fields change. Pure.
 
-For answers before anything is granted: the same guard that stands in a publisher is built from
-the verdict, so the answer is what would happen, not a description of it.
+For answers before anything is granted: the guard of a publisher is built from the verdict, so the
+answer is the actual result, not a description of it.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _FOREVER = 1 << 53
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """`message` is what the receiver gets, or None; `reason` says why not."""
+    """`message` is what the receiver gets, or None; then `reason` is set."""
 
     message: bytes | None
     reason: str = ""
@@ -33,7 +33,7 @@ class Trial:
     def __init__(self, layout: Layout, verdict: Verdict) -> None:
         self._layout = layout
         self._verdict = verdict
-        self._reason = "" if verdict else f"{verdict.effect}: {_by(verdict)}"
+        self._reason = "" if verdict else f"{verdict.effect}: {_deciding_rule(verdict)}"
         self._guard: Guard | None = None
         if verdict:
             self._guard = self._build()
@@ -47,7 +47,7 @@ class Trial:
         except GrantError as error:
             return TrialOutcome(None, str(error))
         if pieces is None:
-            return TrialOutcome(None, self._failing(message, now))
+            return TrialOutcome(None, self._failed_condition(message, now))
         return TrialOutcome(b"".join(pieces))
 
     def _build(self) -> Guard | None:
@@ -56,27 +56,27 @@ class Trial:
         restrictions = tuple(item for item in found if item is not None)
         decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
         try:
-            return Guard(self._layout, decision, _stand_ins(verdict))
+            return Guard(self._layout, decision, _placeholder_keys(verdict))
         except GrantError as error:
             self._reason = str(error)
             return None
 
-    def _failing(self, message: Buffer, now: int) -> str:
-        """The first condition that does not hold."""
+    def _failed_condition(self, message: Buffer, now: int) -> str:
+        """The reason why the message is withheld: the first condition that is not true."""
         for restriction in self._verdict.restrictions:
             layout = self._layout if restriction.type is not None else None
             for text in restriction.conditions:
                 if not compile_condition(layout, text)(message, now):
-                    return f"not now or not this one: {text}"
+                    return f"the condition is not true: {text}"
         rate = self._verdict.rate
         return "not admitted" if rate is None else f"more than {rate:g} messages a second"
 
 
-def _stand_ins(verdict: Verdict) -> dict[str, bytes]:
-    """Keys for pseudonyms: the publisher's own are not here, and the form is the same."""
+def _placeholder_keys(verdict: Verdict) -> dict[str, bytes]:
+    """Keys for pseudonyms in place of the publisher's; the result has the same form."""
     rules = (rule for item in verdict.restrictions for rule in item.filters)
     return {name: bytes(FILTER_KEY_SIZE) for name in key_names(rules)}
 
 
-def _by(verdict: Verdict) -> str:
+def _deciding_rule(verdict: Verdict) -> str:
     return verdict.rules[0].reason if verdict.rules else "no rule matches"

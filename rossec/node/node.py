@@ -330,9 +330,7 @@ class Node:
             await asyncio.sleep(_MAINTENANCE_PERIOD)
             self._topics.drop_expired_publishers()
             new = self._grant_directory.take_new()
-            with contextlib.suppress(
-                HintedError, OSError
-            ):  # retried later, or with the next connection
+            with contextlib.suppress(HintedError, OSError):  # retried later
                 if new:
                     _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)

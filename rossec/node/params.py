@@ -19,9 +19,7 @@ from rossec.ros.xmlrpc import Fault
 
 _REQUIRED: Final = object()
 _NOT_FOUND: Final = "Cannot find parameter"  # the master's answer to a search, as stock
-_REFUSAL: Final = (
-    "rossec: "  # begins every refusal of the master; other answers with code -1 mean absent
-)
+_REFUSAL: Final = "rossec: "  # begins a refusal of the master; other errors mean absent
 
 Value = Any  # any XML-RPC value
 

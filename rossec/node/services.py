@@ -40,9 +40,7 @@ from rossec.ros import header
 from rossec.ros.service import REQUEST_LIMIT
 
 _POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
-_ABSENT: Final = (
-    "no provider"  # the status of the master, as stock; a refusal begins with "rossec: "
-)
+_ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
 
 
 class Services:

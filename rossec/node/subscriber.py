@@ -202,11 +202,11 @@ class Subscriber:
         filtered = []
         for message in messages:
             try:
-                treated = guard(message, now)
+                pieces = guard(message, now)
             except GrantError as error:
                 withheld_log.warn(_log, withheld_log.RECEIVED, self.topic, peer, error)
             else:
-                filtered += [] if treated is None else [b"".join(treated)]
+                filtered += [] if pieces is None else [b"".join(pieces)]
         return filtered
 
     def _record_failure(self, uri: str, error: Exception) -> None:

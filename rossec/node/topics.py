@@ -155,9 +155,7 @@ class Topics:
         uris = await self._context.call(
             "registerSubscriber", endpoint.topic, endpoint.type.name, uri
         )
-        if (
-            isinstance(uris, list) and subscriber.updates == before
-        ):  # an update may have arrived first
+        if isinstance(uris, list) and subscriber.updates == before:  # else there was an update
             named = [uri for uri in uris if isinstance(uri, str)]
             subscriber.update(self._grace.update(subscriber.topic, named))
 

@@ -1,1 +1,1 @@
-"""What every form of a node is made of: rights, handshakes, guards, the session with the master."""
+"""The parts every kind of node shares: rights, handshakes, guards, the session with the master."""

@@ -82,27 +82,27 @@ def needs_definition(decision: Decision) -> bool:
 
 
 def receiver_definition(
-    own: Definition, claimed: Definition, decision: Decision, known: FindDefinition
+    own: Definition, claimed: Definition, decision: Decision, find_installed: FindDefinition
 ) -> Definition:
     """The definition by which a receiver reads the messages of a publisher with this right.
 
     Args:
         own: the receiver's type: `*` for any, and roscpp sends no definition.
         claimed: the type the publisher claims.
-        known: called for types that the grant names, and no others.
+        find_installed: called for types that the grant names, and no others.
 
     Raises:
         ConnectionHeaderRefused, GrantError: it is not known, or the right is for another type.
     """
     if own.definition or not needs_definition(decision):
-        return sender_definition(own, decision, known)
+        return sender_definition(own, decision, find_installed)
     name, md5sum = _either(own.name, claimed.name), _either(own.md5sum, claimed.md5sum)
     for restriction in decision.restrictions:
         check_type(name, restriction)
     candidate = Definition(name, md5sum, claimed.definition)
     if own.md5sum != ANY_TYPE and _is_proven(candidate):
         return candidate
-    trusted = known(name)
+    trusted = find_installed(name)
     if trusted is None or trusted.md5sum != md5sum:
         raise ConnectionHeaderRefused(
             f"how this subscriber reads a {name[:80]} is not known here", _HINT
@@ -110,7 +110,9 @@ def receiver_definition(
     return trusted
 
 
-def sender_definition(own: Definition, decision: Decision, known: FindDefinition) -> Definition:
+def sender_definition(
+    own: Definition, decision: Decision, find_installed: FindDefinition
+) -> Definition:
     """The definition of the messages a program sends, as it claims.
 
     It may repeat the claim of its own publisher, as `topic_tools relay` does: where the type is
@@ -126,7 +128,7 @@ def sender_definition(own: Definition, decision: Decision, known: FindDefinition
         check_type(own.name, restriction)
     if own.layout.is_proven:
         return own
-    trusted = known(own.name)
+    trusted = find_installed(own.name)
     if (
         trusted is None
         or trusted.md5sum != own.md5sum

@@ -54,12 +54,12 @@ class GraphView:
                 "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
                 "added": list() as added, "removed": list() as removed,
             }:  # fmt: skip
-                new, gone = _facts(added), _facts(removed)
+                new, old = _facts(added), _facts(removed)
             case _:
                 raise AnswerMalformed("a graph update that is malformed")
         base = frozenset() if whole else self.facts
         known = self.facts
-        self.facts = (base | new) - gone
+        self.facts = (base | new) - old
         restarted = whole and self.instance != ""
         self.instance, self.version, self._cursor = instance, version, cursor
         return ObservedChange(

@@ -34,10 +34,8 @@ class PublisherGrace:
             self._missing.clear()
         if not self._missing:
             self._until = now + GRACE
-        for (
-            topic,
-            uris,
-        ) in self._listed.copy().items():  # atomic: rospy's threads share it
+        listed = self._listed.copy()  # atomic: in rospy threads share it
+        for topic, uris in listed.items():
             if uris:
                 self._missing[topic] = self._missing.get(topic, frozenset()).union(uris)
 

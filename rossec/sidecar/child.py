@@ -63,11 +63,11 @@ def program_environment(
 ) -> dict[str, str]:
     """The environment for the program; a nested `rossec run` restores what was `settled`."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
-    kept = {key: value for key, value in environ.items() if key not in _REPLACED}
+    unchanged = {key: value for key, value in environ.items() if key not in _REPLACED}
     own = {"ROS_IP": loopback.host}
     if loopback != LOOPBACK:
         own = {"ROS_HOSTNAME": loopback.host, "ROS_IPV6": "on"}
-    return kept | own | {"ROS_MASTER_URI": master_uri, OUTSIDE: json.dumps(before)}
+    return unchanged | own | {"ROS_MASTER_URI": master_uri, OUTSIDE: json.dumps(before)}
 
 
 def adopt_orphans() -> None:

@@ -38,7 +38,7 @@ from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
 
-HEADER_DEADLINE: Final = 15.0  # the peer's side of it has to be reached first
+HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
 _log = logging.getLogger("rossec.sidecar")
 
@@ -124,7 +124,7 @@ class Egress:
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
-                    fields, early = await split_header(program)
+                    fields, after_request = await split_header(program)
                     layer = tcpros.connect_to_peer(
                         self._agent, remote, fields, self._filter_key,
                         lambda name: self._memories.acquire(name, executor), clock.now(),
@@ -140,7 +140,9 @@ class Egress:
                 return
             if executor.stream is not None:
                 began = time.monotonic()
-                await self._forward(admitted, program, executor.stream, early, executor.first)
+                await self._forward(
+                    admitted, program, executor.stream, after_request, executor.after_header
+                )
                 if not admitted.service:
                     self._on_topic_ended(text(fields, "topic"), began)
         except (RossecError, TimeoutError) as error:
@@ -154,14 +156,14 @@ class Egress:
         admitted: AdmittedConnection,
         program: PlainStream,
         stream: SecureStream[Identity],
-        early: bytes,
-        first: bytes,
+        after_request: bytes,
+        after_answer: bytes,
     ) -> None:
         with self._connections.track(stream, admitted.decision):
             await program.send(header.encode(admitted.answer))
             if admitted.service:
-                await pump.exchange(program, stream, early, first)
+                await pump.exchange(program, stream, after_request, after_answer)
             else:
                 stream.raise_unit_limit(unit_limit(admitted.message_size, ChannelLimits.unit))
-                longest = message_limit(admitted.message_size, MESSAGE_LIMIT)
-                await pump.subscribe(program, stream, admitted.guard, first, longest)
+                max_length = message_limit(admitted.message_size, MESSAGE_LIMIT)
+                await pump.subscribe(program, stream, admitted.guard, after_answer, max_length)

@@ -113,7 +113,7 @@ class CommandExecutor:
 
     Attributes:
         program, stream: the TCPROS connection to a program or to a peer.
-        first: the bytes it sent after its header.
+        after_header: the bytes it sent after its header.
     """
 
     def __init__(self, services: AgentServices) -> None:
@@ -122,7 +122,7 @@ class CommandExecutor:
         self._peer_client: SlaveApiClient | None = None
         self.program: PlainStream | None = None
         self.stream: SecureStream[Identity] | None = None
-        self.first = b""
+        self.after_header = b""
 
     async def run(self, layer: Layer[Outcome]) -> Outcome:
         """Run a layer to its end."""
@@ -148,7 +148,7 @@ class CommandExecutor:
         if self.program is not None:
             self.program.abort()
         if self.stream is not None:
-            self.stream.abort("the other end is gone")
+            self.stream.abort("the other end was closed")
 
     async def _close_program_rpc(self) -> None:
         """Close the connection to a program's slave API: a TCPROS connection may last for days."""
@@ -211,7 +211,7 @@ class CommandExecutor:
         fields: Mapping[str, bytes],
     ) -> Event:
         await end.send(header.encode(fields))
-        answer, self.first = await split_header(end)
+        answer, self.after_header = await split_header(end)
         return HeaderArrived(answer, peer, clock.now())
 
     async def _rpc_to_program(self, local: Endpoint) -> RpcClient:

@@ -15,7 +15,7 @@ from grants.filters.layout import MAX_DEPTH, MAX_TEXT, SEPARATOR, TYPE_NAME
 from rossec.errors import MessageError
 from rossec.participant.definitions import Definition
 
-_MOST: Final = 8 * MAX_DEPTH  # types that one type consists of
+_MAX_TYPES: Final = 8 * MAX_DEPTH  # types that one type consists of
 
 
 def known_type(name: str) -> Definition | None:
@@ -23,16 +23,16 @@ def known_type(name: str) -> Definition | None:
     if TYPE_NAME.fullmatch(name) is None:
         return None
     texts: dict[str, str] = {}
-    waiting = [name]
+    pending = [name]
     try:
-        while waiting:
-            each = waiting.pop()
-            if each not in texts:
-                texts[each] = _text(each)
-                waiting += sorted(layout.dependencies(each, texts[each]))
-            if len(texts) > _MOST:
+        while pending:
+            current = pending.pop()
+            if current not in texts:
+                texts[current] = _text(current)
+                pending += sorted(layout.dependencies(current, texts[current]))
+            if len(texts) > _MAX_TYPES:
                 return None
-        whole = "\n".join((texts.pop(name), *(_part(*item) for item in texts.items())))
+        whole = "\n".join((texts.pop(name), *(_section(*item) for item in texts.items())))
         return Definition(name, layout.parse(name, whole).md5, whole)
     except (MessageError, DefinitionRefused):
         return None
@@ -48,7 +48,7 @@ def _text(name: str) -> str:
     return found
 
 
-def _part(name: str, text: str) -> str:
+def _section(name: str, text: str) -> str:
     return f"{SEPARATOR}\nMSG: {name}\n{text}"
 
 
@@ -66,8 +66,8 @@ def _read(name: str) -> str | None:
 
 def _directories(package: str) -> Iterator[Path]:
     """The candidate directories: a directory of packages, or the package itself."""
-    for place in os.environ.get("ROS_PACKAGE_PATH", "").split(":"):
-        if place:
-            yield Path(place) / package
-            if Path(place).name == package:
-                yield Path(place)
+    for directory in os.environ.get("ROS_PACKAGE_PATH", "").split(":"):
+        if directory:
+            yield Path(directory) / package
+            if Path(directory).name == package:
+                yield Path(directory)

@@ -39,7 +39,7 @@ from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
 
-HEADER_DEADLINE: Final = 15.0  # the program's side of it may have to be reached first
+HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
 
 _log = logging.getLogger("rossec.sidecar")
@@ -162,7 +162,7 @@ class Ingress:
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
-                    fields, early = await split_header(stream)
+                    fields, after_request = await split_header(stream)
                     layer = tcpros.admit_peer(
                         self._agent, local, fields, stream.peer, self._filter_key,
                         lambda name: self._memories.acquire(name, local), clock.now(),
@@ -175,7 +175,9 @@ class Ingress:
                 await stream.send(header.error_header(f"rossec: {error}"))
                 return
             if executor.program is not None:
-                await self._forward(admitted, executor.program, stream, early, executor.first)
+                await self._forward(
+                    admitted, executor.program, stream, after_request, executor.after_header
+                )
         except HangUp as error:
             _log.info("%s: %s", stream.peer.name, error)
         finally:
@@ -186,22 +188,22 @@ class Ingress:
         admitted: AdmittedConnection,
         program: PlainStream,
         stream: SecureStream[Identity],
-        early: bytes,
-        first: bytes,
+        after_request: bytes,
+        after_answer: bytes,
     ) -> None:
         with self._connections.track(stream, admitted.decision):
             await stream.send(header.encode(admitted.answer))
             if admitted.service:
                 stream.raise_unit_limit()
-                await pump.exchange(program, stream, first, early)
-            elif early:
+                await pump.exchange(program, stream, after_answer, after_request)
+            elif after_request:
                 _log.warning("%s sends data where it subscribes", stream.peer.name)
             else:
                 now, latching = clock.now(), admitted.latching
                 with self._copies.share(admitted.guard, now, latching=latching) as (
                     guard,
-                    presented,
+                    initial,
                 ):
-                    if presented:
-                        await stream.send(*pump.framed(presented))
-                    await pump.publish(program, stream, guard, first)
+                    if initial:
+                        await stream.send(*pump.framed(initial))
+                    await pump.publish(program, stream, guard, after_answer)

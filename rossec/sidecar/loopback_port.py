@@ -25,8 +25,8 @@ _CONNECTIONS: Final = 256  # at a time and port; a program has one or two
 _IPV6: Final = "::1"
 _NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
 _WITHOUT_IPV4: Final = (
-    "this host has no 127.0.0.1: programs are told %s, and ROS_IPV6=on; roscpp does not start"
-    " without one (ip address add 127.0.0.1/8 dev lo)"
+    "this host has no 127.0.0.1: programs get the host name %s and ROS_IPV6=on; roscpp does not"
+    " start without 127.0.0.1 (ip address add 127.0.0.1/8 dev lo)"
 )
 _PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
 

@@ -27,7 +27,7 @@ from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
 from rossec.participant.revocation_proofs import prove
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core import master_calls
+from rossec.sidecar.core import registrations
 from rossec.sidecar.core.layers import AgentState, Layer
 from rossec.sidecar.core.resubscribe import ResubscribeQueue
 from rossec.sidecar.executor import AgentServices, CommandExecutor
@@ -134,7 +134,7 @@ class Membership:
             await renew(session.call, self._renewals, clock.now())
         current = self._agent.access.current(clock.now())
         await session.call("rossec.presentGrants", current[:_MAX_PRESENTED])
-        await self._run(master_calls.restore(self._agent))
+        await self._run(registrations.restore(self._agent))
 
     async def _collect_grants(self) -> None:
         while True:
@@ -152,10 +152,10 @@ class Membership:
         while True:
             await asyncio.sleep(_PERIOD)
             await self._run_logged(
-                "expired publishers", master_calls.drop_overdue_publishers(self._agent)
+                "expired publishers", registrations.drop_expired_publishers(self._agent)
             )
             for topic in self._to_resubscribe.take_due(time.monotonic(), self._may_subscribe):
-                await self._run_logged(topic, master_calls.resubscribe(self._agent, topic))
+                await self._run_logged(topic, registrations.resubscribe(self._agent, topic))
 
     async def _run_logged(self, subject: str, layer: Layer[None]) -> None:
         try:

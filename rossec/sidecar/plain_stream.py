@@ -1,7 +1,7 @@
 """A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
 
-It has the methods of a secure stream, so that both kinds of end can be served and pumped alike.
-Its buffer is small until a program fills it: fifty quiet nodes must not cost fifty large buffers.
+It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
+buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
 """
 
 import asyncio
@@ -14,12 +14,12 @@ from rossec.errors import ChannelClosed
 from rossec.net.aio.transport import Transport
 
 _SMALL: Final = 8 * 1024
-_LARGE: Final = 512 * 1024  # two records of the channel: what its other end reads at a time
+_LARGE: Final = 512 * 1024  # two records of the channel: what a peer reads at a time
 _LINGER: Final = 2.0
 
 
 class PlainStream:
-    """One connection; `peer` says who it is as far as anybody knows: a program of this host."""
+    """One connection; `peer` is a constant: a program has no identity of its own."""
 
     peer = "a program of this host"
 
@@ -29,10 +29,9 @@ class PlainStream:
         self._ended = False
         self._write_nowait: Callable[[memoryview], bool] | None = None
         self._forward_error: BaseException | None = None
-        self._waiting: asyncio.Future[None] | None = None
+        self._waiter: asyncio.Future[None] | None = None
         self._callback: Callable[[], None] | None = None
         self._drained = asyncio.Event()
-        self._lost = asyncio.Event()
         self._transport = Transport(sock, self)
         self._transport.resume_reading()
 
@@ -43,16 +42,16 @@ class PlainStream:
         return self._buffer[self._end :]
 
     def buffer_updated(self, count: int) -> None:
-        """Pass the bytes on, or keep them until they are taken; without room stop reading."""
+        """Forward the bytes, or buffer them; if the buffer is full, pause reading."""
         self._end += count
         if self._write_nowait is not None:
-            self._pass_on(self._write_nowait)
+            self._write_received(self._write_nowait)
             return
         if self._end == len(self._buffer):
             self._transport.pause_reading()
-        self._wake()
+        self._notify()
 
-    def _pass_on(self, write_nowait: Callable[[memoryview], bool]) -> None:
+    def _write_received(self, write_nowait: Callable[[memoryview], bool]) -> None:
         view = self._buffer[: self._end]
         self._end = 0
         try:
@@ -64,62 +63,61 @@ class PlainStream:
         if lags:
             self._write_nowait = None
             self._transport.pause_reading()
-            self._wake()
+            self._notify()
 
     def eof_received(self) -> None:
-        """The program sends nothing more."""
+        """The program has closed its side."""
         self._ended = True
-        self._wake()
+        self._notify()
 
     def resume_writing(self) -> None:
-        """The program caught up."""
+        """Everything written was sent."""
         self._drained.set()
 
     def connection_lost(self) -> None:
         """The connection is closed."""
         self._ended = True
-        self._lost.set()
         self._drained.set()
-        self._wake()
+        self._notify()
 
     # -- for users
 
     async def take(self) -> memoryview:
-        """What has arrived, at least one byte; valid until `taken`.
+        """The received bytes, at least one; valid until `taken`.
 
         Raises:
-            ChannelClosed: the program sends nothing more.
+            ChannelClosed: the program has closed its side.
         """
         while self._end == 0:
             if self._ended:
                 raise ChannelClosed("the program closed the connection")
-            self._waiting = asyncio.get_running_loop().create_future()
-            await self._waiting
+            self._waiter = asyncio.get_running_loop().create_future()
+            await self._waiter
         return self._buffer[: self._end]
 
     def taken(self, view: memoryview) -> None:
-        """Give back what `take` lent; what came meanwhile moves to the front."""
+        """Release the view from `take`; bytes received since move to the front."""
         count, full = len(view), self._end == len(self._buffer)
-        rest = self._end - count
+        remaining = self._end - count
         if full and len(self._buffer) < _LARGE:
             larger = memoryview(bytearray(_LARGE))
-            larger[:rest] = self._buffer[count : self._end]
+            larger[:remaining] = self._buffer[count : self._end]
             self._buffer = larger
-        elif rest:
-            self._buffer[:rest] = bytes(self._buffer[count : self._end])
-        self._end = rest
+        elif remaining:
+            self._buffer[:remaining] = bytes(self._buffer[count : self._end])
+        self._end = remaining
         if full and not self._ended:
             self._transport.resume_reading()
 
     async def forward(
         self, write_nowait: Callable[[memoryview], bool], drain: Callable[[], Awaitable[None]]
     ) -> NoReturn:
-        """Pass what arrives to `write_nowait` at once, without a turn of the loop for it.
+        """Pass received bytes to `write_nowait` directly, without a task switch.
 
-        When `write_nowait` says no, nothing more is read until `drain` returns.
+        When `write_nowait` returns false, reading pauses until `drain` returns.
 
         Raises:
-            ChannelClosed: no more bytes; or what `write_nowait` or `drain` raise.
+            ChannelClosed: the program has closed its side; or what `write_nowait` or `drain` raise.
         """
         try:
             while True:
@@ -131,24 +129,24 @@ class PlainStream:
                     continue
                 self._write_nowait = write_nowait
                 self._transport.resume_reading()
-                await self._stalled()
+                await self._until_blocked()
                 if self._forward_error is not None:
                     raise self._forward_error
         finally:
             self._write_nowait = None
 
-    async def _stalled(self) -> None:
-        """Wait until the receiver lags, or the program ends."""
+    async def _until_blocked(self) -> None:
+        """Wait until the receiver lags, or the program closes."""
         while self._write_nowait is not None and not self._ended:
-            self._waiting = asyncio.get_running_loop().create_future()
-            await self._waiting
+            self._waiter = asyncio.get_running_loop().create_future()
+            await self._waiter
 
     def on_ready(
         self,
         callback: Callable[[], None] | None,
-        take: Callable[[bytes], bool] | None = None,  # noqa: ARG002 - what arrives is always kept
+        take: Callable[[bytes], bool] | None = None,  # noqa: ARG002 - data is always buffered
     ) -> None:
-        """Whom to call whenever `next_unit` has something new to say, as of `SecureStream`."""
+        """Set the callback for new data or the end, as of `SecureStream`."""
         self._callback = callback
 
     @property
@@ -157,10 +155,10 @@ class PlainStream:
         return self._end > 0
 
     def next_unit(self) -> bytes | None:
-        """What has arrived, copied; None: nothing yet.
+        """The received bytes, copied; None: nothing yet.
 
         Raises:
-            ChannelClosed: the program sends nothing more.
+            ChannelClosed: the program has closed its side.
         """
         if self._end == 0:
             if self._ended:
@@ -172,7 +170,7 @@ class PlainStream:
         return data
 
     def try_send(self, unit: bytes) -> bool:
-        """Send, unless the program lags; whether it did.
+        """Send, unless the program lags; returns whether it was sent.
 
         Raises:
             ChannelClosed: the connection is closed.
@@ -188,7 +186,7 @@ class PlainStream:
         """The next bytes, copied.
 
         Raises:
-            ChannelClosed: the program sends nothing more.
+            ChannelClosed: the program has closed its side.
         """
         view = await self.take()
         data = bytes(view)
@@ -217,13 +215,13 @@ class PlainStream:
         await self.drain()
 
     async def drain(self) -> None:
-        """Wait until the program caught up."""
+        """Wait until the program has caught up."""
         while not self._transport.writable:
             self._drained.clear()
             await self._drained.wait()
 
     async def close(self) -> None:
-        """End this side after what was sent; wait for the other, but not for long."""
+        """Close this side after what was sent; wait briefly for the other."""
         self._transport.write_eof()
         try:
             async with asyncio.timeout(_LINGER):
@@ -238,8 +236,8 @@ class PlainStream:
         """Drop the connection at once."""
         self._transport.abort()
 
-    def _wake(self) -> None:
-        if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_result(None)
+    def _notify(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
         if self._callback is not None:
             self._callback()

@@ -12,7 +12,7 @@ from typing import Final, Generic, Protocol, TypeVar
 from rossec.errors import ConfigurationError
 from rossec.sidecar.core.endpoints import Endpoint
 
-LIMIT: Final = 512  # each way; a process has 1024 descriptors unless told otherwise
+LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
 
 
 class PooledPort(Protocol):

@@ -55,74 +55,74 @@ def _length(data: bytes) -> int:
 async def exchange(
     program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
 ) -> None:
-    """Forward bytes both directions, for a service; the bytes after the headers go first."""
+    """Forward bytes in both directions, for a service; the bytes after the headers go first."""
     await _run_both(
         program, peer, to_peer(program, peer, outward), to_program(peer, program, inward)
     )
 
 
 async def publish(
-    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> None:
-    """Forward a program's messages to a subscribing peer; `first` came after its header."""
-    await _run_both(program, peer, outgoing(program, peer, guard, first), _expect_no_data(peer))
+    """Forward a program's messages to a subscribing peer; `initial` came after its header."""
+    await _run_both(program, peer, outgoing(program, peer, guard, initial), _expect_no_data(peer))
 
 
 async def subscribe(
     program: PlainStream,
     peer: SecureStream[Identity],
     guard: MessageGuard | None,
-    first: bytes,
+    initial: bytes,
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
     """Forward a peer's messages to a subscribing program; a guard takes none above `max_length`."""
-    direction = incoming(peer, program, guard, first, max_length)
+    direction = incoming(peer, program, guard, initial, max_length)
     await _run_both(program, peer, direction, _expect_no_data(program))
 
 
-async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
+async def to_peer(program: PlainStream, peer: SecureStream[Identity], initial: bytes) -> None:
     """Forward everything the program sends, until it closes."""
-    if first:
-        await peer.send(first)
+    if initial:
+        await peer.send(initial)
     await program.forward(peer.write_nowait, peer.drain)
 
 
-async def to_program(peer: SecureStream[Identity], program: PlainStream, first: bytes) -> None:
+async def to_program(peer: SecureStream[Identity], program: PlainStream, initial: bytes) -> None:
     """Forward everything the peer sends, until it closes."""
-    if first:
-        await program.send(first)
+    if initial:
+        await program.send(initial)
     await peer.forward(program.write_nowait, program.drain)
 
 
 def outgoing(
-    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> Coroutine[None, None, None]:
     """Forward a program's messages, through the guard if there is one."""
     if guard is None:
-        return to_peer(program, peer, first)
+        return to_peer(program, peer, initial)
     if isinstance(guard, SharedGuard):
-        return send_filtered_nowait(program, peer, guard, first)
-    return send_filtered(program, peer, guard, first)
+        return send_filtered_nowait(program, peer, guard, initial)
+    return send_filtered(program, peer, guard, initial)
 
 
 def incoming(
     peer: SecureStream[Identity],
     program: PlainStream,
     guard: MessageGuard | None,
-    first: bytes,
+    initial: bytes,
     max_length: int = MESSAGE_LIMIT,
 ) -> Coroutine[None, None, None]:
     """Forward a peer's messages, through the guard if the publisher is restricted."""
     if guard is None:
-        return to_program(peer, program, first)
-    return send_filtered(peer, program, guard, first, max_length)
+        return to_program(peer, program, initial)
+    return send_filtered(peer, program, guard, initial, max_length)
 
 
 async def send_filtered(
     source: PlainStream | SecureStream[Identity],
     sink: PlainStream | SecureStream[Identity],
     guard: MessageGuard,
-    first: bytes,
+    initial: bytes,
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
     """Forward each message as the guard returns it; one that cannot be checked is withheld.
@@ -134,7 +134,7 @@ async def send_filtered(
     """
     framing = Framing(FrameReader(max_length))
     (peer,) = (end.peer.name for end in (source, sink) if not isinstance(end, PlainStream))
-    messages = framing.feed(first, clock.now())
+    messages = framing.feed(initial, clock.now())
     while True:
         now = clock.now()
         guard.check(now)
@@ -145,7 +145,7 @@ async def send_filtered(
 
 
 async def send_filtered_nowait(
-    program: PlainStream, peer: SecureStream[Identity], guard: SharedGuard, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: SharedGuard, initial: bytes
 ) -> None:
     """As `send_filtered`, but each message is checked at once, and a lagging peer misses it.
 
@@ -153,7 +153,7 @@ async def send_filtered_nowait(
     would be checked after new ones, and the reader could reset a field with hysteresis at will.
     """
     framing = Framing(FrameReader())
-    messages = framing.feed(first, clock.now())
+    messages = framing.feed(initial, clock.now())
     while True:
         now = clock.now()
         guard.check(now)
@@ -201,4 +201,4 @@ async def _run_both(
         await asyncio.gather(program.close(), peer.close())
     finally:
         program.abort()
-        peer.abort("the other end is gone")
+        peer.abort("the other end was closed")

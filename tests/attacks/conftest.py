@@ -1,4 +1,4 @@
-"""What every attack runs against: a site with a master, and a pair that must not notice."""
+"""What every attack runs against: a site with a master, and an honest pair of nodes."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""An identity for anonymous nodes in the wrong hands: its tail leads to no name but its own."""
+"""A stolen identity for anonymous nodes: its wildcard covers no name outside its own prefix."""
 
 from typing import Final
 
@@ -81,7 +81,7 @@ async def test_the_master_and_slave_apis_under_another_name(
 
 @pytest.mark.attack("anonymous-tail")
 async def test_the_address_of_another_node(eve: Site, witness: Witness) -> None:
-    """Nor may one node of a wildcard claim the other's address while that is registered."""
+    """One node of a wildcard may not claim the address of another that is registered."""
     assert eve.master is not None
     uri, own = eve.master.uri, credentials(eve)
     await call(uri, own, "rossec.presentGrants", EVE, eve.enroll(EVE).grants())

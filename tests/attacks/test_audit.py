@@ -1,4 +1,4 @@
-"""What somebody who can write the audit cuts off it, and `rossec audit --verify` is asked."""
+"""An attacker that can write the audit removes lines; `rossec audit --verify` detects it."""
 
 import json
 import logging

@@ -1,6 +1,6 @@
-"""A backup made by somebody who wants more than an authority back: it is given to `ca restore`.
+"""A crafted backup that is given to `ca restore`.
 
-He knows its passphrase, for he made it, and has the operator run the command.
+The attacker made it, knows its passphrase, and has the operator run the command.
 """
 
 import os
@@ -49,7 +49,7 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Content:
 
 
 def sealed(content: object) -> bytes:
-    """A backup of anything; nothing is judged as `seal` does."""
+    """A backup of any content, without the checks of `seal`."""
     salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
     head = backup.MAGIC + salt + nonce
     plain = cbor2.dumps(content, canonical=True)
@@ -63,7 +63,7 @@ def restore(shell: Shell, data: bytes) -> Said:
 
 
 def refused(shell: Shell, data: bytes, *said: str) -> None:
-    """Nothing is there afterwards that was not there before: in the home, beside it, or above."""
+    """No file is added: in the home, beside it, or above."""
     before = sorted(shell.root.parent.rglob("*"))
     done = restore(shell, data)
     assert done.code == 1, done

@@ -50,7 +50,7 @@ async def impatient(tmp_path: Path) -> AsyncIterator[Site]:
     ],
 )
 async def test_f9_data_before_the_handshake_is_not_a_call(site: Site, data: bytes) -> None:
-    """One parser for it, and what does not parse there is not handed to another."""
+    """There is one parser, and what it refuses is not passed to another."""
     assert site.master is not None
     loop = asyncio.get_running_loop()
     with socket.socket() as sock:
@@ -79,7 +79,7 @@ async def test_m10_nothing_is_parsed_before_the_handshake(impatient: Site) -> No
         await loop.sock_connect(sock, (HOST, master.port))
         await loop.sock_sendall(sock, HEAD % (1 << 40))
         async with asyncio.timeout(60):
-            with contextlib.suppress(OSError):  # else the deadline speaks
+            with contextlib.suppress(OSError):  # otherwise the deadline raises
                 while True:
                     await loop.sock_sendall(sock, b"<methodCall>" * 5000)
                     await asyncio.sleep(0.01)

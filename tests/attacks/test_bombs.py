@@ -1,4 +1,4 @@
-"""Small files that cost much: each is given to the command that reads it, as a user would.
+"""Small files that are costly to parse: each is given to the command that reads it.
 
 What a bomb costs is bounded here by the kernel, in seconds of the processor and bytes of memory,
 not by a clock: a loaded machine is slow, not wrong.
@@ -31,7 +31,7 @@ def limited() -> None:
 
 
 def refused(home: Path, *words: str, code: int = 1) -> str:
-    """Run a command that must say no, in our voice, within its share; returns what it said."""
+    """Run a command that must fail, with an error of ours, within limits; returns the output."""
     done = subprocess.run(
         (sys.executable, "-m", "rossec", *words),
         env={**os.environ, "ROSSEC_HOME": str(home), "ROS_IP": "127.0.0.1"},

@@ -1,4 +1,4 @@
-"""The host's clock set back, by whoever can: what is to end ends as if nobody had touched it.
+"""The host's clock is set back: rights end when they would have ended otherwise.
 
 The clocks are injected: what the host shows, and the seconds that cannot be set, of this process
 (the built-in node, the sidecar, the master) or of a rospy program.
@@ -37,11 +37,11 @@ UNTIL_STALE: Final = 30 + STALE_GRACE
 
 
 class ClockControl:
-    """Somebody's hand at the host's clock."""
+    """Sets the host's clock."""
 
     def __init__(self) -> None:
         self.set = 0.0  # by how much
-        self.passed = 0.0  # seconds that nobody has to wait for
+        self.passed = 0.0  # seconds that need no waiting
         self.clock = Clock(
             lambda: time.time() + self.set + self.passed, lambda: counter()() + self.passed
         )
@@ -55,7 +55,7 @@ def hand(monkeypatch: pytest.MonkeyPatch) -> ClockControl:
 
 
 async def stop_master(site: Site) -> MasterServer:
-    """End the master: nobody confirms anything any more."""
+    """End the master: no list is confirmed any more."""
     assert site.master is not None
     await site.master.close()
     return site.master
@@ -210,7 +210,7 @@ async def test_a_whole_site_set_back_continues(
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A peer that speaks for NTP gains nothing, and does not end what runs."""
+    """An attacker that forges NTP gains nothing, and ends no connection."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     async with undisturbed(site) as witness:
         before = clock.now()
@@ -241,7 +241,7 @@ async def test_a_wrong_clock_may_be_corrected_with_the_master(
 
 @pytest.mark.attack("clock-set-back")
 async def test_a_delayed_update_does_not_correct_the_clock(site: Site, hand: ClockControl) -> None:
-    """A push may have been on the way for as long as somebody liked."""
+    """An update may have been delayed for any time."""
     signer = site.enroll(MASTER).credentials().signer
     async with site.node("/robot") as robot:
         held = robot.revocations.current

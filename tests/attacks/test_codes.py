@@ -1,4 +1,4 @@
-"""Codes and names made to mislead: used again, with what a terminal obeys, or what looks alike."""
+"""Misleading codes and names: reused, with control characters, or with lookalikes."""
 
 import shutil
 import time
@@ -39,7 +39,7 @@ def certificates(shell: Shell, name: str) -> list[bytes]:
 
 
 def test_a_reused_label_gives_the_same_identity(shell: Shell) -> None:
-    """It vouches for one request for years; there is one answer to that."""
+    """It authenticates one request for years, which has one answer."""
     robot = Robot()
     for _ in range(2):
         with WaitingRobot(robot, label=True) as waiting:

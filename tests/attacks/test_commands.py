@@ -1,6 +1,6 @@
 """Calls an attacker with a good identity makes at the APIs of nodes and master (see attacks.md).
 
-Only the master steers a node, nobody acts under another's name, and what was revoked stays revoked.
+Only the master controls a node, no node acts under another's name, a revocation is final.
 """
 
 from typing import Final

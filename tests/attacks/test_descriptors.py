@@ -1,4 +1,4 @@
-"""A few bytes each, from connections that never end: how many descriptors strangers can have.
+"""Connections that never end, with a few bytes each: how many descriptors they can use.
 
 The attacker is a process of its own; what is counted are the descriptors of the one attacked.
 """
@@ -54,7 +54,7 @@ sys.stdin.read()
 async def flood(
     port: int, data: bytes, *sources: str, count: int = CONNECTIONS
 ) -> AsyncIterator[None]:
-    """So many connections, each of which sends `data` and is kept."""
+    """Open connections; each sends `data` and stays open."""
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-c", FLOOD, HOST, str(port), str(count), data.hex(), *sources,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
@@ -116,7 +116,7 @@ async def master(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
 
 
 @contextlib.asynccontextmanager
-async def sidecar_door(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
+async def sidecar_port(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
     site.publish("/robot", "/word")
     async with sidecar(site) as near, Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
@@ -128,13 +128,13 @@ async def sidecar_door(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
 
 
 Place = Callable[[Site], contextlib.AbstractAsyncContextManager[tuple[int, WireProtocol]]]
-PLACES: Final = [node_topics, node_api, master, sidecar_door]
+PLACES: Final = [node_topics, node_api, master, sidecar_port]
 
 
 @pytest.mark.attack("descriptors")
 @pytest.mark.parametrize("place", PLACES)
 async def test_failed_handshakes_do_not_exhaust_descriptors(site: Site, place: Place) -> None:
-    """Four bytes end the handshake; the socket that lingers for its refusal is counted."""
+    """Four bytes end the handshake; the socket counts until the refusal is sent."""
     async with place(site) as (port, protocol), watched() as most:
         async with flood(port, b"\xff\xff\xff\xff"):
             await served(site, port, protocol)
@@ -144,7 +144,7 @@ async def test_failed_handshakes_do_not_exhaust_descriptors(site: Site, place: P
 @pytest.mark.attack("descriptors")
 @pytest.mark.parametrize("place", PLACES)
 async def test_silent_connections_from_many_addresses_are_limited(site: Site, place: Place) -> None:
-    """Together they have all places; who has none yet is given one of theirs."""
+    """Together they use every slot; a new address gets one of them."""
     sources = [f"127.0.0.{number}" for number in range(2, 8)]
     async with place(site) as (port, protocol), watched() as most:
         async with flood(port, b"\x0c\0\0", *sources):
@@ -156,7 +156,7 @@ async def test_silent_connections_from_many_addresses_are_limited(site: Site, pl
 async def test_an_enrolled_caller_that_never_closes_is_limited(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is refused after its identity was proved; the socket that lingers is still its own."""
+    """It is refused after it was authenticated; its open socket still counts as its own."""
     monkeypatch.setattr(connections, "PEER_CONNECTIONS", 8)
     own, verify, held = credentials(site), site.anchor.verify, []
     async with site.node("/robot") as robot, watched() as most:

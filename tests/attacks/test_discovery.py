@@ -1,4 +1,4 @@
-"""What anybody on the link can do to a node that looks for its master: real links and programs."""
+"""What a host on the link can do to a node that discovers its master: real links and programs."""
 
 import contextlib
 import json
@@ -54,7 +54,7 @@ def home(tmp_path_factory: pytest.TempPathFactory, hosts: Hosts) -> Iterator[Sit
 
 @contextlib.contextmanager
 def flooded(host: Host, data: bytes) -> Iterator[None]:
-    """Some hundred datagrams a second, to everybody on the link."""
+    """Some hundred datagrams a second, to every host on the link."""
     command = host.at(sys.executable, "-c", FLOOD, data.hex())
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None
@@ -72,7 +72,7 @@ def announcement(site: Site) -> bytes:
 
 
 def forged(site: Site, elsewhere: Path) -> bytes:
-    """The master's own chain, copied from the link, below a signature that is none."""
+    """The master's own chain, copied from the link, with an invalid signature."""
     data = bytearray(announcement(site))
     data[-1] ^= 1
     return bytes(data)

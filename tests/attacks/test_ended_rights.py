@@ -17,7 +17,7 @@ T = "std_msgs/String"
 
 @pytest.mark.attack("old-permission")
 async def test_d1_an_older_and_wider_grant_stays_revoked(site: Site) -> None:
-    """It was revoked when a narrower one took its place; its file is still there."""
+    """It was revoked when a narrower one replaced it; its file still exists."""
     wide = site.grant(EVE, Right.PUBLISH, "/**")
     narrow = site.grant(EVE, Right.PUBLISH, "/eve/t")
     async with caller(site, "/other") as other:
@@ -31,7 +31,7 @@ async def test_d1_an_older_and_wider_grant_stays_revoked(site: Site) -> None:
 
 @pytest.mark.attack("old-permission")
 async def test_d1_an_older_delegation_stays_withdrawn(site: Site) -> None:
-    """The one that was withdrawn renews nothing, whoever brings it again."""
+    """A withdrawn delegation renews nothing, whatever node sends it again."""
     assert site.master is not None
     older = site.delegate()
     await site.restart_master()
@@ -49,7 +49,7 @@ async def test_d1_an_older_delegation_stays_withdrawn(site: Site) -> None:
 async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
     site: Site, witness: Witness
 ) -> None:
-    """Its connections stay open meanwhile, and nobody asks it to do anything."""
+    """Its connections stay open meanwhile, and it gets no calls."""
     async with caller(site, EVE, {"/t": Right.SUBSCRIBE, "/p": Right.PARAM_GET}) as eve:
         await eve("registerSubscriber", "/t", T, eve.uri)
         await eve("subscribeParam", eve.uri, "/p")

@@ -1,4 +1,4 @@
-"""A publisher that may publish begins a message and does not end it: how much is held, how long."""
+"""An authorized publisher begins a message and does not end it: how much is buffered, how long."""
 
 import contextlib
 import itertools
@@ -40,7 +40,7 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
 
 @pytest.fixture
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seconds, not minutes, in this process; ROBOT does it for its own."""
+    """Seconds, not minutes, in this process; ROBOT sets its own."""
     monkeypatch.setattr("rossec.progress.WINDOW", WINDOW)
     monkeypatch.setattr("rossec.progress.STEP", 1)
     monkeypatch.setattr("rossec.net.aio.arrivals.PATIENCE", 1.0)
@@ -108,7 +108,7 @@ async def met(
 
 
 async def begin(link: SubscriberConnection, size: int) -> None:
-    """Send so much of a unit, and not its last record."""
+    """Send a part of a unit, without its last record."""
     driver = link.stream._driver
     whole = driver.connection.seal_unit(bytes(size + 300_000))
     for record in itertools.islice(whole, size // (256 * 1024)):
@@ -120,7 +120,7 @@ async def begin(link: SubscriberConnection, size: int) -> None:
 async def test_buffered_bytes_are_limited_by_the_type(
     site: Site, tmp_path: Path, form: Form
 ) -> None:
-    """At once, before any deadline: 20 MB of a unit are sent where a message has 48 bytes."""
+    """Before any deadline: 20 MB of a unit are sent where a message has 48 bytes."""
     async with met(site, tmp_path, form, FIXED) as (publisher, link):
         with contextlib.suppress(Exception):  # it may end before all is sent
             await begin(link, 20 * MEGABYTE)
@@ -138,7 +138,7 @@ async def test_a_unit_that_never_ends_times_out(site: Site, tmp_path: Path, form
 @pytest.mark.parametrize("form", [built_in, pytest.param(rospy, marks=pytest.mark.ros)])
 @pytest.mark.usefixtures("hasty")
 async def test_a_message_that_never_ends_times_out(site: Site, tmp_path: Path, form: Form) -> None:
-    """Each unit is whole, the message in them is not. Sidecars hand on what has come."""
+    """Each unit is complete, the message in them is not. Sidecars forward what arrived."""
     async with met(site, tmp_path, form, LONG) as (publisher, link):
         await link.stream.send(struct.pack("<I", 40 * MEGABYTE) + bytes(20 * MEGABYTE))
         await until(lambda: link not in publisher.links)

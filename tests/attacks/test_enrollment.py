@@ -148,7 +148,7 @@ async def test_a_swapped_authority_without_the_code_is_refused() -> None:
 
 @pytest.mark.attack("enrollment-middle")
 async def test_a_swapped_authority_and_a_label() -> None:
-    """The node answers Mallory; its answer is about her offer, and the authority sees that."""
+    """The node answers Mallory; its answer covers her offer, and the authority detects that."""
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
@@ -164,7 +164,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
 
 @pytest.mark.attack("enrollment-middle")
 async def test_a_swapped_authority_and_a_replayed_answer() -> None:
-    """The literal form of step 4 would fall here: the answer of an earlier enrollment was kept."""
+    """The literal form of step 4 would fail here: an earlier answer was stored."""
     robot_ = Robot()
     kept: list[Message] = []
 
@@ -215,7 +215,7 @@ async def test_a_delayed_answer_and_a_chosen_offer() -> None:
 @pytest.mark.attack("enrollment-code")
 @pytest.mark.parametrize("site", [HOME, MALLORY], ids=["then the owner", "then another thief"])
 async def test_a_stolen_screen_code_used_first(site: Site) -> None:
-    """A camera saw the screen. The owner's offer ends what the thief began, and the owner is told.
+    """A camera saw the screen. The owner's offer ends the attacker's session and is reported.
 
     If the thief also keeps the owner out, the owner's side never shows digits: nothing to confirm.
     """
@@ -310,7 +310,7 @@ HOSTILE = {
 @pytest.mark.attack("hostile-request")
 @pytest.mark.parametrize("flaw", HOSTILE)
 def test_a_hostile_request_is_refused_with_its_own_error(flaw: str) -> None:
-    """The code vouches for it, so the comparison passes: the form is what refuses it."""
+    """The code authenticates it, so the comparison passes: it is refused for its form."""
     csr, message = HOSTILE[flaw]
     core = AuthorityEnrollment(qr.parse(qr.label_code(csr)), "home")
     with pytest.raises(RequestRefused, match=message) as caught:

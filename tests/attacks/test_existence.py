@@ -1,4 +1,4 @@
-"""What an enrolled node without a right could learn from an answer that differs (N4, N5).
+"""What an enrolled node without a right could learn if answers differed (N4, N5).
 
 The built-in node's and rospy's are in `test_unauthorized_peers` and `test_rospy_api`.
 """
@@ -31,7 +31,7 @@ async def near(site: Site) -> AsyncIterator[Sidecar]:
 
 @pytest.fixture
 async def robot(near: Sidecar) -> AsyncIterator[Program]:
-    """A program that answers as stock ones do: only for what it publishes."""
+    """A program that answers as stock ones: only for what it publishes."""
     async with Program("/robot2", near, published={THERE}) as robot:
         await robot.register("registerPublisher", THERE, T)
         where = f"rosrpc://{HOST}:{robot.topics.port}"
@@ -41,7 +41,7 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
 
 
 def ports(near: Sidecar, protocol: WireProtocol) -> list[int]:
-    """Where the network reaches /robot2."""
+    """The ports of /robot2 on the network."""
     exports = near._agent_for("/robot2")._ingress.ports
     return [door.port for place, door in exports._ports.items() if place.protocol is protocol]
 
@@ -56,7 +56,7 @@ async def offered(site: Site, near: Sidecar, topic: object) -> Any:
 async def test_a_sidecar_answers_alike_for_every_topic(
     site: Site, near: Sidecar, robot: Program, witness: Witness
 ) -> None:
-    """The program, which would tell, is not asked."""
+    """The program, whose answers differ, is not called."""
     answers = [await offered(site, near, topic) for topic in (THERE, ABSENT, "no name")]
     assert answers[0][:2] == [1, "ready"]
     assert answers == answers[:1] * 3
@@ -81,7 +81,7 @@ async def test_a_header_without_a_grant_is_refused_alike(
 
 @pytest.mark.attack("existence-oracle")
 async def test_with_the_right_the_answer_differs(site: Site, near: Sidecar, robot: Program) -> None:
-    """And the topic that is there is heard: as it must be, else nobody would find the rest."""
+    """The control: an existing topic is answered."""
     site.subscribe("/ear", THERE)
     site.subscribe("/ear", ABSENT)
     async with sidecar(site) as far, Program("/ear", far) as ear:
@@ -107,7 +107,7 @@ async def test_with_the_right_the_answer_differs(site: Site, near: Sidecar, robo
 async def test_the_master_does_not_say_which_addresses_are_nodes(
     site: Site, witness: Witness, method: str, params: tuple[str, ...]
 ) -> None:
-    """Nor does it ask whoever is there, for a caller that may not register at all."""
+    """It does not call the address for a caller that may not register at all."""
     async with caller(site, EVE) as eve:
         said = set()
         for uri in (witness.robot.uri, "http://127.0.0.1:9/", eve.uri):

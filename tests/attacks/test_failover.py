@@ -1,4 +1,4 @@
-"""A master that is started again gives nobody more than it had: what is gone goes, all the same."""
+"""A restarted master gives no node more rights: what has ended stays ended."""
 
 from functools import partial
 
@@ -14,7 +14,7 @@ from tests.support.witness import POSE, TOPIC, until
 
 
 class Ahead:
-    """Seconds of this process that nobody has to wait for."""
+    """A clock of this process that runs ahead, so that no test waits."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.seconds = 0.0
@@ -57,7 +57,7 @@ async def test_resetting_sessions_does_not_extend_a_registration(
 async def test_a_publisher_that_is_not_named_is_still_authorized(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its right ends while it is followed without being named."""
+    """Its right ends while the master does not name it."""
     absent = Absent(monkeypatch)
     right = site.publish("/robot", TOPIC)
     site.subscribe("/viewer", TOPIC)

@@ -1,4 +1,4 @@
-"""A peer that wants the master to be busy with his questions alone: others are answered between.
+"""A peer that keeps the master busy: the calls of others are answered in between.
 
 What a turn of the loop costs is counted in calls of functions, not in seconds: a machine under load
 must not change the outcome. A turn lasts 5 ms, in which some ten thousand functions are called.
@@ -101,14 +101,14 @@ async def test_a_node_with_few_rights_does_not_block_the_master(
 
 
 async def answers(other: Caller) -> None:
-    """What others do meanwhile."""
+    """The calls of others meanwhile."""
     for number in range(1_000_000):
         assert (await other("setParam", f"/other/p{number % 9}", number))[0] == 1
 
 
 @pytest.mark.attack("frozen-master")
 async def test_others_are_answered_during_a_long_multicall(full: Site) -> None:
-    """A peer that may ask all this gets his answers; others get theirs between them."""
+    """An authorized peer gets its answers; others get theirs in between."""
     calls = [{"methodName": "getParamNames", "params": [EVE]}]
     async with caller(full, EVE, {"/robot/*/p7": LITTLE}) as eve, caller(full, "/other") as other:
         eve.client._deadline = other.client._deadline = 120  # on a busy machine
@@ -124,7 +124,7 @@ async def test_others_are_answered_during_a_long_multicall(full: Site) -> None:
 
 @pytest.mark.attack("frozen-master")
 async def test_an_answer_over_the_limit_is_not_serialized(full: Site) -> None:
-    """Ten megabytes that are refused in the end cost no turn of the loop."""
+    """Ten megabytes that exceed the limit do not block the loop."""
     async with caller(full, EVE, {"/**": Right.PARAM_GET}) as eve:
         for method, *params in (("getParam", "/"), ("getParamNames",)):
             work = Work()
@@ -143,7 +143,7 @@ async def test_an_answer_over_the_limit_is_not_serialized(full: Site) -> None:
 async def test_a_node_with_a_parameter_tree_does_not_block_the_master(
     site: Site, pattern: str
 ) -> None:
-    """Deep, or asked about with many patterns: every leaf is covered, and none of it at once."""
+    """Deep, or queried with many patterns: every leaf is covered, in many turns."""
     beside = {f"/eve/*/x{number}": LITTLE for number in range(50)}
     deep: object = {"x": 1}
     for _ in range(25 if "**" in pattern else 0):

@@ -1,4 +1,4 @@
-"""Who fills the master's disk must not thereby stay: what is revoked is revoked in any case."""
+"""A full disk of the master does not prevent a revocation."""
 
 import pytest
 

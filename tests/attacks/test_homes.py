@@ -1,4 +1,4 @@
-"""A ROSSEC_HOME that somebody else can write: whom to trust would be his to say.
+"""A ROSSEC_HOME that another user can write, who could replace the trust anchor.
 
 Every command runs as its victim would run it, on a home that worked until then. Giving files to
 another user takes root; without it those rows are not run, and the others are.
@@ -60,7 +60,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def home(made: Path, tmp_path: Path) -> Path:
-    """Of its own for each test, below a directory of its own."""
+    """A home for each test, below a directory of its own."""
     (tmp_path / "above").mkdir()
     return Path(shutil.copytree(made, tmp_path / "above" / "home"))
 

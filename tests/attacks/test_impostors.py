@@ -1,4 +1,4 @@
-"""A subscriber led astray: a compromised master names publishers it must not believe (N2, N9)."""
+"""A compromised master names false publishers, which a subscriber must refuse (N2, N9)."""
 
 import contextlib
 import time
@@ -43,7 +43,7 @@ def answer(grants: list[bytes], **changes: str) -> dict[str, str | bytes]:
 
 @contextlib.asynccontextmanager
 async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIterator[str]:
-    """A node that sends `fields` and at once a message to whoever connects; its API URI."""
+    """A node that sends each caller `fields` and a message at once; its API URI."""
     kind = message_type(POSE)
     lie = header.frame(bytes(kind.serialize(kind.create())))
 
@@ -66,7 +66,7 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
 
 
 async def led(site: Site, witness: Witness, uri: str) -> HintedError:
-    """Let the master name `uri` besides the true publisher; why the viewer does not believe it."""
+    """Let the master name `uri` besides the true publisher; returns why the viewer refuses it."""
     both = [witness.robot.uri, uri]
     told = await call(
         witness.viewer.uri, credentials(site, MASTER), "publisherUpdate", MASTER, TOPIC, both
@@ -145,7 +145,7 @@ async def test_a_publisher_of_another_authority_is_refused(site: Site, witness: 
 
 @pytest.mark.attack("false-publisher")
 async def test_a_publisher_with_the_right_is_accepted(site: Site, witness: Witness) -> None:
-    """The control: what the others are refused for is their flaw, not their form."""
+    """The control: the others are refused for their flaw only."""
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)])) as uri:
         both = [witness.robot.uri, uri]
         own = credentials(site, MASTER)

@@ -1,4 +1,4 @@
-"""A stolen leaf after its intermediate is revoked: refused, and cut where it is (go-spiffe#383)."""
+"""A stolen leaf after its intermediate is revoked: refused and closed (go-spiffe#383)."""
 
 import secrets
 from collections.abc import AsyncIterator
@@ -41,7 +41,7 @@ LIMIT: Final = 2000  # bytes: enough to see that messages come
 
 
 def below(site: Site, *names: str) -> bytes:
-    """Let an intermediate certify these nodes' keys anew; returns the intermediate's thumbprint."""
+    """Let an intermediate certify these nodes' keys; returns the intermediate's thumbprint."""
     signer = KeySigner(generate())
     request = build_intermediate_request(signer, site.anchor.domain)
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=True)
@@ -57,8 +57,8 @@ def below(site: Site, *names: str) -> bytes:
     return host.authority.issuer.thumbprint
 
 
-async def bring(site: Site, data: bytes) -> None:
-    """Somebody who has nothing to do with it carries the list, or the tree, to the master."""
+async def send_list(site: Site, data: bytes) -> None:
+    """Another node sends the list, or the tree, to the master."""
     assert site.master is not None
     own, method = credentials(site, "/carrier"), "rossec.updateRevocations"
     if site.entries is None:
@@ -100,7 +100,7 @@ async def test_its_open_connections_are_closed(site: Site, witness: Witness) -> 
         await until(lambda: EVE not in {stream.peer.name for stream in master._streams})
 
 
-WITHIN: Final = STALE_GRACE / 2  # seconds: news, and not their absence, must end it
+WITHIN: Final = STALE_GRACE / 2  # seconds: an update, and not its absence, must end it
 KEEP: Final = Restriction(keep_when_stale=True)
 
 
@@ -123,7 +123,7 @@ async def signing(
 async def test_a_connection_with_both_ends_below_it_is_closed(
     signing: Site, restriction: Restriction | None
 ) -> None:
-    """Neither may speak to the master any more, and yet they hear that the other is revoked."""
+    """Neither may call the master any more, and yet both are notified that the other is revoked."""
     site = signing
     site.grant("/robot", Right.PUBLISH, TOPIC, restriction=restriction)
     site.grant("/viewer", Right.SUBSCRIBE, TOPIC, restriction=restriction)
@@ -135,7 +135,7 @@ async def test_a_connection_with_both_ends_below_it_is_closed(
         [link] = pose.links
         assert link.decision.keep_when_stale == (restriction is not None)
         data = site.revoke(intermediate)
-        await bring(site, data)
+        await send_list(site, data)
         await until(lambda: not pose.links, WITHIN)
         await until(lambda: not sight.links, WITHIN)
         nodes = robot, viewer
@@ -157,7 +157,7 @@ async def test_a_connection_of_two_sidecars_below_it_is_closed(tmp_path: Path) -
         Program("/listener", far) as listener,
     ):
         stream, source = await connect(SidecarPair(site, near, far, talker, listener))
-        await bring(site, site.revoke(intermediate))
+        await send_list(site, site.revoke(intermediate))
         await wait_closed(stream)
         await wait_closed(source)
 
@@ -198,7 +198,7 @@ async def test_a_connection_of_two_rospy_programs_below_it_is_closed(
     env = environment(site, tmp_path / "logs")
     async with program(env, HEARER) as hearer, program(env, TALKER) as talker:
         await hearer.hears("HEARD")
-        await bring(site, site.revoke(intermediate))
+        await send_list(site, site.revoke(intermediate))
         for one in (talker, hearer):
             await one.hears("the revocation list without a timestamp", WITHIN)
         hearer.said = ""
@@ -211,7 +211,7 @@ async def test_a_revoked_identity_gets_the_list_and_nothing_else(site: Site) -> 
     assert site.master is not None
     intermediate, stolen, uri = below(site, EVE), credentials(site), site.master.uri
     data = site.revoke(intermediate)
-    await bring(site, data)
+    await send_list(site, data)
     for method, params in (("revocations", ()), ("revocationsSince", (b"",))):
         answer = await call(uri, stolen, f"rossec.{method}", EVE, *params)
         assert answer == [1, "revocations", [data, b""]]
@@ -230,10 +230,10 @@ async def test_a_revoked_identity_gets_the_list_and_nothing_else(site: Site) -> 
 async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(
     site: Site,
 ) -> None:
-    """Each has a share of its own; without one for all below it they hold every descriptor."""
+    """Each has a limit of its own; without one for the intermediate they use every descriptor."""
     assert site.master is not None
     names = [f"/eve_{number}" for number in range(MAX_BELOW_INTERMEDIATE + 8)]
-    await bring(site, site.revoke(below(site, *names)))
+    await send_list(site, site.revoke(below(site, *names)))
     held = [await dial(site.master.uri, credentials(site, name)) for name in names]
     for stream in held[MAX_BELOW_INTERMEDIATE:]:
         with pytest.raises(ChannelError):
@@ -246,7 +246,7 @@ async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(
 @pytest.mark.attack("revoked-intermediate")
 async def test_a_revoked_identity_gets_the_list_at_a_limited_rate(site: Site) -> None:
     assert site.master is not None
-    await bring(site, site.revoke(site.identity(EVE).thumbprint))
+    await send_list(site, site.revoke(site.identity(EVE).thumbprint))
     stream = await dial(site.master.uri, credentials(site))
     client = RpcClient(stream)
     for _ in range(MAX_CALLS):

@@ -1,7 +1,7 @@
-"""A publisher whose right is restricted describes its messages otherwise than they are read.
+"""A restricted publisher sends a definition that differs from the one its subscribers use.
 
 ROS's md5 forgets array brackets behind the name of a message type: both forgeries below have the
-md5 of geometry_msgs/Twist. A guard that believed them would look at other bytes than the receiver.
+md5 of geometry_msgs/Twist. A guard that used them would filter other bytes than the receiver reads.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ LIMITS: Final = {
     TURNING: Restriction(TWIST, ("msg.angular.x < 50.0",)),
 }
 FORGERIES: Final = {
-    # Nothing is left to clamp; how fast it turns is read where the guard's eyes should not be.
+    # The clamped field is empty; the receiver reads the angular speed from other bytes.
     CLAMPED: "geometry_msgs/Vector3[0] linear\ngeometry_msgs/Vector3[2] angular",
     TURNING: "geometry_msgs/Vector3[0] linear\ngeometry_msgs/Vector3 angular",
 }
@@ -68,7 +68,7 @@ def forged(topic: str) -> str:
 
 @contextlib.asynccontextmanager
 async def mallory(site: Site, topic: str, **changes: str) -> AsyncIterator[Publisher]:
-    """Publishes `topic`, and describes it as she likes."""
+    """Publishes `topic` with any definition."""
     async with site.node("/mallory") as node:
         publisher = await node.publisher(topic, TWIST)
         said = dataclasses.replace(TRUE, **{"definition": forged(topic), **changes})
@@ -115,7 +115,7 @@ rospy.spin()
 async def test_rospy_uses_the_class_it_reads_with(
     site: Site, tmp_path: Path, topic: str, reads: str
 ) -> None:
-    """A program that takes any type is told the definition the guard was built from."""
+    """A program that takes any type gets the definition the guard was built from."""
     env = environment(site, tmp_path / "logs")
     async with mallory(site, topic) as publisher, program(env, ROBOT, topic, reads) as robot:
         await publisher.wait_for_subscribers()
@@ -154,7 +154,7 @@ async def test_a_sidecar_uses_the_definition_of_its_program_or_host(
 
 
 async def driven(site: Site, robot: Program, heard: list[bytes]) -> Fields:
-    """Mallory publishes a type of the robot's own, forged; what its program is told."""
+    """Mallory publishes a custom type of the robot, forged; what its program receives."""
     said = dataclasses.replace(TRUE, name=OWN, definition=forged(CLAMPED))
     async with site.node("/mallory") as node:
         publisher = await node.publisher(DRIVE, TWIST)
@@ -173,7 +173,7 @@ async def driven(site: Site, robot: Program, heard: list[bytes]) -> Fields:
 async def test_a_sidecar_reads_a_custom_type_from_its_package_or_refuses(
     site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """roscpp's header does not say what a message is made of."""
+    """roscpp's header has no message definition."""
     site.grant("/mallory", Right.PUBLISH, DRIVE, restriction=Restriction(OWN, (), CLAMP))
     site.subscribe("/robot", DRIVE)
     heard: list[bytes] = []

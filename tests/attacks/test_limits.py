@@ -1,4 +1,4 @@
-"""A holder of a limited right tries to get more by coming back, or by coming many times.
+"""A peer with a limited right tries to get more by connecting again, or many times.
 
 The rate of these grants lets one message through, and the next one after a quarter of an hour: so
 whatever else arrives was gained by the attack, however slow the machine is.
@@ -43,7 +43,7 @@ async def test_a_new_connection_does_not_reset_the_rate(site: Site) -> None:
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_many_connections_count_as_one_receiver(site: Site) -> None:
-    """They share what is let through: none loses it, and together they get no more."""
+    """They share the messages: each gets them, and together they get no more."""
     async with publishing(site, ONE_MESSAGE) as eve:
         streams = [await eve.connect() for _ in range(10)]
         eve.publisher.publish_bytes(number(0))
@@ -66,7 +66,7 @@ async def test_a_new_publisher_does_not_reset_the_rate(site: Site) -> None:
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_another_grant_of_the_same_right_shares_the_rate(site: Site) -> None:
-    """The wider one shown on one connection, the narrower on another: as much as the wider."""
+    """The wider one on one connection, the narrower on another: together as much as the wider."""
     wider = Restriction("std_msgs/Float64", (), HELD.filters, rate=SELDOM * 2)
     async with publishing(site, ONE_MESSAGE) as eve:
         first = await eve.connect()
@@ -80,7 +80,7 @@ async def test_another_grant_of_the_same_right_shares_the_rate(site: Site) -> No
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_new_connection_does_not_reset_hysteresis(site: Site) -> None:
-    """Rounding alone says on which side of 1 m something is; ten looks make a track."""
+    """Rounding alone tells on which side of 1 m something is; ten samples make a track."""
     async with publishing(site, HELD) as eve:
         found = []
         for value in NEAR_A_BOUNDARY:
@@ -139,7 +139,7 @@ async def test_a_provider_answers_within_its_rate(site: Site) -> None:
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_key_that_publishes_under_many_names_has_one_rate(site: Site) -> None:
-    """Anonymous nodes share a key; and what one of them says goes to every subscriber here."""
+    """Anonymous nodes share a key; what one of them publishes reaches every subscriber here."""
     site.enroll(EVE, wildcard=True)
     site.grant(EVE, Right.PUBLISH, TOPIC, restriction=ONE_MESSAGE)
     site.subscribe("/viewer", TOPIC)

@@ -1,6 +1,6 @@
-"""What an enrolled node tries at the master without the right to it (M1-M8), and its peers' faults.
+"""Calls of an enrolled node at the master without the right (M1-M8), and known faults of others.
 
-Meanwhile an honest pair must not notice anything; what is refused is in the audit.
+Meanwhile an honest pair must not be disturbed; what is refused is in the audit.
 """
 
 import asyncio
@@ -41,7 +41,7 @@ def uri(site: Site) -> str:
 
 
 def plain(port: int, data: bytes) -> bytes:
-    """What the port says to somebody who speaks plain XML-RPC."""
+    """What the port answers to plain XML-RPC."""
     with socket.create_connection(("127.0.0.1", port), 10) as sock:
         sock.sendall(data)
         return b"".join(iter(lambda: sock.recv(65536), b""))
@@ -225,7 +225,7 @@ async def test_m7_ros_time_does_not_extend_a_right(tmp_path: Path) -> None:
 async def test_m8_the_master_sends_third_parties_one_constant_line(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It says to whoever is there one constant line, and nothing that Eve could choose."""
+    """It sends one constant line to the address, and nothing that Eve could choose."""
     loop = asyncio.get_running_loop()
     async with caller(site, EVE, {"/**": Right(255)}) as eve:
         answer = await eve("registerSubscriber", "/t", T, witness.robot.uri)
@@ -248,7 +248,7 @@ async def test_m8_the_master_sends_third_parties_one_constant_line(
 
 @pytest.mark.attack("master-as-tool")
 async def test_m8_calls_of_the_master_are_limited(site: Site, witness: Witness) -> None:
-    """A peer that moves at every call has many addresses called, were there no end to it."""
+    """A peer that registers another address at every call would have the master call them all."""
     assert site.master is not None
     accepted: set[tuple[str, int]] = set()
     with socket.create_server(("", 0), backlog=512) as silent:

@@ -1,6 +1,6 @@
 """Peers that exhaust the master (M9-M11): others are served, and every queue is bounded.
 
-The deadlines are short here, so that the tests need not wait; what is tested is that they exist.
+The deadlines are short here, so that the tests need not wait.
 """
 
 import asyncio
@@ -56,7 +56,7 @@ def port(site: Site) -> int:
 
 
 async def raw(site: Site, data: bytes) -> bytes:
-    """Send `data` inside the channel; everything that comes until the master hangs up."""
+    """Send `data` inside the channel; everything that comes until the master closes."""
     assert site.master is not None
     stream = await dial(site.master.uri, credentials(site))
     heard = b""
@@ -82,7 +82,7 @@ def close_wait(number: int) -> list[str]:
 
 @pytest.mark.attack("master-load")
 async def test_m9_dead_and_slow_nodes_delay_no_other(site: Site) -> None:
-    """Ports that accept and never answer, ports where nobody listens, and one that never reads."""
+    """Ports that accept and never answer, closed ports, and one that never reads."""
     async with contextlib.AsyncExitStack() as stack:
         silent = stack.enter_context(socket.create_server((HOST, 0), backlog=64))
         for number in range(50):
@@ -227,7 +227,7 @@ async def test_m10_calls_in_a_multicall_are_authorized(site: Site) -> None:
 
 @pytest.mark.attack("master-load")
 async def test_m10_unsendable_values_are_refused(site: Site) -> None:
-    """What XML-RPC's extensions bring and no answer can carry is not taken."""
+    """A value of XML-RPC's extensions that no answer can carry is refused."""
     assert site.master is not None
     values = (
         "<int>99999999999</int>",
@@ -249,7 +249,7 @@ async def test_m10_unsendable_values_are_refused(site: Site) -> None:
 
 @pytest.mark.attack("master-load")
 async def test_m10_the_answer_of_a_multicall_is_bounded(site: Site) -> None:
-    """A thousand short questions for one long parameter: a gigabyte, if they were answered."""
+    """A thousand short calls for one long parameter: a gigabyte, if they were answered."""
     async with (
         caller(site, EVE, {"/p": Right.PARAM_SET | Right.PARAM_GET}) as eve,
         caller(site, "/other") as other,
@@ -271,7 +271,7 @@ async def test_m10_the_answer_of_a_multicall_is_bounded(site: Site) -> None:
 
 @pytest.mark.attack("half-open")
 async def test_m11_slow_connections_time_out(narrow: Site) -> None:
-    """Silent, byte by byte in clear, half a call in the channel, and nothing at all after one."""
+    """Silent, byte by byte in clear, half a call in the channel, and idle after a call."""
     loop = asyncio.get_running_loop()
 
     async def silent(first: bytes, *, drip: bool) -> None:

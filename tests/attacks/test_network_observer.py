@@ -15,17 +15,17 @@ from tests.support.site import Site
 from tests.support.witness import FRAME, POSE, TOPIC, Witness
 
 
-class Tap:
-    """A wire that somebody listens to: every byte of both directions."""
+class Recorder:
+    """Records every byte of both directions."""
 
     def __init__(self, port: int) -> None:
         self._to = port
-        self.heard = bytearray()
+        self.recorded = bytearray()
 
     async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError):
             while data := await reader.read(65536):
-                self.heard += data
+                self.recorded += data
                 writer.write(data)
                 await writer.drain()
         writer.close()
@@ -36,39 +36,41 @@ class Tap:
 
 
 @contextlib.asynccontextmanager
-async def tapped(port: int) -> AsyncIterator[tuple[Tap, int]]:
-    """A port that leads to `port`, past somebody who listens."""
-    tap = Tap(port)
-    async with await asyncio.start_server(tap.handle, HOST, 0) as server:
-        yield tap, server.sockets[0].getsockname()[1]
+async def recording(port: int) -> AsyncIterator[tuple[Recorder, int]]:
+    """A port that forwards to `port`, and records."""
+    recorder = Recorder(port)
+    async with await asyncio.start_server(recorder.handle, HOST, 0) as server:
+        yield recorder, server.sockets[0].getsockname()[1]
 
 
-def holds_none(tap: Tap, *secrets: bytes) -> None:
-    assert len(tap.heard) > 500, "nothing was heard at all"
-    assert [secret for secret in secrets if secret in tap.heard] == []
+def holds_none(recorder: Recorder, *secrets: bytes) -> None:
+    assert len(recorder.recorded) > 500, "nothing was recorded"
+    assert [secret for secret in secrets if secret in recorder.recorded] == []
 
 
 @pytest.mark.attack("read-network")
 async def test_f8_an_observer_sees_neither_names_nor_grants(site: Site, witness: Witness) -> None:
     assert site.master is not None
     grant = signed(site)
-    async with tapped(site.master.port) as (tap, port):
+    async with recording(site.master.port) as (recorder, port):
         client = RpcClient(await dial(f"http://{HOST}:{port}/", credentials(site)))
         assert await client.ask("rossec.presentGrants", EVE, [grant]) == 1
         assert await client.ask("registerSubscriber", EVE, TOPIC, POSE, "http://127.0.0.1:9/")
         await client.close()
-        holds_none(tap, TOPIC.encode(), POSE.encode(), b"/eve", b"Grants", grant[-64:], grant[:64])
-    async with tapped(witness.topic_port) as (tap, port):
+        holds_none(
+            recorder, TOPIC.encode(), POSE.encode(), b"/eve", b"Grants", grant[-64:], grant[:64]
+        )
+    async with recording(witness.topic_port) as (recorder, port):
         heard = await knock(port, credentials(site), fields_for(EVE, TOPIC, [grant]), 2000)
         assert FRAME.encode() in heard.after
-        holds_none(tap, TOPIC.encode(), FRAME.encode(), b"PoseStamped", b"/eve", grant[-64:])
+        holds_none(recorder, TOPIC.encode(), FRAME.encode(), b"PoseStamped", b"/eve", grant[-64:])
 
 
 @pytest.mark.attack("foreign-authority")
 async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
     site: Site, witness: Witness
 ) -> None:
-    """A stranger may go through the whole handshake with certificates of its own."""
+    """The peer may complete the handshake with certificates of its own."""
     assert site.master is not None
     stranger = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
     shown: list[tuple[bytes, ...]] = []
@@ -84,11 +86,11 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
     for port, opening in (
         (site.master.port, WireProtocol.HTTP), (witness.topic_port, WireProtocol.TCPROS),
     ):  # fmt: skip
-        async with tapped(port) as (tap, near):
+        async with recording(port) as (recorder, near):
             with pytest.raises(PeerRefused) as caught:
                 await heard(near, opening)
             secrets = TOPIC, POSE, FRAME, "/viewer"
-            holds_none(tap, *[secret.encode() for secret in secrets])
+            holds_none(recorder, *[secret.encode() for secret in secrets])
             assert not [secret for secret in secrets if secret in str(caught.value)]
     own = b"".join(b"".join(chain) for chain in shown)  # all it could decrypt
     assert TOPIC.encode() not in own

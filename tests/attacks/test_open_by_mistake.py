@@ -28,7 +28,7 @@ def test_f11_an_empty_configuration_opens_nothing() -> None:
 
 @pytest.mark.attack("open-by-mistake")
 async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witness) -> None:
-    """Every method, with arguments that would do something: no effect, and nothing shown."""
+    """Every method, with arguments that would do something: no effect, and nothing is disclosed."""
     assert site.master is not None
     assert site.master._answers is not None
     arguments: dict[str, tuple[Any, ...]] = {
@@ -62,7 +62,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
 
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
-    """A home with a master that could start, were its port not taken: then that is the refusal."""
+    """A home with a master that could start, except that its port is in use."""
     shell = Shell(tmp_path / "home", capsys)
     site = Site(tmp_path / "site")
     for name in (MASTER, EVE):

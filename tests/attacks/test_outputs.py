@@ -1,4 +1,4 @@
-"""Links and devices where a command is to write: what they lead to must stay what it is."""
+"""Links and devices at the path a command writes: their targets must not change."""
 
 import os
 import shutil
@@ -49,7 +49,7 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], authority: Path) -
 
 
 def run(shell: Shell, words: tuple[str, ...], out: Path) -> str:
-    """The command must say no; returns what it said."""
+    """Run a command that must fail; returns its output."""
     xml = shell.root.parent / "policy.xml"
     plain = [
         {"OUT": str(out), "XML": str(xml)}.get(word, word) for word in words if word != "SECRET"
@@ -85,7 +85,7 @@ def test_a_pipe_stays_a_pipe(shell: Shell, tmp_path: Path, words: tuple[str, ...
 
 @pytest.mark.parametrize("kind", ["link", "pipe", "another's"])
 def test_a_log_in_a_shared_directory(tmp_path: Path, kind: str) -> None:
-    """/tmp/complaints, made before the master does, by somebody who wants to read it."""
+    """/tmp/complaints, created before by a user who wants to read it."""
     shared, log = tmp_path / "shared", tmp_path / "shared" / "complaints"
     shared.mkdir()
     shared.chmod(0o1777)

@@ -1,4 +1,4 @@
-"""A peer that uses up what is there for all: nobody else is silenced or left without room."""
+"""A peer that exhausts a shared resource: others keep their share."""
 
 import logging
 from pathlib import Path
@@ -17,7 +17,7 @@ ROBOT = "/robot"
 
 
 async def flood(eve: Caller, names: int) -> None:
-    """Ask for what it may not have, under as many names."""
+    """Make refused calls for many names."""
     for first in range(0, names, 2000):
         wanted = range(first, min(names, first + 2000))
         params = ([eve.name, f"/wanted/p{number}"] for number in wanted)
@@ -27,7 +27,7 @@ async def flood(eve: Caller, names: int) -> None:
 
 @pytest.mark.attack("log-share")
 async def test_one_node_cannot_fill_the_log_of_denials(tmp_path: Path) -> None:
-    """Of which a policy is learnt: who fills it decides what is learnt of the others."""
+    """A policy is learnt from it, so one node must not displace the others."""
     site = Site(tmp_path / "site")
     log = DenialLog(tmp_path / "complaints")
     site.on_denial = log

@@ -1,6 +1,6 @@
-"""A node that may call itself is led to itself: by the network, by the master, by a publisher.
+"""A node that may connect to itself is redirected to itself: by network, master or publisher.
 
-Whatever redirects a dial that is meant for somebody else, the node does not end up with itself.
+Whatever redirects a connection that is meant for another node, it never ends at the node itself.
 """
 
 import asyncio
@@ -62,7 +62,7 @@ async def redirecting(port: int) -> AsyncIterator[int]:
 
 @pytest.fixture
 async def robot(site: Site) -> AsyncIterator[Node]:
-    """It publishes what it subscribes to, so that it could hear itself."""
+    """It publishes what it subscribes to, so that it could receive from itself."""
     site.publish(NAME, TOPIC)
     site.subscribe(NAME, TOPIC)
     async with site.node(NAME) as robot:
@@ -71,7 +71,7 @@ async def robot(site: Site) -> AsyncIterator[Node]:
 
 
 async def refused(heard: Subscriber, uri: str) -> HintedError:
-    """Why the subscriber does not hear the one at `uri`."""
+    """Why the subscriber refuses the publisher at `uri`."""
     await until(lambda: heard.links)
     before = set(heard.links)  # itself, where it meant to
     heard.refusals.clear()
@@ -101,7 +101,7 @@ async def test_a_call_of_another_provider_is_redirected(site: Site, robot: Node)
 
 @contextlib.asynccontextmanager
 async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
-    """A node that is entitled to publish, and says that its topic is at the robot's own port."""
+    """A node that may publish, and gives the robot's own port for its topic."""
     site.publish(EVE, TOPIC)
 
     async def answer(method: str, params: tuple[object, ...], _: Identity) -> object:
@@ -132,7 +132,7 @@ async def test_an_authorized_publisher_names_a_redirecting_port(site: Site, robo
 
 
 async def register_redirect(site: Site, port: int) -> None:
-    """Eve may publish as well; where she says that she is, the victim answers."""
+    """Eve may publish as well; the address she registers is the victim's."""
     assert site.master is not None
     site.publish(EVE, TOPIC)
     uri, own = site.master.uri, credentials(site)
@@ -167,7 +167,7 @@ async def test_a_program_behind_a_sidecar_gets_its_own_port(site: Site) -> None:
         await robot.register("registerPublisher", TOPIC, STRING)
         agent = near._agent_for(NAME)
         topics = local_endpoint(WireProtocol.TCPROS, robot.topics.port)
-        port = agent.open_ingress(topics)  # as a subscriber of its topic is told
+        port = agent.open_ingress(topics)  # as a subscriber of its topic gets it
         agent.state.endpoints.add_ingress(topics, port)
         async with publisher_that_points(site, port) as uri:
             await register_redirect(site, parse_uri(uri)[1])

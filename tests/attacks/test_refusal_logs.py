@@ -24,7 +24,7 @@ def logged_about_eve(caplog: pytest.LogCaptureFixture) -> list[str]:
 async def test_malformed_messages_are_logged_once_a_minute(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Her right is restricted, so each of them is looked at."""
+    """Her right is restricted, so each of them is checked."""
     site.grant(EVE, Right.PUBLISH, "/orders", restriction=HELD)
     site.subscribe("/viewer", "/orders")
     async with site.node(EVE) as eve, site.node("/viewer") as viewer:

@@ -28,18 +28,18 @@ from rossec.node import Node
 from rossec.participant import master_session
 from rossec.participant.slave_api import MASTER
 from tests.attacks.test_clock import HOUR, ClockControl, hand, stop_master
-from tests.attacks.test_intermediates import bring
+from tests.attacks.test_intermediates import send_list
 from tests.support.site import DAY, Site
 from tests.support.witness import until
 
 __all__ = ["hand"]
 
-STOPS: Final = 30 + 5  # seconds after which a confirmation does not count any more
+STOPS: Final = 30 + 5  # seconds until a confirmation expires
 
 
 @pytest.fixture
 def below(site: Site, tmp_path: Path) -> NodeHome:
-    """A master of somebody who has an intermediate."""
+    """A master below a stolen intermediate."""
     signer = KeySigner(generate())
     request = build_intermediate_request(signer, site.anchor.domain)
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=True)
@@ -55,7 +55,7 @@ def below(site: Site, tmp_path: Path) -> NodeHome:
 
 
 class Notifications:
-    """What the node was told, how often."""
+    """The notifications the node got, and how often."""
 
     times = 0
 
@@ -64,7 +64,7 @@ class Notifications:
 async def instead_of_the_master(
     site: Site, home: NodeHome, news: Callable[[], list[bytes]]
 ) -> AsyncIterator[Notifications]:
-    """The real one is out of reach, and this one answers at its address."""
+    """The real one cannot be reached, and this one answers at its address."""
     port = (await stop_master(site)).port
     told = Notifications()
 
@@ -106,7 +106,7 @@ async def test_a_master_below_a_revoked_intermediate_confirms_nothing(
     site.enroll("/robot")
     async with site.node("/robot") as robot:
         data = site.revoke(intermediate)
-        await bring(site, data)
+        await send_list(site, data)
         await until(lambda: robot.revocations.data == data)
         async with instead_of_the_master(
             site, below, lambda: [b"", stamped(below, robot, clock.now())]
@@ -121,12 +121,12 @@ async def test_a_master_below_a_revoked_intermediate_confirms_nothing(
 async def test_a_revoked_master_does_not_correct_the_clock(
     site: Site, below: NodeHome, hand: ClockControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a list that is refused for another reason, and a hand at the host's clock."""
+    """With a list that is refused for another reason, and a host's clock that is set."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     site.enroll("/robot")
     async with site.node("/robot") as robot:
         data = site.revoke(below.identity(site.now()).thumbprint)
-        await bring(site, data)
+        await send_list(site, data)
         await until(lambda: robot.revocations.data == data)
         before = clock.now()
         async with instead_of_the_master(

@@ -1,7 +1,7 @@
-"""A master that was set back to an old list: whoever knows better brings it the newer one.
+"""A master that was set back to an old list: nodes with a newer one send it.
 
-Its home was restored from a backup, or somebody put the old file there. Those who hold the newer
-list refuse the old one; but a node that knows none yet would believe it, and serve a revoked key.
+Its home was restored from a backup, or the old file was put there. Nodes with the newer list
+refuse the old one; but a node that has none yet would accept it, and serve a revoked key.
 """
 
 import contextlib

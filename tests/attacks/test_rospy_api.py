@@ -1,4 +1,4 @@
-"""The node API of a secured rospy node: who may steer it, and who may ask (N1-N5, N10)."""
+"""The slave API of a secured rospy node: who may control and who may query it (N1-N5, N10)."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Vict
 
 
 async def ask(victim: Victim, method: str, *params: object) -> Any:
-    """What Eve, who is enrolled and has no grant, is answered."""
+    """The answer to Eve, who is enrolled and has no grant."""
     answer = await call(victim.uri, credentials(victim.site), method, *params)
     await victim.goes_on(3)
     return answer
@@ -91,7 +91,7 @@ async def test_a_peer_without_a_grant_learns_nothing_of_the_node(
 
 @pytest.mark.attack("existence-oracle")
 async def test_request_topic_does_not_tell_whether_a_topic_exists(victim: Victim) -> None:
-    """N5: the grant is checked where the topic is, before a byte of it."""
+    """N5: the grant is checked at the topic's port, before a byte is sent."""
     there = await ask(victim, "requestTopic", EVE, STATE, [["TCPROS"]])
     absent = await ask(victim, "requestTopic", EVE, "/robot/none", [["TCPROS"]])
     assert there == absent == [1, "ready", ["TCPROS", HOST, victim.port]]
@@ -100,7 +100,7 @@ async def test_request_topic_does_not_tell_whether_a_topic_exists(victim: Victim
 async def answer_with_grant(
     victim: Victim, name: str, right: Right, method: str, *params: object
 ) -> Any:
-    """What `name` is answered who has shown a grant for `right` on the robot."""
+    """The answer to `name`, which has presented a grant for `right` on the robot."""
     grant = victim.site.grant(name, right, "/robot")
     client = RpcClient(await dial(victim.uri, credentials(victim.site, name)))
     try:
@@ -131,7 +131,7 @@ async def test_an_operator_may_query_the_node(victim: Victim) -> None:
 @pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("method", STEERING)
 async def test_no_grant_allows_to_control_a_node(victim: Victim, method: str) -> None:
-    """Not to see the graph, not to administer; but an administrator may end it."""
+    """Neither `graph` nor `admin`; but an administrator may shut it down."""
     rights = [Right.GRAPH] if method == "shutdown" else [Right.GRAPH, Right.ADMIN]
     for right in rights:
         name = f"/{right.label}_only"
@@ -155,7 +155,7 @@ async def test_grants_count_for_their_right_holder_and_connection(victim: Victim
         assert isinstance(answer, list)
         assert answer[0] == -1, shown
         await client.close()
-    # What one connection has shown counts for no other.
+    # Grants presented on one connection do not count on another.
     await answer_with_grant(victim, "/operator", Right.GRAPH, "getPid")
     later = await call(victim.uri, credentials(site, "/operator"), "getPid", "/operator")
     assert isinstance(later, list)
@@ -164,7 +164,7 @@ async def test_grants_count_for_their_right_holder_and_connection(victim: Victim
 
 @pytest.mark.attack("udpros")
 async def test_udpros_is_not_offered(victim: Victim) -> None:
-    """N10: there is no transport that is silently plain."""
+    """N10: there is no plain transport."""
     udp = ["UDPROS", "x", HOST, 5555, 1500]
     assert (await ask(victim, "requestTopic", EVE, STATE, [udp]))[:2] == [
         -1, "rossec: only TCPROS, inside the secure channel",
@@ -197,7 +197,7 @@ async def test_malformed_calls_are_refused(
 
 @pytest.mark.attack("node-load")
 async def test_connections_to_the_api_are_limited_per_identity(victim: Victim) -> None:
-    """N8: beyond the cap of one identity the others get through."""
+    """N8: beyond the limit of one identity the others are served."""
     eve = credentials(victim.site)
     streams = [await dial(victim.uri, eve) for _ in range(70)]
     try:
@@ -227,7 +227,7 @@ async def test_a_revoked_identity_learns_nothing(victim: Victim) -> None:
     async with asyncio.timeout(20):
         await open_still.wait_ended()
     for _ in range(5):
-        with contextlib.suppress(ChannelError):  # hung up on, by the watch over connections
+        with contextlib.suppress(ChannelError):  # closed by the check of connections
             answer = await call(victim.uri, traitor, *ask)
             assert isinstance(answer, list)
             assert answer[0] == -1

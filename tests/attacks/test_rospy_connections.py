@@ -1,4 +1,4 @@
-"""The TCPROS port of a secured rospy node: connections nobody is entitled to (N5-N9, N11, D2)."""
+"""The TCPROS port of a secured rospy node: unauthorized connections (N5-N9, D2)."""
 
 import asyncio
 import contextlib
@@ -59,7 +59,7 @@ async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Vict
 
 
 async def heard(victim: Victim, fields: dict[str, Any], name: str = EVE) -> Heard:
-    """What comes back for a header; everybody else goes on."""
+    """The answer to a header; others are not disturbed."""
     answer = await knock(victim.port, credentials(victim.site, name), fields)
     await victim.goes_on(3)
     return answer
@@ -81,7 +81,7 @@ async def test_without_a_grant_no_data_is_sent(victim: Victim, grants: list[byte
 
 @pytest.mark.attack("unit-before-right")
 async def test_units_before_authorization_are_limited_to_a_header(victim: Victim) -> None:
-    """A unit is put together before anybody looks at it."""
+    """A unit is buffered before it is checked."""
     own, verify = credentials(victim.site), victim.site.anchor.verify
     await expect_no_room(await connect(HOST, victim.port, own, verify), 300_000)
     await expect_no_room(await dial(victim.uri, own), 3 * 1024 * 1024)
@@ -91,7 +91,7 @@ async def test_units_before_authorization_are_limited_to_a_header(victim: Victim
 @pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize("changes", [{}, {"md5sum": "0" * 32}, {"probe": "1"}])
 async def test_refusals_do_not_tell_what_exists(victim: Victim, changes: dict[str, str]) -> None:
-    """N6: no publication, no service, no type can be told from the refusal."""
+    """N6: the refusal does not tell whether a topic, service or type exists."""
     for names, make in (((STATE, NOWHERE), fields_for), ((SERVICE, NOWHERE), for_service)):
         texts = set()
         for name in names:
@@ -172,7 +172,7 @@ async def raw(victim: Victim, data: bytes) -> bytes:
 async def test_silent_connections_block_no_other(
     victim: Victim, port: Callable[[Victim], int]
 ) -> None:
-    """N8: stock rospy stands still after the first; here a newcomer is served meanwhile."""
+    """N8: stock rospy blocks after the first; here a new caller is served meanwhile."""
     count = 2 * HalfOpen().per_address
     with contextlib.ExitStack() as stack:
         for _ in range(count):
@@ -181,7 +181,7 @@ async def test_silent_connections_block_no_other(
         await victim.goes_on()
     grant = victim.site.subscribe("/after", STATE)
     end = time.monotonic() + 20
-    while True:  # the caps are given back as the sockets are found closed
+    while True:  # slots are released as the sockets are found closed
         with contextlib.suppress(ChannelError):
             answer = await admitted(victim, "/after", grant)
             assert b"std_msgs/String" in answer
@@ -198,12 +198,12 @@ async def admitted(victim: Victim, name: str, *grants: bytes) -> bytes:
     return b"".join(answer.fields.values())
 
 
-# --- N9: somebody else at the publisher's address
+# --- N9: another node at the publisher's address
 
 
 @pytest.mark.attack("false-publisher")
 async def test_a_false_publisher_is_refused(victim: Victim) -> None:
-    """Eve answers at an honest publisher's address, shows its grants, and calls herself it."""
+    """Eve answers at an honest publisher's address, with its grants and its name."""
     site = victim.site
     grants = [site.publish("/commander", COMMAND)]
     names = ["/commander", EVE]
@@ -278,7 +278,7 @@ async def test_a_connection_is_closed_when_its_grant_expires(victim: Victim) -> 
 
 @pytest.mark.attack("node-load")
 async def test_connections_are_limited_per_identity(victim: Victim) -> None:
-    """N8: also where it is entitled; the others get through, and its key ends all of them (D2)."""
+    """N8: also with the right; others are served, and revoking its key closes all of them (D2)."""
     site, name = victim.site, "/many"
     grants = [site.grant(name, Right.CALL, SERVICE)]
     own = credentials(site, name)

@@ -1,4 +1,4 @@
-"""What a connection of a rospy process lives through: revocation, a fork, hours without a word."""
+"""The life of a connection of a rospy process: revocation, a fork, hours without a message."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -100,7 +100,7 @@ async def pair(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[
 
 @pytest.mark.attack("forked-child")
 async def test_a_forked_child_cannot_send(pair: tuple[Program, Program]) -> None:
-    """Else two messages would go out under one nonce."""
+    """Else two messages would be sent with one nonce."""
     robot, viewer = pair
     while not all(
         f"HEARD {topic} from the parent" in viewer.said for topic in ("queued", "direct")
@@ -114,7 +114,7 @@ async def test_a_forked_child_cannot_send(pair: tuple[Program, Program]) -> None
 
 @pytest.mark.attack("tampered-records")
 async def test_idle_connections_renew_their_keys(pair: tuple[Program, Program]) -> None:
-    """Nobody publishes and nobody calls, for many periods of renewal: nothing is connected anew."""
+    """No message and no call for many periods of renewal: no connection is made again."""
     robot, viewer = pair
     await viewer.tell("call")
     await viewer.hears("ANSWER done")
@@ -156,7 +156,7 @@ rospy.spin()
 
 @pytest.mark.attack("outlived-right")
 async def test_queued_messages_of_a_revoked_publisher_are_discarded(tmp_path: Path) -> None:
-    """D2: the callback is slow, so thousands of messages wait when the list arrives."""
+    """D2: the callback is slow, so thousands of messages are queued when the list arrives."""
     async with Site(tmp_path / "site").running() as site:
         grant = site.publish("/chatterer", "/chatterer/words")
         site.subscribe("/dreamer", "/chatterer/words")
@@ -191,7 +191,7 @@ rospy.spin()
 async def test_a_flooded_publisher_is_connected_afterwards(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """N8: its half-open places are taken when a subscriber comes, which tries again."""
+    """N8: its half-open slots are in use when a subscriber connects, which tries again."""
     async with Site(tmp_path / "site").running() as site:
         site.publish("/robot", "/robot/words")
         site.subscribe("/patient", "/robot/words")

@@ -1,4 +1,4 @@
-"""A holder of a limited right comes back to a rospy node, or comes many times.
+"""A peer with a limited right connects to a rospy node again, or many times.
 
 The rate of these grants lets one message through, and the next one after a quarter of an hour. The
 robot publishes all the while, so whatever more arrives was gained by the attack.
@@ -68,7 +68,7 @@ except rospy.ROSException:
 
 
 class Target:
-    """The robot, and Eve's way to it."""
+    """The robot, and Eve's connections to it."""
 
     def __init__(self, site: Site, robot: Program, port: int) -> None:
         self.site = site
@@ -88,7 +88,7 @@ class Target:
 
 
 class Receiver:
-    """What one connection has heard."""
+    """What one connection has received."""
 
     def __init__(self, stream: SecureStream[Any]) -> None:
         self.stream = stream
@@ -103,7 +103,7 @@ class Receiver:
         return self.found[1]
 
     async def rest(self) -> list[bytes]:
-        """All messages; the robot has long sent what it lets through."""
+        """All messages; the robot has sent all that it forwards."""
         with contextlib.suppress(TimeoutError, ChannelError):
             while True:
                 async with asyncio.timeout(0.3):
@@ -144,7 +144,7 @@ async def test_many_connections_count_as_one_receiver(target: Target) -> None:
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_new_connection_does_not_reset_hysteresis(target: Target) -> None:
-    """The robot trembles about a border, 0.9 and 1.1: rounding alone would show both cells."""
+    """The value alternates about a boundary, 0.9 and 1.1: rounding alone would show both cells."""
     seen: set[tuple[float]] = set()
     for _ in range(12):
         ear = await target.subscribe(PLACE)
@@ -156,7 +156,7 @@ async def test_a_new_connection_does_not_reset_hysteresis(target: Target) -> Non
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_latched_message_is_not_a_new_sample(target: Target) -> None:
-    """A peer that comes back is shown what he had, whatever was published since."""
+    """A peer that connects again gets the message it had, whatever was published since."""
     once = await (await target.subscribe(PLAN)).first()
     for _ in range(4):
         ear = await target.subscribe(PLAN)

@@ -40,7 +40,7 @@ async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Vict
 
 
 class Wire:
-    """A subscriber or a client whose records can be meddled with."""
+    """A subscriber or a client whose records can be changed."""
 
     def __init__(self, victim: Victim, name: str) -> None:
         self.sock = socket.create_connection((HOST, victim.port), timeout=10)
@@ -58,7 +58,7 @@ class Wire:
         self.sock.sendall(self.core.data_to_send())
 
     def pull(self) -> bool:
-        """Whether the peer has been authenticated by what came."""
+        """Receive; returns whether the peer is authenticated now."""
         data = self.sock.recv(65536)
         assert data, "the connection ended"
         events = self.core.receive_data(data, int(time.time()))
@@ -70,7 +70,7 @@ class Wire:
         return bytes(self.core.data_to_send())
 
     def ended(self) -> bool:
-        """Whether the other side hangs up."""
+        """Wait until the peer closes the connection."""
         with contextlib.suppress(ConnectionError):
             while self.sock.recv(65536):
                 pass
@@ -101,7 +101,7 @@ def changed_header(one: bytes, two: bytes) -> bytes:
 async def test_tampered_records_end_the_connection(
     victim: Victim, meddle: Callable[[bytes, bytes], bytes], called: int
 ) -> None:
-    """N11: on a service, where what arrives would be acted upon."""
+    """N11: on a service, where each request has an effect."""
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")
     fields = for_service("/clerk", SERVICE, [grant], persistent="1")
@@ -121,7 +121,7 @@ async def test_tampered_records_end_the_connection(
 
 @pytest.mark.attack("tampered-records")
 async def test_a_truncated_record_delivers_nothing(victim: Victim) -> None:
-    """N11: truncation; the half of a request is no request."""
+    """N11: truncation; half a request is not a request."""
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")
     fields = for_service("/clerk", SERVICE, [grant])

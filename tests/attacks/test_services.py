@@ -1,7 +1,7 @@
-"""Services at the wire: what callers, providers and probes without a right get, and what floods do.
+"""Services on the network: callers, providers and probes without a right, and floods.
 
 The attacker goes past the master, straight to the provider's port, or provides with an identity of
-its own whatever the master would have said.
+its own, whatever the master would have answered.
 """
 
 import asyncio
@@ -192,7 +192,7 @@ async def test_a_malformed_request_fails_only_its_call(site: Site, lamp: Node) -
 
 @pytest.mark.attack("outlived-right")
 async def test_a_call_in_progress_ends_with_its_grant(site: Site, lamp: Node) -> None:
-    """Revoked between the request and the response: the response does not leave."""
+    """Revoked between the request and the response: the response is not sent."""
     begun, go_on = asyncio.Event(), asyncio.Event()
 
     async def wait(_: Any) -> dict[str, object]:

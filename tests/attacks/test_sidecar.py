@@ -1,6 +1,6 @@
 """Attacks on a sidecar: from the network, from another user of the host, from a program inside.
 
-Those on calls and headers are in the playbooks of `tests/rossec/sidecar`; here are the ones that
+Those on calls and headers are tested in `tests/rossec/sidecar/core`; here are the ones that
 need real sockets and real users.
 """
 
@@ -99,7 +99,7 @@ async def test_the_process_of_another_user_cannot_borrow_the_identity(
 
 
 def listening() -> set[int]:
-    """The TCP ports this process listens at."""
+    """The TCP ports this process listens on."""
     inodes = set()
     for entry in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
@@ -128,7 +128,7 @@ def probed(port: int, probe: bytes) -> bytes:
 
 @pytest.mark.attack("scanned-sidecar")
 async def test_a_scan_of_open_ports_learns_nothing(site: Site, near: Sidecar) -> None:
-    """L8: ports to the network answer only with the refusal meant for plain peers."""
+    """L8: ports on the network answer only with the refusal for plain peers."""
     before = listening()
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
@@ -147,7 +147,7 @@ async def test_a_scan_of_open_ports_learns_nothing(site: Site, near: Sidecar) ->
 async def test_another_process_on_a_programs_port_is_refused(
     site: Site, near: Sidecar, robot: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The program ends between the look at who listens and the connection."""
+    """The program ends between the check of the listener and the connection."""
     thieves: list[socket.socket] = []
     port = robot.slave.port
 
@@ -172,7 +172,7 @@ async def test_another_process_on_a_programs_port_is_refused(
 
 
 def silent_connections(ports: Collection[int], times: int, stack: contextlib.ExitStack) -> None:
-    """Connect and say nothing, as often as it goes."""
+    """Open as many silent connections as possible."""
     for port in ports:
         for _ in range(times):
             with contextlib.suppress(OSError):
@@ -183,7 +183,7 @@ def silent_connections(ports: Collection[int], times: int, stack: contextlib.Exi
 async def test_half_open_connections_are_limited_across_ports(
     near: Sidecar, robot: Program
 ) -> None:
-    """N8: ten doors would be more descriptors than a process has, and its programs need some."""
+    """N8: ten ports would use more descriptors than a process has, and programs need some."""
     agent = near._agent_for("/robot")
     for port in range(1, 4):
         agent.open_ingress(local_endpoint(WireProtocol.TCPROS, port))
@@ -199,7 +199,7 @@ async def test_half_open_connections_are_limited_across_ports(
 
 @pytest.mark.attack("steered-program")
 async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot: Program) -> None:
-    """N1-N4 and L1 through a sidecar: the program does not even hear of it."""
+    """N1-N4 and L1 through a sidecar: the program gets no such call."""
     home = site.enroll("/mallory")
     agent = near._agent_for("/robot")
     port = next(iter(agent._ingress.ports)).port
@@ -223,7 +223,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
 
 @pytest.mark.attack("confused-deputy")
 async def test_a_program_has_only_the_rights_of_its_agent(site: Site, near: Sidecar) -> None:
-    """L7: who asks through a sidecar asks as itself, and is refused as itself."""
+    """L7: a call through a sidecar has the rights of its program alone."""
     site.enroll("/weak")
     async with Program("/weak", near) as weak:
         for method, params in (
@@ -243,7 +243,7 @@ async def test_a_program_has_only_the_rights_of_its_agent(site: Site, near: Side
 async def test_a_failing_check_closes_the_connection(
     site: Site, near: Sidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A mistake of ours ends the connection; nothing passes."""
+    """A crash ends the connection; nothing is forwarded."""
 
     def crash(*_: object) -> object:
         raise RuntimeError("a bug")

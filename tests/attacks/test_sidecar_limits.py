@@ -1,4 +1,4 @@
-"""Behind a sidecar, a holder of a limited right connects again and again."""
+"""SidecarTarget a sidecar, a holder of a limited right connects again and again."""
 
 import asyncio
 import contextlib
@@ -41,32 +41,32 @@ class Number(Program):
 
 
 @contextlib.asynccontextmanager
-async def program(site: Site, kind: type[Program] = Program) -> AsyncIterator["Behind"]:
+async def program(site: Site, kind: type[Program] = Program) -> AsyncIterator["SidecarTarget"]:
     """/robot, a plain program that publishes behind a sidecar."""
     site.publish("/robot", TOPIC)
     async with sidecar(site) as near, kind("/robot", near) as robot:
         await robot.register("registerPublisher", TOPIC, kind.kind.decode())
-        yield Behind(site, robot, door_of(near))
+        yield SidecarTarget(site, robot, port_of(near))
 
 
-def door_of(near: Sidecar) -> int:
-    """Of the program of /robot that came last."""
-    return [door.port for door in near._agent_for("/robot")._ingress.ports][-1]
+def port_of(near: Sidecar) -> int:
+    """The port of the program of /robot that registered last."""
+    return [port.port for port in near._agent_for("/robot")._ingress.ports][-1]
 
 
-class Behind:
+class SidecarTarget:
     """Eve's connections to a program behind a sidecar."""
 
-    def __init__(self, site: Site, robot: Program, door: int) -> None:
+    def __init__(self, site: Site, robot: Program, port: int) -> None:
         self.site = site
         self.robot = robot
-        self.door = door
+        self.port = port
 
     async def connect(self) -> SecureStream[Identity]:
         """One more; the program knows of it."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
         grants = self.site.enroll(EVE).grants()
-        slave = await connect(HOST, self.door, credentials, verify, opening=WireProtocol.HTTP)
+        slave = await connect(HOST, self.port, credentials, verify, opening=WireProtocol.HTTP)
         client = RpcClient(slave)
         await client.call("rossec.presentGrants", EVE, encode([*grants]))
         answer = await client.call("requestTopic", EVE, TOPIC, [["TCPROS"]])
@@ -79,7 +79,7 @@ class Behind:
         return stream
 
     async def heard(self, *streams: SecureStream[Identity]) -> list[list[bytes]]:
-        """All that each was sent, which the program ends."""
+        """All that each was sent; the program closes the connections."""
         for connection in self.robot.connections:
             await connection.close()
         self.robot.connections.clear()
@@ -100,7 +100,7 @@ async def test_a_new_connection_to_a_sidecar_does_not_reset_the_rate(site: Site)
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_sidecar_forwards_copies_on_every_connection(site: Site) -> None:
-    """The program sends one to each: a second connection of the same key must not lose it."""
+    """The program sends a copy to each: a second connection of the same key must get it."""
     site.subscribe(EVE, TOPIC, ONE_MESSAGE)
     async with program(site) as eve:
         streams = [await eve.connect() for _ in range(5)]
@@ -124,9 +124,9 @@ async def test_a_new_connection_to_a_sidecar_does_not_reset_hysteresis(site: Sit
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_new_program_names_behind_a_sidecar_do_not_reset_limits(site: Site) -> None:
-    """`rostopic pub` has one in each run: each would keep a memory for good, till there is no room.
+    """`rostopic pub` has a new name in each run: without a limit each would use memory for good.
 
-    Programs that live at the same time each have their own: what one sends says nothing of another.
+    Programs that run at the same time have separate limits.
     """
     site.enroll("/robot", wildcard=True)
     site.publish("/robot", TOPIC)
@@ -134,12 +134,12 @@ async def test_new_program_names_behind_a_sidecar_do_not_reset_limits(site: Site
     found: dict[int, list[list[bytes]]] = {}
     async with sidecar(site) as near, Number("/robot_0", near) as first:
         await first.register("registerPublisher", TOPIC, "std_msgs/Float64")
-        live = Behind(site, first, door_of(near))
+        live = SidecarTarget(site, first, port_of(near))
         for run in range(3):
             found[run] = []
             async with Number(f"/robot_{run + 1}", near) as robot:
                 await robot.register("registerPublisher", TOPIC, "std_msgs/Float64")
-                for eve in (live, Behind(site, robot, door_of(near))):
+                for eve in (live, SidecarTarget(site, robot, port_of(near))):
                     stream = await eve.connect()
                     await eve.robot.connections[-1].send(header.frame(number(run)))
                     found[run] += await eve.heard(stream)
@@ -148,7 +148,7 @@ async def test_new_program_names_behind_a_sidecar_do_not_reset_limits(site: Site
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_sidecar_sends_a_new_connection_what_its_key_received(site: Site) -> None:
-    """A latching program sends its newest to whoever connects."""
+    """A latching program sends its newest message to each new connection."""
     site.subscribe(EVE, TOPIC, ONE_MESSAGE)
     async with program(site) as eve:
         eve.robot.latching = True
@@ -160,7 +160,7 @@ async def test_a_sidecar_sends_a_new_connection_what_its_key_received(site: Site
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_new_connection_does_not_reset_a_publishers_rate(site: Site) -> None:
-    """Programs that live at a time are a receiver each, in whatever order they come back."""
+    """Programs that run at the same time are separate receivers, in any order."""
     site.subscribe("/robot", TOPIC)
     site.grant(EVE, Right.PUBLISH, TOPIC, restriction=ONE_MESSAGE)
     found = []
@@ -187,7 +187,7 @@ async def test_a_new_connection_does_not_reset_a_publishers_rate(site: Site) -> 
 
 
 class Pose(Program):
-    """A program that publishes where it is, in messages as long as one likes."""
+    """A program that publishes poses, in messages of any length."""
 
     definition = message_type("geometry_msgs/PoseStamped").definition.encode()
     kind = b"geometry_msgs/PoseStamped"
@@ -195,12 +195,12 @@ class Pose(Program):
 
 
 def pose(x: float, length: int = 0) -> bytes:
-    """With its length in front; the name of its frame has `length` bytes."""
+    """With its length in front; its frame_id has `length` bytes."""
     frame = struct.pack("<IIII", 0, 0, 0, length) + bytes(length)
     return header.frame(frame + struct.pack("<7d", x, *[0.0] * 6))
 
 
-async def places(stream: SecureStream[Identity], frames: FrameReader, count: int) -> list[float]:
+async def positions(stream: SecureStream[Identity], frames: FrameReader, count: int) -> list[float]:
     """The next `count` of x."""
     found: list[bytes] = []
     while len(found) < count:
@@ -210,33 +210,35 @@ async def places(stream: SecureStream[Identity], frames: FrameReader, count: int
 
 @pytest.mark.attack("slow-to-set-hysteresis-anew")
 async def test_an_unread_connection_does_not_reset_hysteresis(site: Site) -> None:
-    """What was far away once, and is judged late, would let the next place be rounded anew."""
+    """An old place that is evaluated late would reset the hysteresis for the next one."""
     rules = filter_rules({"pose.position.x": {"round": {"step": 2.0, "hysteresis": 0.5}}})
     site.subscribe(EVE, TOPIC, Restriction("geometry_msgs/PoseStamped", (), rules))
     async with asyncio.timeout(120), program(site, Pose) as eve:
         live, slow = [await eve.connect() for _ in range(2)]
         to_live, to_slow = eve.robot.connections
         frames = FrameReader()
-        await places_begin(live, frames)
+        await skip_header(live, frames)
         sending = asyncio.ensure_future(to_slow.send(pose(10.0, 1 << 20) * 40))
-        await asyncio.wait({sending}, timeout=5)  # all of it, unless somebody waits for the reader
+        await asyncio.wait(
+            {sending}, timeout=5
+        )  # all of it, unless the sidecar waits for the reader
         for _ in range(2000):  # turns of the loop, each of which reads what there is
             await asyncio.sleep(0)
         await to_live.send(pose(0.9))
-        found = await places(live, frames, 1)
+        found = await positions(live, frames, 1)
         with contextlib.suppress(TimeoutError):
             while True:
                 async with asyncio.timeout(2):
                     await slow.receive()
         await to_live.send(pose(1.1))
-        found += await places(live, frames, 1)
+        found += await positions(live, frames, 1)
         assert found == [0.0, 0.0]
         for stream in (live, slow):
             stream.abort("done")
         await asyncio.wait({sending})
 
 
-async def places_begin(stream: SecureStream[Identity], frames: FrameReader) -> None:
+async def skip_header(stream: SecureStream[Identity], frames: FrameReader) -> None:
     """The connection header, which comes first."""
     while not frames.feed(await stream.receive()):
         pass

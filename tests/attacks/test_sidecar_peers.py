@@ -48,23 +48,25 @@ async def near(site: Site) -> AsyncIterator[Sidecar]:
         yield near
 
 
-async def meet(site: Site, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
-    """Connect as /mallory to a door of the sidecar."""
+async def connect_as_mallory(
+    site: Site, port: int, protocol: WireProtocol
+) -> SecureStream[Identity]:
+    """Connect as /mallory to a port of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
     return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=protocol)
 
 
-def door_of(near: Sidecar) -> SecureServer[Identity]:
-    """Where peers reach the slave API of /robot."""
+def port_of(near: Sidecar) -> SecureServer[Identity]:
+    """The port of the slave API of /robot on the network."""
     return next(iter(near._agent_for("/robot")._ingress.ports))
 
 
 @pytest.mark.attack("two-readings")
 async def test_a_right_to_call_gives_no_topic(site: Site, near: Sidecar) -> None:
-    """One header with a service for the guard and a topic for the program behind it."""
+    """One header with a service for the sidecar and a topic for the program behind it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        client = RpcClient(await meet(site, door_of(near).port, WireProtocol.HTTP))
+        client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
         grants: list[Value] = [*site.enroll("/mallory").grants()]
@@ -72,7 +74,7 @@ async def test_a_right_to_call_gives_no_topic(site: Site, near: Sidecar) -> None
             "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
             "service": b"/anything", FIELD: encode(grants),
         }  # fmt: skip
-        stream = await meet(site, answer[2][2], WireProtocol.TCPROS)
+        stream = await connect_as_mallory(site, answer[2][2], WireProtocol.TCPROS)
         await stream.send(header.encode(fields))
         said, _ = await split_header(stream)
         assert b"for a topic or for a service" in said["error"]
@@ -82,7 +84,7 @@ async def test_a_right_to_call_gives_no_topic(site: Site, near: Sidecar) -> None
 
 
 @contextlib.asynccontextmanager
-async def liar(site: Site, answer: object) -> AsyncIterator[str]:
+async def false_publisher(site: Site, answer: object) -> AsyncIterator[str]:
     """A publisher of /lies, registered with the master, whose slave API says `answer`."""
     home = site.enroll("/mallory")
 
@@ -92,7 +94,7 @@ async def liar(site: Site, answer: object) -> AsyncIterator[str]:
     server = serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
     assert site.master is not None
     port = int(site.master.uri.rstrip("/").rpartition(":")[2])
-    client = RpcClient(await meet(site, port, WireProtocol.HTTP))
+    client = RpcClient(await connect_as_mallory(site, port, WireProtocol.HTTP))
     await client.ask("rossec.presentGrants", "/mallory", home.grants())
     uri = f"http://127.0.0.1:{server.port}/"
     await client.ask("registerPublisher", "/mallory", "/lies", "std_msgs/String", uri)
@@ -111,8 +113,8 @@ UNSEEN = xmlrpc.dump_response([1, "", PLAIN]).replace(b"</methodResponse>", b"</
 async def test_addresses_outside_the_channel_are_refused(
     site: Site, near: Sidecar, answer: object
 ) -> None:
-    """rospy takes any positive code for success, lenient parsers read what ours refuses."""
-    async with liar(site, answer), Program("/robot", near) as robot:
+    """rospy treats any positive code as success; lenient parsers accept what ours refuses."""
+    async with false_publisher(site, answer), Program("/robot", near) as robot:
         uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
         assert isinstance(uris, list)
         program = RpcClient(PlainStream(await dial(*parse_uri(str(uris[0])), 10)))
@@ -125,7 +127,7 @@ async def test_addresses_outside_the_channel_are_refused(
 
 @pytest.mark.attack("steered-program")
 async def test_only_the_master_sends_revocation_updates(site: Site, near: Sidecar) -> None:
-    """The list is the authority's, but who may vouch that it is the newest becomes the master."""
+    """The list is signed by the authority, but only the master may confirm it as the newest."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         agent = near._agent_for("/robot")
@@ -134,7 +136,7 @@ async def test_only_the_master_sends_revocation_updates(site: Site, near: Sideca
         until_then = agent._membership._revocations.fresh_until
         signer = site.enroll("/mallory").credentials().signer
         stamp = Timestamp(held.seq, digest(agent._membership._revocations.data), site.now() + 4, 30)
-        client = RpcClient(await meet(site, door_of(near).port, WireProtocol.HTTP))
+        client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
         answer = await client.call(
             "rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp)
         )
@@ -155,11 +157,11 @@ async def test_a_subscriber_that_sends_data_gets_nothing(site: Site, near: Sidec
     }  # fmt: skip
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        client = RpcClient(await meet(site, door_of(near).port, WireProtocol.HTTP))
+        client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
         for units in ([header.encode(asked) + b"data"], [header.encode(asked), b"data"]):
-            stream = await meet(site, answer[2][2], WireProtocol.TCPROS)
+            stream = await connect_as_mallory(site, answer[2][2], WireProtocol.TCPROS)
             for unit in units:
                 await stream.send(unit)
             said, _ = await split_header(stream)
@@ -173,7 +175,7 @@ async def test_a_subscriber_that_sends_data_gets_nothing(site: Site, near: Sidec
 async def test_a_revoked_peer_is_not_called_over_an_old_connection(
     site: Site, near: Sidecar
 ) -> None:
-    async with liar(site, [1, "", 4711]) as uri, Program("/robot", near) as robot:
+    async with false_publisher(site, [1, "", 4711]) as uri, Program("/robot", near) as robot:
         uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
         assert isinstance(uris, list)
         program = RpcClient(PlainStream(await dial(*parse_uri(str(uris[0])), 10)))
@@ -190,13 +192,17 @@ async def test_a_revoked_peer_is_not_called_over_an_old_connection(
 
 @pytest.mark.attack("unit-before-right")
 async def test_units_before_authorization_are_limited_to_a_call(site: Site, near: Sidecar) -> None:
-    """A unit is put together before anybody looks at it."""
+    """A unit is buffered before it is checked."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        port = door_of(near).port
-        client = RpcClient(await meet(site, port, WireProtocol.HTTP))
+        port = port_of(near).port
+        client = RpcClient(await connect_as_mallory(site, port, WireProtocol.HTTP))
         offered = await client.ask("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(offered, list)
-        await expect_no_room(await meet(site, offered[2], WireProtocol.TCPROS), 300_000)
+        await expect_no_room(
+            await connect_as_mallory(site, offered[2], WireProtocol.TCPROS), 300_000
+        )
         await client.close()
-        await expect_no_room(await meet(site, port, WireProtocol.HTTP), 3 * 1024 * 1024)
+        await expect_no_room(
+            await connect_as_mallory(site, port, WireProtocol.HTTP), 3 * 1024 * 1024
+        )

@@ -1,7 +1,7 @@
 """A master that is stopped (SIGSTOP, a suspended machine) while something is revoked.
 
-What the command says is what happened; nodes do not wait for the master; and when it goes on it
-does not confirm the old list for ever.
+The command reports what happened; nodes do not wait for the master; when it continues, it stops
+confirming the old list.
 """
 
 import asyncio
@@ -88,7 +88,7 @@ async def talking(place: Place) -> AsyncIterator[Publisher]:
 async def test_a_revocation_while_the_master_is_stopped_takes_effect(
     place: Place, what: str
 ) -> None:
-    """The authority lives on the master's host: the master finds the list by itself."""
+    """The authority is on the master's host: the master finds the list in its directory."""
     words = ("ca", "revoke", "/viewer") if what == "key" else ("grant", "revoke", place.grant)
     async with master_of(place, place.root) as send, talking(place) as talker:
         send(signal.SIGSTOP)
@@ -108,7 +108,7 @@ async def test_a_revocation_while_the_master_is_stopped_takes_effect(
 async def test_nodes_become_stale_without_a_stopped_master(
     place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its silence ends what it could revoke; on another host the list must be carried to it."""
+    """Connections end without its confirmation; on another host the list must be sent to it."""
     elsewhere = tmp_path / "elsewhere"
     monkeypatch.setattr(staleness, "STALE_GRACE", 5)
     elsewhere.mkdir(mode=0o700)
@@ -130,7 +130,7 @@ async def test_nodes_become_stale_without_a_stopped_master(
 async def talking_to(
     place: Place, home: Path
 ) -> AsyncIterator[tuple[Callable[[signal.Signals], None], Publisher]]:
-    """The list the authority signed first is carried to a master on another host."""
+    """The first list of the authority is sent to a master on another host."""
     async with master_of(place, home) as send:
         assert (await place.publish()).code == 0
         async with talking(place) as talker:

@@ -46,7 +46,7 @@ def names(rounds: int) -> list[list[str]]:
 
 
 def enroll(home: AuthorityHome, many: list[str]) -> dict[str, bytes]:
-    """Identities in the record alone: nothing here looks at the certificates."""
+    """Identities in the record alone: no test here reads the certificates."""
     known = {name: name.encode().rjust(32, b"k") for name in many}
     with closing(home.store()) as store:
         for serial, (name, key) in enumerate(known.items(), 1):
@@ -74,7 +74,7 @@ def operators(home: AuthorityHome) -> Iterator[list[subprocess.Popen[str]]]:
 
 
 def at_once(operators: list[subprocess.Popen[str]], victims: list[str]) -> list[str]:
-    """Each operator revokes another node, all at the same moment; what they were answered."""
+    """Each operator revokes another node, all at the same moment; their outputs."""
     for process, name in zip(operators, victims, strict=True):
         assert process.stdin is not None
         process.stdin.write(f"revoke {name}\n")
@@ -134,7 +134,7 @@ async def master(shell: Shell) -> AsyncIterator[str]:
 
 
 def lose(shell: Shell, name: str) -> None:
-    """What 180d0d3 left: the loser's revocation in the record, the winner's list without it."""
+    """A revocation that is in the record but not in the list, as an old version could leave it."""
     opened = AuthorityHome.at(shell.root).unlock(PASSPHRASE)
     (key,) = opened.store.unrevoked_keys(name, int(time.time()))
     opened.store.revoke(key, "lost", NOW)
@@ -145,7 +145,7 @@ def lose(shell: Shell, name: str) -> None:
 
 
 def nobody(*_: object, **__: object) -> str:
-    """There is no person at the terminal."""
+    """No input at the terminal."""
     raise EOFError
 
 
@@ -170,7 +170,7 @@ async def test_a_lost_revocation_is_listed_later(
         return said.out + said.err
 
     assert await connects()
-    said = await asyncio.to_thread(publish)  # nobody is there to type the passphrase
+    said = await asyncio.to_thread(publish)  # no passphrase is typed
     assert "1 revocation in no signed list yet" in said
     assert "the master has the newest list" not in said
     assert await connects()
@@ -184,7 +184,7 @@ async def test_a_lost_revocation_is_listed_later(
 def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(
     home: AuthorityHome,
 ) -> None:
-    """The revocation comes after the renewal was judged, and before its successor is recorded."""
+    """The revocation comes after the renewal was checked, and before its successor is recorded."""
     opened, other = home.unlock(PASSPHRASE), home.unlock(PASSPHRASE)
     other.store.database.connection.execute("PRAGMA busy_timeout = 0")
     node = NodeHome.of(home.path.parent, "/thief")

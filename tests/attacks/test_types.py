@@ -1,4 +1,4 @@
-"""Values of a wrong type, in files and in calls: each is refused by an error of ours, nothing ends.
+"""Values of a wrong type, in files and in calls: each is refused with an error of ours.
 
 What is behind a signature is signed here by the authority, as if it had made a mistake.
 """
@@ -72,7 +72,7 @@ async def answered(client: RpcClient, method: str, *params: object) -> None:
 async def test_the_master_answers_every_type(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """From somebody with every right, so that nothing is refused before it is looked at."""
+    """From a caller with every right, so that nothing is refused before it is parsed."""
     for right in Right:
         site.grant(EVE, right, "/**")
     assert site.master is not None
@@ -109,7 +109,7 @@ async def test_the_master_answers_every_type(
 async def test_a_node_answers_every_type(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, caller: str
 ) -> None:
-    """Also from a master that has gone mad."""
+    """Also from a faulty master."""
     stream = await dial(witness.viewer.uri, credentials(site, caller))
     client = RpcClient(stream)
     for method in sorted(SLAVE_RULES.keys() - {"shutdown"}):
@@ -145,7 +145,7 @@ async def test_a_node_parses_every_presented_grant(
 async def test_a_node_parses_every_file_among_its_grants(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It starts, it goes on, and it names each file that counts for nothing."""
+    """It starts, runs, and names each invalid file."""
     site.publish("/robot", TOPIC)
     place = site.enroll("/robot").path / "grants"
     odd = odd_grants(site)

@@ -1,7 +1,7 @@
-"""Those who must not get in, at the doors of real nodes: each refused by name, readably, alone.
+"""Unauthorized peers at the ports of real nodes: each is refused with its own readable error.
 
 The attacker goes past the master, straight to the publisher's port, with its own credentials and
-whatever grants it could get hold of. Meanwhile an honest pair must not notice anything.
+whatever grants it could obtain. Meanwhile an honest pair must not be disturbed.
 """
 
 import asyncio
@@ -73,7 +73,7 @@ def another_key(site: Site) -> bytes:
 
 
 def own_key(site: Site) -> bytes:
-    """Signed by a certified node instead of the authority, and honest about it."""
+    """Signed by a certified node, which it names as its issuer."""
     return signed(site, credentials(site).signer)
 
 
@@ -89,7 +89,7 @@ def another_authority(site: Site) -> bytes:
 
 
 def another_kind(site: Site) -> bytes:
-    """A true statement of the authority, but no grant: the revocation list."""
+    """A valid statement of the authority that is not a grant: the revocation list."""
     data = site.authority.store.newest_list()
     assert data is not None
     return data
@@ -147,7 +147,7 @@ async def test_an_invalid_grant_is_refused_with_its_own_error(
 
 @pytest.mark.attack("bad-grant")
 async def test_a_valid_grant_is_accepted(site: Site, witness: Witness) -> None:
-    """The control: what all others are refused for is their flaw, not their form."""
+    """The control: all others are refused for their flaw only."""
     fields = fields_for(EVE, TOPIC, [signed(site)])
     heard = await knock(witness.topic_port, credentials(site), fields, at_most=4096)
     assert "error" not in heard.fields
@@ -202,7 +202,7 @@ def test_no_bit_of_a_grant_can_be_changed(tmp_path: Path) -> None:
 async def test_a_revoked_grant_is_refused_and_so_is_its_malleated_twin(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """ECDSA: (r, n - s) verifies where (r, s) does; the twin must share the fate of the first."""
+    """ECDSA: (r, n - s) verifies where (r, s) does; the revocation must cover both."""
     grant = signed(site)
     twin = grant[:-32] + (N - int.from_bytes(grant[-32:])).to_bytes(32)
     await revoke(site, witness, grant)
@@ -236,16 +236,18 @@ async def test_a_revoked_node_is_refused_everywhere(
 @pytest.mark.attack("outlived-right")
 @pytest.mark.parametrize("name", [EVE, MASTER])
 async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, name: str) -> None:
-    """Also for the master: a stolen master key must lose its power over the nodes."""
+    """Also for the master: a stolen master key must not control nodes."""
     async with site.node("/robot") as robot:
         client = RpcClient(await dial(robot.uri, credentials(site, name)))
         assert await client.ask("requestTopic", name, TOPIC, [["TCPROS"]])
         data = site.revoke(site.identity(name).thumbprint)
-        with pytest.raises(CAError):  # the timestamp is none; the list counts nevertheless
+        with pytest.raises(CAError):  # the timestamp is invalid; the list counts nevertheless
             robot.revocations_arrived(data, b"", site.identity(MASTER))
         with pytest.raises(RossecError):  # the connection is cut,
             await client.call("shutdown", name, "now")
-        client = RpcClient(await dial(robot.uri, credentials(site, name)))  # and a new one no use
+        client = RpcClient(
+            await dial(robot.uri, credentials(site, name))
+        )  # and a new one is refused
         answer = await client.call("shutdown", name, "now")
         assert isinstance(answer, list)
         assert answer[0] == -1
@@ -311,7 +313,7 @@ async def test_a_header_without_caller_or_topic_is_refused(
 async def test_units_before_authorization_are_limited_to_a_header(
     site: Site, witness: Witness
 ) -> None:
-    """A unit is put together before anybody looks at it."""
+    """A unit is buffered before it is checked."""
     stream = await connect(HOST, witness.topic_port, credentials(site), site.anchor.verify)
     await expect_no_room(stream, 300_000)
     uri = f"http://{HOST}:{witness.robot._listener.slave_port}/"

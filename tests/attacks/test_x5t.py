@@ -1,7 +1,7 @@
 """A certificate named by its hash (x5t): a lookup key that an attacker chooses, and never trust.
 
-The robot remembers the certificates of peers it has met. Eve is enrolled and granted, and speaks
-the protocol by the letter but for what she says her certificate is.
+The robot caches the certificates of its peers. Eve is enrolled and granted, and speaks
+the protocol correctly except for the certificate she names.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ VIEWER: Final = "/viewer"
 
 @dataclasses.dataclass(frozen=True)
 class Named(Credentials):
-    """Credentials that name their certificate as the attacker likes."""
+    """Credentials that name any certificate."""
 
     named: Value = None
 
@@ -39,7 +39,7 @@ class Named(Credentials):
 
 
 def memory(node: Node) -> KnownCertificates:
-    """What a node remembers of certificates."""
+    """The certificate cache of a node."""
     found = node._dialer._known
     assert found is not None
     return found
@@ -59,7 +59,7 @@ async def refused(witness: Witness, own: Credentials, named: Value, shown: bytes
 
 
 async def met(site: Site, witness: Witness, name: str) -> bytes:
-    """The certificate of a node that the robot has met and remembers."""
+    """The certificate of a node that the robot has cached."""
     own = site.enroll(name).credentials()
     stream = await connect(HOST, witness.topic_port, own, site.anchor.verify)
     await stream.send(b"\0\0\0\0")
@@ -110,7 +110,7 @@ async def test_the_hash_of_another_node(site: Site, witness: Witness) -> None:
 
 
 async def test_a_certificate_without_its_key_is_not_cached(site: Site, witness: Witness) -> None:
-    """Sent by value, and refused: the hash still leads nowhere."""
+    """Sent by value, and refused: the hash is still unknown."""
     own, other = credentials(site), site.enroll("/other").credentials()
     await refused(witness, own, other.id_cred, other.certificate)
     answer = await refused(witness, own, reference(other.certificate), other.certificate)
@@ -140,7 +140,7 @@ async def test_two_certificates_of_one_hash(
     # While the robot knows the first alone, the second cannot be taken for it.
     answer = await refused(witness, other, reference(other.certificate), other.certificate)
     assert not isinstance(answer, OwnCredentialUnknown)
-    # Once it knows both, the hash is nobody's.
+    # Once it knows both, the hash is ambiguous.
     stream = await connect(HOST, witness.topic_port, other, site.anchor.verify)
     await stream.send(b"\0\0\0\0")
     await stream.wait_ended()
@@ -152,7 +152,7 @@ async def test_two_certificates_of_one_hash(
 async def test_a_node_that_shares_its_hash_is_reached(
     site: Site, witness: Witness, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Refused because the robot found somebody else's certificate: it calls again, by value."""
+    """Refused because the robot found another certificate: it connects again, by value."""
     monkeypatch.setattr(known, "_short", lambda cert: digest(cert)[:1] * 8)
     first, second = colliding(site)
     own, remembered = site.enroll(second).credentials(), KnownCertificates()
@@ -174,7 +174,7 @@ async def reached(
 async def test_a_responder_that_names_the_certificate_of_another(
     site: Site, witness: Witness
 ) -> None:
-    """Eve stands where the robot was met, and names its certificate, which her caller knows."""
+    """Eve answers at the robot's address, named by the certificate hash that her caller cached."""
     robot, eve = site.enroll("/robot").credentials(), credentials(site)
     own, remembered = site.enroll("/caller").credentials(), KnownCertificates()
     await reached(site, witness, own, remembered)

@@ -1,4 +1,4 @@
-"""numpy is imported when it is first needed; that must not count as a slow example."""
+"""numpy is imported on first use; the import must not count as a slow example."""
 
 import numpy as np
 

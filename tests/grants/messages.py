@@ -1,7 +1,7 @@
 """Small definitions for tests without ROS, and random messages for tests with it."""
 
 import importlib
-import random  # noqa: TID251 - seeded: a failing test must fail again
+import random  # noqa: TID251 - seeded, for reproducible failures
 import struct
 from io import BytesIO
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a grant says: every flaw in the claims is refused by name, and nothing else is read."""
+"""Claims of a grant: every invalid claim is refused by name, and nothing else is accepted."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -118,14 +118,14 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 @pytest.mark.parametrize("name", CLAIMS)
-def test_claims(name: str) -> None:
+def test_invalid_claims_are_refused(name: str) -> None:
     change, message = CLAIMS[name]
     with pytest.raises(GrantMalformed, match=message):
         document.open_grant(signed_claims(change(payload())), CA.public_key, NOW)
 
 
-def test_claims_beyond_the_usual_form() -> None:
-    """Other texts, lengths and times than the quick comparison expects are read all the same."""
+def test_claims_of_unusual_length_are_read() -> None:
+    """Texts, lengths and times that the quick comparison does not expect are read correctly."""
     far = draft(domain="zuh\u00e4use", not_before=0, expires=1 << 40, cap=1 << 41)
     assert document.open_grant(document.sign(CA, far), CA.public_key, NOW).domain == "zuh\u00e4use"
 
@@ -138,8 +138,8 @@ def test_on_stale_is_read_as_it_was_written() -> None:
 
 @settings(max_examples=300)
 @given(st.binary(max_size=300), st.integers(0, len(BODY)), st.integers(0, 40))
-def test_fuzzed_claims_give_our_errors_or_a_grant(noise: bytes, at: int, cut: int) -> None:
-    """What is read has one encoding."""
+def test_fuzzed_claims_are_read_or_refused(noise: bytes, at: int, cut: int) -> None:
+    """Accepted claims have one encoding."""
     body = BODY[:at] + noise + BODY[at + cut :]
     with suppress(GrantMalformed):
         claims.read(body, bytes(16))

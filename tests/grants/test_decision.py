@@ -1,4 +1,4 @@
-"""Decisions: what is covered, what is refused by which name, how restrictions add up."""
+"""Decisions: coverage, refusals by name, and how restrictions combine."""
 
 from itertools import permutations
 
@@ -23,7 +23,7 @@ POSE, SUBSCRIBE, PUBLISH = "/robot/pose", Right.SUBSCRIBE, Right.PUBLISH
 DAY = Restriction(conditions=("now.getHours() >= 8",))
 
 
-def fine(grant_id: bytes, now: int) -> None:
+def accept(grant_id: bytes, now: int) -> None:
     assert (len(grant_id), now) == (16, NOW)
 
 
@@ -36,12 +36,12 @@ def revoked(*grants: Grant) -> RevocationCheck:
 
 
 def decide(
-    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: RevocationCheck = fine
+    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: RevocationCheck = accept
 ) -> Decision:
     return authorize(grants, right, name, holder=HOLDER, now=NOW, check=check)
 
 
-def test_a_covering_grant() -> None:
+def test_a_covering_grant_authorizes() -> None:
     grant = granted()
     decision = decide(grant)
     assert decision.grant_ids == (grant.id,)
@@ -58,20 +58,20 @@ def test_a_covering_grant() -> None:
         decision.require_unrestricted()
 
 
-def test_without_restrictions() -> None:
+def test_a_grant_without_restrictions() -> None:
     decision = decide(granted(), right=PUBLISH, name="/heating/state/x")
     decision.require_unrestricted()
     assert decision.explain()[-1] == "no restrictions"
 
 
-def test_nothing_presented() -> None:
+def test_no_grant_presented() -> None:
     with pytest.raises(GrantMissing, match="no grant for subscribe on /robot/pose") as refused:
         decide()
     assert refused.value.near_misses == ()
     assert refused.value.hint == "ask the authority for a grant"
 
 
-def test_near_misses() -> None:
+def test_near_misses_are_listed() -> None:
     grant = granted(Permission("/scan", SUBSCRIBE), Permission("/pose", Right.CALL | PUBLISH))
     with pytest.raises(GrantMissing) as refused:
         decide(grant, right=PUBLISH, name="/scan")
@@ -87,13 +87,13 @@ def test_near_misses() -> None:
 
 
 @pytest.mark.parametrize("right", [Right(0), Right.PUBLISH | Right.SUBSCRIBE])
-def test_exactly_one_right(right: Right) -> None:
+def test_exactly_one_right_is_authorized(right: Right) -> None:
     with pytest.raises(GrantMissing, match="is not one right"):
         decide(granted(Permission("/**", Right(15))), right=right)
 
 
 @pytest.mark.parametrize("right", list(Right))
-def test_no_right_gives_another(right: Right) -> None:
+def test_no_right_implies_another(right: Right) -> None:
     for other in Right:
         grant = granted(Permission("/**", other))
         if other is right:
@@ -104,7 +104,7 @@ def test_no_right_gives_another(right: Right) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "/", "pose", "~pose", "/robot/pose/", "/*"])
-def test_only_absolute_names(name: str) -> None:
+def test_names_must_be_absolute(name: str) -> None:
     with pytest.raises(NameRefused):
         decide(granted(Permission("/**", SUBSCRIBE)), name=name)
 
@@ -133,13 +133,13 @@ REFUSALS: list[tuple[Grant, type[GrantError], str]] = [
 
 
 @pytest.mark.parametrize(("grant", "error", "message"), REFUSALS)
-def test_refusals(grant: Grant, error: type[GrantError], message: str) -> None:
+def test_unusable_grants_are_refused(grant: Grant, error: type[GrantError], message: str) -> None:
     with pytest.raises(error, match=message) as refused:
         decide(grant)
     assert refused.value.hint
 
 
-def test_a_revoked_grant() -> None:
+def test_a_revoked_grant_is_refused() -> None:
     grant = granted()
     with pytest.raises(GrantRevoked, match=f"grant {grant.short_id}: on the list") as refused:
         decide(grant, check=revoked(grant))
@@ -154,7 +154,7 @@ def test_an_unusable_grant_does_not_hide_a_good_one() -> None:
         assert decide(*order, check=revoked(*unusable)).grant_ids == (good.id,)
 
 
-def test_the_refusal_that_came_furthest_is_raised() -> None:
+def test_the_refusal_after_most_checks_is_raised() -> None:
     grants = [grant for grant, _, _ in REFUSALS]
     for order in permutations(grants):
         with pytest.raises(GrantExpired):
@@ -164,7 +164,7 @@ def test_the_refusal_that_came_furthest_is_raised() -> None:
             decide(*order, check=revoked(last))
 
 
-def test_an_error_of_the_check_is_not_swallowed() -> None:
+def test_other_errors_of_the_check_are_raised() -> None:
     def broken(grant_id: bytes, now: int) -> None:
         raise RuntimeError
 
@@ -172,7 +172,7 @@ def test_an_error_of_the_check_is_not_swallowed() -> None:
         decide(granted(), check=broken)
 
 
-def test_restrictions_add_up_whatever_the_order() -> None:
+def test_restrictions_combine_in_any_order() -> None:
     coarser = Restriction(
         COARSE.type, (), filter_rules({"pose.position": {"round": {"step": 2.0}}})
     )
@@ -211,10 +211,10 @@ PARAMETERS = (
         (Right.PARAM_SET, "/safety/limits/arm/left", True),
         (Right.PARAM_SET, "/robot/name", True),
         (Right.PARAM_GET, "/robot/name", True),
-        (Right.PARAM_GET, "/safety/max_speed", False),  # the setter's right is not the getter's
+        (Right.PARAM_GET, "/safety/max_speed", False),  # the right to set does not include get
     ],
 )
-def test_a_parameter_right_covers_what_lies_below_and_nothing_above(
+def test_a_parameter_right_covers_descendants_and_no_parent(
     right: Right, name: str, allowed: bool
 ) -> None:
     """Parents, prefixes and the order of the rules (faults of earlier systems)."""

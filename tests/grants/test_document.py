@@ -1,4 +1,4 @@
-"""The grant document: round trips, and every trap refused by name."""
+"""The grant document: round trips, and every known attack refused by name."""
 
 import hashlib
 from typing import Any
@@ -40,7 +40,7 @@ def opened(data: bytes) -> object:
     return document.open_grant(data, CA.public_key, NOW)
 
 
-def test_round_trip() -> None:
+def test_a_grant_round_trips() -> None:
     grant = document.open_grant(DATA, CA.public_key, NOW, domain="home")
     for name, value in vars(DRAFT).items():
         assert getattr(grant, name) == value
@@ -50,7 +50,7 @@ def test_round_trip() -> None:
     assert grant.short_id == grant.id.hex()[:8]
 
 
-def test_all_shapes_round_trip() -> None:
+def test_grants_of_all_forms_round_trip() -> None:
     time_only = Restriction(conditions=('now < timestamp("2030-01-01T00:00:00Z")',))
     no_parameters = Restriction("a/B", (), filter_rules({"x": {"clear": True}}))
     permissions = (
@@ -63,7 +63,7 @@ def test_all_shapes_round_trip() -> None:
     assert document.open_grant(data, CA.public_key, NOW).permissions == permissions
 
 
-def test_the_id_is_what_the_specification_says() -> None:
+def test_the_id_follows_the_specification() -> None:
     protected, _, body, _ = parts()
     text = b"rossec-grant-id\0" + len(protected).to_bytes(4, "big") + protected + body
     assert document.grant_id(DATA) == hashlib.sha256(text).digest()[:16]
@@ -78,7 +78,7 @@ def test_every_tampered_byte_is_refused() -> None:
                 opened(bytes(changed))
 
 
-def test_every_prefix_and_tail_is_refused() -> None:
+def test_truncated_and_extended_grants_are_refused() -> None:
     for end in range(len(DATA)):
         with pytest.raises((GrantForged, GrantMalformed)):
             opened(DATA[:end])
@@ -86,18 +86,18 @@ def test_every_prefix_and_tail_is_refused() -> None:
         opened(DATA + b"\0")
 
 
-def test_another_authority() -> None:
+def test_a_grant_of_another_authority_is_refused() -> None:
     with pytest.raises(GrantForged, match="not a grant of this authority"):
         document.open_grant(DATA, OTHER_CA.public_key, NOW)
 
 
-def test_in_the_name_of_another_authority() -> None:
+def test_a_grant_with_another_issuer_is_refused() -> None:
     claims = document.GRANT.peek(document.sign(OTHER_CA, DRAFT))
     with pytest.raises(GrantForged, match="iss is another"):
         opened(signed_claims(claims))
 
 
-def test_another_trust_domain() -> None:
+def test_a_grant_for_another_trust_domain_is_refused() -> None:
     with pytest.raises(GrantForged, match="trust domain 'home', not 'work'"):
         document.open_grant(DATA, CA.public_key, NOW, domain="work")
 
@@ -119,7 +119,7 @@ def test_a_malleated_signature_keeps_the_id() -> None:
         (DRAFT.expires + 10**9, GrantExpired),
     ],
 )
-def test_time(now: int, error: type[Exception]) -> None:
+def test_a_grant_outside_its_validity_is_refused(now: int, error: type[Exception]) -> None:
     with pytest.raises(error):
         document.open_grant(DATA, CA.public_key, now)
     document.open_grant(DATA, CA.public_key, DRAFT.not_before)
@@ -127,7 +127,7 @@ def test_time(now: int, error: type[Exception]) -> None:
 
 
 def resign(protected: bytes, body: bytes, unprotected: bytes = b"\xa0") -> bytes:
-    """A COSE_Sign1 whose signature is good, whatever is in it."""
+    """A COSE_Sign1 with a valid signature over any content."""
     signature = CA.sign(encode(["Signature1", protected, b"", body]))
     return b"\xd2\x84" + encode(protected) + unprotected + encode(body) + encode(signature)
 
@@ -160,7 +160,7 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("name", FRAMES)
-def test_frames(name: str) -> None:
+def test_malformed_frames_are_refused(name: str) -> None:
     data, error = FRAMES[name]
     with pytest.raises(error):
         opened(data)
@@ -170,7 +170,7 @@ def test_frames(name: str) -> None:
         document.grant_id(data)
 
 
-def test_what_nobody_accepts_is_not_signed() -> None:
+def test_grants_that_verifiers_refuse_are_not_signed() -> None:
     with pytest.raises(ConditionRefused):
         document.sign(CA, draft(Permission("/a", Right.CALL, Restriction(conditions=("1 +",)))))
     many = tuple(Permission(f"/topic{n}", Right.CALL) for n in range(2000))
@@ -178,14 +178,14 @@ def test_what_nobody_accepts_is_not_signed() -> None:
         document.sign(CA, draft(*many))
 
 
-def test_a_node_key_is_no_authority() -> None:
+def test_a_grant_signed_by_a_node_is_refused() -> None:
     node = KeySigner(ec.generate_private_key(ec.SECP256R1()))
     with pytest.raises(GrantForged):
         opened(document.sign(node, DRAFT))
 
 
-def test_many_grants_under_one_key() -> None:
-    """The key's thumbprint is remembered for as long as the key is the same."""
+def test_many_grants_are_verified_with_one_key() -> None:
+    """The thumbprint is cached as long as the key object is the same."""
     key, other = CA.public_key, OTHER_CA.public_key
     for _ in range(2):
         assert document.open_grant(DATA, key, NOW) == document.open_grant(DATA, key, NOW)
@@ -195,7 +195,7 @@ def test_many_grants_under_one_key() -> None:
 
 
 @given(st.binary(max_size=200))
-def test_noise_gives_our_errors(noise: bytes) -> None:
+def test_random_bytes_are_refused(noise: bytes) -> None:
     for data in (noise, DATA[:40] + noise, b"\xd2" + noise):
         with pytest.raises((GrantForged, GrantMalformed)):
             opened(data)

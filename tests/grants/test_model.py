@@ -35,7 +35,7 @@ def test_rights_have_the_bits_of_the_format() -> None:
     assert (Right.PUBLISH | Right.ADMIN).label == "publish, admin"
 
 
-def test_rules_are_read_in_one_order() -> None:
+def test_filter_rules_are_sorted() -> None:
     rules: dict[str, dict[str, object]] = {
         "b": {"clear": True},
         "a": {"clamp": {"low": 0, "high": 1}},
@@ -61,7 +61,7 @@ def test_rules_are_read_in_one_order() -> None:
         ({"": {"clear": True}}, "not a field path"),
     ],
 )
-def test_refused_rules(rules: Any, message: str) -> None:
+def test_invalid_filter_rules_are_refused(rules: Any, message: str) -> None:
     with pytest.raises(FilterRefused, match=message):
         filter_rules(rules)
 
@@ -77,19 +77,19 @@ def test_refused_rules(rules: Any, message: str) -> None:
         ((None, ("x" * 1001,), ()), "empty or longer than 1000"),
     ],
 )
-def test_refused_restrictions(arguments: Any, message: str) -> None:
+def test_invalid_restrictions_are_refused(arguments: Any, message: str) -> None:
     with pytest.raises(GrantMalformed, match=message):
         Restriction(*arguments)
 
 
-def test_restrictions_for_people_and_merged() -> None:
+def test_restrictions_as_text_and_merged() -> None:
     one, two = Restriction("a/B", ("true",), (RULE,)), Restriction(conditions=("false",))
     assert one.lines() == ["only when true", "a.b[*].c: round step 0.5"]
     assert merge([one, None, two, one]) == merge([two, one])
     assert set(merge([one, two])) == {one, two}
 
 
-def test_permissions() -> None:
+def test_permissions_cover_names_and_are_checked() -> None:
     permission = Permission("/a/*", Right.CALL | Right.PARAM_GET)
     assert permission.covers(Right.CALL, "/a/b")
     assert not permission.covers(Right.CALL, "/a/b/c")
@@ -115,18 +115,18 @@ def test_permissions() -> None:
         ({"permissions": ()}, "permits nothing"),
     ],
 )
-def test_refused_drafts(changes: Any, message: str) -> None:
+def test_invalid_drafts_are_refused(changes: Any, message: str) -> None:
     with pytest.raises(GrantMalformed, match=message):
         Draft(**{**DRAFT, **changes})
 
 
-def test_a_grant_is_a_draft_with_a_name() -> None:
+def test_a_grant_is_a_draft_with_id_and_issuer() -> None:
     grant = Grant.of(Draft(**DRAFT), id=b"\xab" * 16, issuer=bytes(32))
     assert grant == Grant(**DRAFT, id=b"\xab" * 16, issuer=bytes(32))
     assert grant.short_id == "abababab"
 
 
-def test_keeping_when_stale_is_no_treatment_of_messages() -> None:
+def test_keep_when_stale_does_not_restrict_messages() -> None:
     keep = Restriction(keep_when_stale=True)
     both = Restriction(rate=2, keep_when_stale=True)
     assert keep.lines() == ["kept while revocation data is stale"]

@@ -41,24 +41,24 @@ NOT_COVERED = [
     ("/A", "/a"),
     ("/a/b/**", "/a"),
 ]
-BAD_NAMES = [
+INVALID_NAMES = [
     "", "/", "a", "~a", "/~a", "//a", "/a/", "/a//b", "/a b", "/a\n", "/ä", "/a/../b", "/а",  # noqa: RUF001
     "/a-b", "/a.b", "/" + "a" * MAX_NAME,
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("pattern", "name"), COVERED)
-def test_covers(pattern: str, name: str) -> None:
+def test_a_pattern_covers_the_name(pattern: str, name: str) -> None:
     assert covers(pattern, name)
 
 
 @pytest.mark.parametrize(("pattern", "name"), NOT_COVERED)
-def test_does_not_cover(pattern: str, name: str) -> None:
+def test_a_pattern_does_not_cover_the_name(pattern: str, name: str) -> None:
     assert not covers(pattern, name)
 
 
-@pytest.mark.parametrize("text", BAD_NAMES)
-def test_bad_names(text: str) -> None:
+@pytest.mark.parametrize("text", INVALID_NAMES)
+def test_invalid_names_are_refused(text: str) -> None:
     with pytest.raises(NameRefused):
         covers("/**", text)
     with pytest.raises(NameRefused):
@@ -69,7 +69,7 @@ def test_bad_names(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["/a*", "/*a", "/***", "/a/**b", "*", "**", "/a/*/"])
-def test_bad_patterns(text: str) -> None:
+def test_invalid_patterns_are_refused(text: str) -> None:
     with pytest.raises(PatternRefused, match="not a name pattern"):
         check_pattern(text)
 
@@ -94,7 +94,7 @@ def test_a_pattern_is_not_a_name(text: str) -> None:
         ("/safety/max_speed", "/safety", False),
     ],
 )
-def test_trees(pattern: str, name: str, expected: bool) -> None:
+def test_a_pattern_covers_the_tree_below_a_name(pattern: str, name: str, expected: bool) -> None:
     assert covers_tree(pattern, name) is expected
 
 
@@ -106,7 +106,7 @@ PATTERNS = st.lists(SEGMENT | st.sampled_from(["*", "**"]), min_size=1, max_size
 
 
 def _matches(pattern: list[str], name: list[str]) -> bool:
-    """The definition, word for word."""
+    """The definition as a recursive function."""
     if not pattern:
         return not name
     head, rest = pattern[0], pattern[1:]
@@ -116,12 +116,12 @@ def _matches(pattern: list[str], name: list[str]) -> bool:
 
 
 @given(PATTERNS, NAMES)
-def test_like_the_definition(pattern: str, name: str) -> None:
+def test_covers_follows_the_definition(pattern: str, name: str) -> None:
     split_pattern, split_name = pattern[1:].split("/"), name[1:].split("/")
     assert covers(pattern, name) is _matches(split_pattern, split_name)
     above = ["/" + "/".join(split_name[:n]) for n in range(1, len(split_name) + 1)]
     assert covers_tree(pattern, name) is any(covers(pattern, parent) for parent in above)
 
 
-def test_many_wildcards_cost_little() -> None:
+def test_many_wildcards_are_matched_fast() -> None:
     assert not covers("/**" * 80 + "/b", "/a" * 120)

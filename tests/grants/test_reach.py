@@ -1,4 +1,4 @@
-"""What is prepared answers as what is not."""
+"""The index gives the same answers as the permissions."""
 
 import pytest
 from hypothesis import given
@@ -18,17 +18,19 @@ permissions = st.builds(Permission, patterns, st.integers(1, int(ALL_RIGHTS)).ma
 
 
 @given(st.lists(permissions, max_size=4), st.sampled_from(list(Right)), names)
-def test_it_agrees_with_the_permissions(held: list[Permission], right: Right, name: str) -> None:
+def test_the_index_agrees_with_the_permissions(
+    held: list[Permission], right: Right, name: str
+) -> None:
     expected = any(permission.covers(right, name) for permission in held)
     assert Reach(held).covers(right, name) == expected
 
 
 @given(st.lists(permissions, max_size=4), st.integers(0, int(ALL_RIGHTS)).map(Right), names)
-def test_any_of_some_rights(held: list[Permission], rights: Right, name: str) -> None:
+def test_any_of_several_rights_is_covered(held: list[Permission], rights: Right, name: str) -> None:
     reach = Reach(held)
     expected = any(reach.covers(right, name) for right in Right if right in rights)
     assert reach.covers_any(rights, name) == expected
-    assert reach.covers_any(rights, name) == expected  # what was worked out is remembered
+    assert reach.covers_any(rights, name) == expected  # the second result is cached
 
 
 tree_rights = st.sampled_from([Right.PARAM_GET, Right.PARAM_SET])
@@ -45,10 +47,12 @@ def below(space: str, depth: int) -> list[str]:
 
 
 @given(st.lists(permissions, max_size=3), tree_rights, spaces)
-def test_what_is_given_below_a_namespace(held: list[Permission], right: Right, space: str) -> None:
-    """Names one segment below decide about all: a right to a key is one to what lies below it."""
+def test_rights_on_all_names_below_a_namespace(
+    held: list[Permission], right: Right, space: str
+) -> None:
+    """Names one segment below are sufficient: a right to a key includes its descendants."""
     reach = Reach(held)
-    # Here a name that no single pattern covers all siblings of is a refusal, as it must be.
+    # Siblings must be covered by one pattern; several patterns together are not sufficient.
     single = any(
         all(permission.covers(right, name) for name in below(space, 1)) for permission in held
     )
@@ -58,13 +62,15 @@ def test_what_is_given_below_a_namespace(held: list[Permission], right: Right, s
 
 
 @given(st.lists(permissions, max_size=3), tree_rights, spaces)
-def test_what_is_given_somewhere_below(held: list[Permission], right: Right, space: str) -> None:
+def test_rights_on_some_name_below_a_namespace(
+    held: list[Permission], right: Right, space: str
+) -> None:
     somewhere = any(Reach(held).covers(right, name) for name in [space, *below(space, 4)])
     assert Reach(held).touches(right, space) == somewhere
 
 
 @pytest.mark.parametrize("space", ["/", "/a"])
-def test_other_rights_are_none_on_a_tree(space: str) -> None:
+def test_other_rights_do_not_apply_to_trees(space: str) -> None:
     reach = Reach([Permission("/**", ALL_RIGHTS)])
     assert reach.covers_below(Right.PARAM_GET, space)
     assert not reach.covers_below(Right.PUBLISH, space)
@@ -73,23 +79,23 @@ def test_other_rights_are_none_on_a_tree(space: str) -> None:
 
 
 @pytest.mark.parametrize(("pattern", "name"), COVERED)
-def test_covered(pattern: str, name: str) -> None:
+def test_covered_names(pattern: str, name: str) -> None:
     assert Reach([Permission(pattern, Right.PUBLISH)]).covers(Right.PUBLISH, name)
 
 
 @pytest.mark.parametrize(("pattern", "name"), NOT_COVERED)
-def test_not_covered(pattern: str, name: str) -> None:
+def test_names_that_are_not_covered(pattern: str, name: str) -> None:
     assert not Reach([Permission(pattern, Right.PUBLISH)]).covers(Right.PUBLISH, name)
 
 
 @pytest.mark.parametrize(
     "name", ["", "a", "/", "/a/", "//a", "/a//b", "/a/1", "/caf\u00e9", "/a" * 200]
 )
-def test_what_is_no_name_is_not_covered(name: str) -> None:
+def test_invalid_names_are_not_covered(name: str) -> None:
     assert not Reach([Permission("/**", ALL_RIGHTS)]).covers(Right.PUBLISH, name)
 
 
-def test_only_one_right_is_a_question() -> None:
+def test_exactly_one_right_can_be_checked() -> None:
     reach = Reach([Permission("/a", ALL_RIGHTS)])
     for right in (Right(0), Right.PUBLISH | Right.SUBSCRIBE, Right(256)):
         assert not reach.covers(right, "/a")

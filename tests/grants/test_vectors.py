@@ -1,4 +1,4 @@
-"""The vectors of grants: every one gives exactly its result or its named refusal."""
+"""The vectors of grants: each gives exactly its result or its named error."""
 
 import json
 from typing import Any
@@ -30,7 +30,7 @@ VALID, REFUSED, RENEWALS = (load(stem) for stem in ("valid", "refused", "renewal
 TOKENS, FILTERS, TRUNCATIONS = (load(stem) for stem in ("tokens", "filters", "truncations"))
 
 
-def test_the_corpus() -> None:
+def test_the_number_of_vectors() -> None:
     assert len(VALID) >= 6
     assert len(REFUSED) >= 70
     assert min(len(TOKENS), len(FILTERS), len(TRUNCATIONS)) >= 8
@@ -39,20 +39,20 @@ def test_the_corpus() -> None:
         assert len({vector["name"] for vector in vectors}) == len(vectors)
 
 
-def test_the_files_are_what_the_program_writes() -> None:
+def test_the_files_equal_the_output_of_the_program() -> None:
     for stem, vectors in make_grants.build().items():
         assert (make_grants.FOLDER / f"{stem}.json").read_text() == make_grants.text(vectors)
 
 
 @pytest.mark.parametrize("vector", VALID, ids=lambda vector: vector["name"])
-def test_valid(vector: dict[str, Any]) -> None:
+def test_valid_grants(vector: dict[str, Any]) -> None:
     data = bytes.fromhex(vector["data"])
     opened = document.open_grant(data, key(vector["ca_key"]), vector["now"])
     assert opened.id.hex() == vector["id"]
 
 
 @pytest.mark.parametrize("vector", REFUSED, ids=lambda vector: vector["name"])
-def test_refused(vector: dict[str, Any]) -> None:
+def test_refused_grants(vector: dict[str, Any]) -> None:
     failure = getattr(errors, vector["failure"])
     with pytest.raises(failure) as refused:
         document.open_grant(bytes.fromhex(vector["data"]), key(vector["ca_key"]), vector["now"])

@@ -61,7 +61,7 @@ async def answers(site: Site, directory: Path, name: str) -> list[str]:
     return [line for line in lines if line.startswith(("ANSWER", "FAILED"))]
 
 
-async def test_a_caller_asks_and_hears_what_its_grant_allows(tmp_path: Path) -> None:
+async def test_a_caller_sends_and_gets_what_its_grant_allows(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         entitle(site, "/lamp", {Right.PROVIDE: (LAMP,)})
         site.grant("/off", Right.CALL, LAMP, restriction=only("Request", "!msg.data"))
@@ -81,7 +81,7 @@ async def test_a_caller_asks_and_hears_what_its_grant_allows(tmp_path: Path) -> 
     assert lamp.said.count("SWITCHED True") == 2, "what is refused does not reach the program"
 
 
-async def test_a_provider_is_held_to_its_grant_by_its_caller(tmp_path: Path) -> None:
+async def test_a_caller_enforces_the_grant_of_its_provider(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("Request", "!msg.data"))
         entitle(site, "/boss", {Right.CALL: (LAMP,)})

@@ -98,7 +98,7 @@ async def change_the_list(site: Site) -> None:
     await call(site.master.uri, carrier, "rossec.updateRevocations", "/carrier", data)
 
 
-async def test_a_day_passes_and_nothing_is_lost_but_where_it_is_said(tmp_path: Path) -> None:
+async def test_a_day_passes_without_unreported_losses(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.delegate(LIFETIME + SKEW)
     async with site.running():

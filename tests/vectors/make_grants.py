@@ -35,8 +35,8 @@ class FixedSigner:
         return self._key.public_key()
 
     def sign(self, message: bytes) -> bytes:
-        how = ec.ECDSA(hashes.SHA256(), deterministic_signing=True)
-        r, s = decode_dss_signature(self._key.sign(message, how))
+        algorithm = ec.ECDSA(hashes.SHA256(), deterministic_signing=True)
+        r, s = decode_dss_signature(self._key.sign(message, algorithm))
         return r.to_bytes(32) + s.to_bytes(32)
 
 
@@ -74,7 +74,7 @@ VALID = {
 
 
 def framed(protected: bytes, body: bytes, unprotected: bytes = b"\xa0") -> bytes:
-    """A statement whose signature is good, whatever is in it."""
+    """A statement with a valid signature over any content."""
     signature = CA.sign(encode(["Signature1", protected, b"", body]))
     return b"\xd2\x84" + encode(protected) + unprotected + encode(body) + encode(signature)
 
@@ -217,7 +217,7 @@ _BAD_FILTERS: Final[dict[str, dict[str, Any]]] = {
 
 
 def filters() -> list[dict[str, object]]:
-    """Grants with one filter on /a: what can be refused without knowing the message type."""
+    """Grants with one filter on /a: errors that are independent of the message type."""
     corpus = ((True, _GOOD_FILTERS), (False, _BAD_FILTERS))
     return [
         {"name": name, "data": _filtering(rules), "valid": valid}

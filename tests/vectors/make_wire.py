@@ -1,7 +1,7 @@
 """Writes the vectors of the channel and of what is inside it: `tests/vectors/wire`.
 
-Run `python -m tests.vectors.make_wire` after a change of the format. Keys, dice and signatures are
-fixed, so the same program always writes the same files. One vector, one flaw.
+Run `python -m tests.vectors.make_wire` after a change of the format. Keys, random bytes and
+signatures are fixed, so the same program always writes the same files. One vector, one flaw.
 """
 
 import json
@@ -9,35 +9,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from cryptography.hazmat.primitives.asymmetric import x25519
-
 from ca.encoding import Value, encode
 from grants.token import pack
-from rossec.channel.edhoc.handshake import Initiator, Responder
-from rossec.channel.edhoc.keyschedule import (
-    EdhocExporter,
-    KdfLabel,
-    bstr,
-    extract,
-    kdf,
-    transcript_2,
-    transcript_next,
-)
 from rossec.channel.edhoc.messages import (
     MAX_MESSAGE_1,
-    Plaintext,
-    decode_bytes,
     encode_error,
     suites_item,
 )
-from rossec.channel.edhoc.peer import C_R, EdhocConfig
 from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, WireProtocol, first_bytes
 from rossec.channel.records import ChannelLimits, Frame
 from rossec.participant.access import MAX_GRANTS
 from rossec.ros import header
 from rossec.ros.xmlrpc import dump_call
-from tests.support.golden import fixed
-from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, Wire, alice, bob, dice, trust, wire
+from tests.support.wire import NOW, Wire, alice, bob, wire
+from tests.vectors.handshake_vector import handshake
 from tests.vectors.make_grants import GOOD
 
 FOLDER: Final = Path(__file__).parent / "wire"
@@ -48,7 +33,7 @@ _X: Final = bytes(range(32))
 
 
 def openings() -> Vectors:
-    """First bytes at a port that takes both openings, and what a responder makes of them."""
+    """First bytes at a port that accepts both openings, and the result of a responder."""
     request = first_bytes(WireProtocol.HTTP)
     tcpros = first_bytes(WireProtocol.TCPROS)
     accepted = {
@@ -140,7 +125,7 @@ def first_messages() -> Vectors:
 
 
 def selections() -> Vectors:
-    """What a responder with a policy makes of SUITES_I: the suite, or SUITES_R of error 2."""
+    """The result of a responder with a policy for SUITES_I: the suite, or SUITES_R of error 2."""
     cases: list[tuple[str, tuple[int, ...], tuple[int, ...]]] = [
         ("the default", (6,), (6,)),
         ("suite 4 alone", (6,), (4,)),
@@ -172,69 +157,6 @@ def _selected(policy: tuple[int, ...], offered: tuple[int, ...]) -> dict[str, An
     return {"error": encode_error(2, suites_item(suites)).hex()}
 
 
-def _party(end: str) -> EdhocConfig[FakeIdentity]:
-    return EdhocConfig(fixed(ALICE if end == "alice" else BOB), trust, dice(end))
-
-
-def handshake() -> Vectors:
-    """One handshake of suite 6 with everything that is computed on the way."""
-    messages, _ = spoken()
-    values = {**messages, **_schedule(messages["message_1"], messages["message_2"])}
-    return [{"name": "suite 6", **{key: value.hex() for key, value in values.items()}}]
-
-
-def spoken() -> tuple[dict[str, bytes], EdhocExporter]:
-    """The four messages, and what they lead to."""
-    initiator, responder = Initiator(_party("alice")), Responder(_party("bob"))
-    message_1 = initiator.message_1()
-    message_2 = responder.message_1(message_1)
-    message_3, _ = initiator.message_2(message_2, NOW)
-    message_4, _ = responder.message_3(message_3, NOW)
-    sent = (message_1, message_2, message_3, message_4)
-    return {f"message_{n}": data for n, data in enumerate(sent, 1)}, initiator.exporter
-
-
-def _schedule(message_1: bytes, message_2: bytes) -> dict[str, bytes]:
-    """The key schedule of RFC 9528 section 4, step by step; MAC_2 and MAC_3 have 32 bytes."""
-    x, y = dice("alice")(32), dice("bob")(32)
-    g_x, g_y = message_1[4:36], decode_bytes(message_2)[:32]
-    shared = _exchange(x, g_y)
-    th_2 = transcript_2(g_y, message_1)
-    prk = extract(th_2, shared)
-    left, right = fixed(ALICE), fixed(BOB)
-    cred_i, cred_r = bstr(left.certificate), bstr(right.certificate)
-    id_i, id_r = encode(left.id_cred), encode(right.id_cred)
-    mac_2 = kdf(prk, KdfLabel.MAC_2, C_R + id_r + bstr(th_2) + cred_r, 32)
-    sig_2 = right.sign(_signed(id_r, bstr(th_2) + cred_r, mac_2))
-    plaintext_2 = Plaintext(C_R, right.id_cred, sig_2).encode()
-    th_3 = transcript_next(th_2, plaintext_2, cred_r)
-    mac_3 = kdf(prk, KdfLabel.MAC_3, id_i + bstr(th_3) + cred_i, 32)
-    sig_3 = left.sign(_signed(id_i, bstr(th_3) + cred_i, mac_3))
-    plaintext_3 = Plaintext(None, left.id_cred, sig_3).encode()
-    th_4 = transcript_next(th_3, plaintext_3, cred_i)
-    exporter = EdhocExporter.derive(prk, th_4)
-    context = b"rossec/1" + bytes(8)
-    return {
-        "x": x, "y": y, "g_x": g_x, "g_y": g_y, "g_xy": shared, "cred_i": cred_i, "cred_r": cred_r,
-        "id_cred_i": id_i, "id_cred_r": id_r, "th_2": th_2, "mac_2": mac_2, "signature_2": sig_2,
-        "plaintext_2": plaintext_2, "th_3": th_3, "mac_3": mac_3, "signature_3": sig_3,
-        "plaintext_3": plaintext_3, "th_4": th_4, "prk_out": exporter.prk_out,
-        "key_initiator": exporter.export(32768, context, 16),
-        "iv_initiator": exporter.export(32769, context, 12),
-        "key_responder": exporter.export(32770, context, 16),
-        "iv_responder": exporter.export(32771, context, 12),
-    }  # fmt: skip
-
-
-def _exchange(secret: bytes, public: bytes) -> bytes:
-    key = x25519.X25519PrivateKey.from_private_bytes(secret)
-    return key.exchange(x25519.X25519PublicKey.from_public_bytes(public))
-
-
-def _signed(id_cred: bytes, external: bytes, mac: bytes) -> bytes:
-    return b"\x84" + encode("Signature1") + bstr(id_cred) + bstr(external) + bstr(mac)
-
-
 _PERIOD: Final = 3600
 _TIMELINES: Final[dict[str, list[tuple[int, str]]]] = {
     "the hour begins when the connection opens": [
@@ -253,12 +175,12 @@ _TIMELINES: Final[dict[str, list[tuple[int, str]]]] = {
 def renewals() -> Vectors:
     """When a direction sends REKEY for its age: seconds since the connection opened."""
     return [
-        {"name": name, "period": _PERIOD, "steps": _played(steps)}
+        {"name": name, "period": _PERIOD, "steps": _run_timeline(steps)}
         for name, steps in _TIMELINES.items()
     ]
 
 
-def _played(steps: list[tuple[int, str]]) -> Vectors:
+def _run_timeline(steps: list[tuple[int, str]]) -> Vectors:
     w = _open()
     done: Vectors = []
     for at, what in steps:
@@ -277,7 +199,7 @@ def _open() -> Wire:
 
 
 def _kinds(data: bytes, w: Wire) -> list[str]:
-    """The types of the frames in `data`, which the other end then takes."""
+    """The types of the frames in `data`, which is then passed to the other end."""
     kinds, rest = [], data
     while rest:
         kinds.append(Frame(rest[0] >> 4).name)
@@ -288,7 +210,7 @@ def _kinds(data: bytes, w: Wire) -> list[str]:
 
 
 def units() -> Vectors:
-    """What the first units of a connection hold: headers of TCPROS, calls of XML-RPC."""
+    """The content of the first units of a connection: TCPROS headers, XML-RPC calls."""
     several = encode([GOOD, GOOD])
     subscriber = {
         "callerid": b"/heating",
@@ -297,10 +219,10 @@ def units() -> Vectors:
         "md5sum": b"d3812c3cbc69362b77dc0b19b345f8f5",
     }
     call = dump_call("rossec.presentGrants", ("/heating", several))
-    shown, nothing = {"rossec_grants": several}, {"rossec_grants": encode([])}
+    several_grants, no_grants = {"rossec_grants": several}, {"rossec_grants": encode([])}
     return [
-        {"name": "a subscriber's header", "data": _framed({**subscriber, **shown})},
-        {"name": "a subscriber without a grant", "data": _framed({**subscriber, **nothing})},
+        {"name": "a subscriber's header", "data": _framed({**subscriber, **several_grants})},
+        {"name": "a subscriber without a grant", "data": _framed({**subscriber, **no_grants})},
         {"name": "rossec.presentGrants of a slave", "data": call.hex()},
     ]
 
@@ -310,22 +232,25 @@ def _framed(fields: dict[str, bytes]) -> str:
 
 
 def presented() -> Vectors:
-    """What a peer shows for *subscribe* on /robot/pose, and whether that is enough."""
-    enough, lacking, malformed = "enough", "not enough", "malformed"
+    """What a peer presents for *subscribe* on /robot/pose, and whether it is sufficient."""
+    sufficient, insufficient, malformed = "enough", "not enough", "malformed"
     cases: dict[str, tuple[bytes, str]] = {
-        "none": (encode([]), lacking),
-        "one": (encode([GOOD]), enough),
-        "one that is no grant does not spoil the other": (encode([b"rubbish", GOOD]), enough),
-        "no grant at all": (encode([b"rubbish"]), lacking),
-        "16": (encode([GOOD] * MAX_GRANTS), enough),
+        "none": (encode([]), insufficient),
+        "one": (encode([GOOD]), sufficient),
+        "one that is no grant does not spoil the other": (encode([b"rubbish", GOOD]), sufficient),
+        "no grant at all": (encode([b"rubbish"]), insufficient),
+        "16": (encode([GOOD] * MAX_GRANTS), sufficient),
         "17": (encode([GOOD] * (MAX_GRANTS + 1)), malformed),
         "a text": (encode([GOOD, "text"]), malformed),
         "no array": (GOOD, malformed),
         "not deterministic": (b"\x98\x00", malformed),
         "beyond 40 KiB": (encode([bytes(40 * 1024)]), malformed),
-        "a token whose renewal does not hold": (encode([pack(GOOD, b"t", b"d")]), lacking),
+        "a token whose renewal does not hold": (encode([pack(GOOD, b"t", b"d")]), insufficient),
     }
-    return [{"name": name, "data": data.hex(), "verdict": so} for name, (data, so) in cases.items()]
+    return [
+        {"name": name, "data": data.hex(), "verdict": verdict}
+        for name, (data, verdict) in cases.items()
+    ]
 
 
 def build() -> dict[str, Vectors]:

@@ -88,7 +88,7 @@ def _tree(text: str, name: str) -> "Part | None":
     mistakes = Mistakes(name)
     try:
         tree = read_source(text, mistakes, Bounds(_SIZE, _DEPTH, _EVENTS))
-        mistakes.refuse_any()
+        mistakes.raise_if_any()
     except PolicyRefused as error:
         first = mistakes.found[0]
         message = printable(first.message)

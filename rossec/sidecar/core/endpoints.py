@@ -84,9 +84,9 @@ class EndpointMap:
 
     def add_ingress(self, local: Endpoint, port: int) -> Endpoint:
         """Map a network port to `local`; returns the endpoint for peers."""
-        outside = Endpoint(local.protocol, self.host, port)
-        self._ingress[_casefolded(outside)] = local
-        return outside
+        network = Endpoint(local.protocol, self.host, port)
+        self._ingress[_casefolded(network)] = local
+        return network
 
     def add_egress(self, remote: Endpoint, port: int) -> Endpoint:
         """Map a loopback port to `remote`; returns the endpoint for programs."""
@@ -110,14 +110,14 @@ class EndpointMap:
         """The program's own URI, byte for byte."""
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
-    def program_at(self, outside: Endpoint) -> Endpoint | None:
+    def program_at(self, network: Endpoint) -> Endpoint | None:
         """The program of this identity at a network endpoint."""
-        return self._ingress.get(_casefolded(outside))
+        return self._ingress.get(_casefolded(network))
 
     def peer_at(self, local: Endpoint) -> Endpoint | None:
         """The peer at a loopback endpoint."""
-        found = self._egress.get(local.port)
-        return found if found is not None and found.protocol is local.protocol else None
+        remote = self._egress.get(local.port)
+        return remote if remote is not None and remote.protocol is local.protocol else None
 
 
 def _casefolded(endpoint: Endpoint) -> Endpoint:

@@ -72,28 +72,28 @@ class AgentState:
         return self.endpoints.add_ingress(local, opened_port((yield OpenIngress(local))))
 
     def egress_uri(
-        self, remote: Endpoint, own: Endpoint | None = None, *, probe: bool = False
+        self, remote: Endpoint, own_api: Endpoint | None = None, *, probe: bool = False
     ) -> Layer[str]:
         """The URI at which a program reaches `remote`; its own URI is returned as it wrote it."""
         local = self.endpoints.program_at(remote)
-        if local is not None and local == own:
+        if local is not None and local == own_api:
             return self.endpoints.own_uri(local)
         port = opened_port((yield OpenEgress(remote, probe=probe)))
         return self.endpoints.add_egress(remote, port).uri
 
     def followed_publishers(self, topic: object, uris: object) -> list[str]:
         """The publishers to connect to: those the master names, and those in their grace period."""
-        named = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
-        return self.publisher_grace.update(topic, named) if isinstance(topic, str) else named
+        valid = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
+        return self.publisher_grace.update(topic, valid) if isinstance(topic, str) else valid
 
-    def egress_uris(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
+    def egress_uris(self, uris: object, own_api: Endpoint | None) -> Layer[list[str]]:
         """`egress_uri` for a list of slave API URIs; invalid ones are left out."""
-        found = []
+        egress = []
         for uri in uris if isinstance(uris, list) else []:
             remote = parse_endpoint(uri, WireProtocol.HTTP)
             if remote is not None:
-                found.append((yield from self.egress_uri(remote, own)))
-        return found
+                egress.append((yield from self.egress_uri(remote, own_api)))
+        return egress
 
     def forget(self, local: Endpoint) -> None:
         """The program at `local` has ended: do not register it with a restarted master."""
@@ -109,5 +109,5 @@ def opened_port(event: Event) -> int:
 
 def own_endpoint(uri: object) -> Endpoint | None:
     """The slave API endpoint of the calling program: on this host, whatever host it writes."""
-    found = parse_endpoint(uri, WireProtocol.HTTP)
-    return None if found is None else local_endpoint(WireProtocol.HTTP, found.port)
+    api = parse_endpoint(uri, WireProtocol.HTTP)
+    return None if api is None else local_endpoint(WireProtocol.HTTP, api.port)

@@ -2,7 +2,7 @@
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
 answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
-calls. Registrations are stored, to be made again with a restarted master.
+calls. Registrations are stored, to be made again later (`registrations`).
 """
 
 from dataclasses import dataclass
@@ -23,14 +23,13 @@ from rossec.participant.caller_names import (
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
+from rossec.sidecar.core.commands import CallMaster
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Answered, Event, NoAnswer
+from rossec.sidecar.core.events import Answered, NoAnswer
 from rossec.sidecar.core.layers import AgentState, Layer, Program, UnexpectedEvent, own_endpoint
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
-MASTER: Final = "/master"
 
 
 class Result(Enum):
@@ -71,14 +70,14 @@ class CallRule:
         return self.api is not None and self.unregisters is None
 
 
-_SUBSCRIBE: Final = "registerSubscriber"
+SUBSCRIBE: Final = "registerSubscriber"
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
-    _SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
+    SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
     "registerService": CallRule(api=3, service=2),
     "subscribeParam": CallRule(api=1),
     "unregisterPublisher": CallRule(api=2, unregisters="registerPublisher"),
-    "unregisterSubscriber": CallRule(api=2, unregisters=_SUBSCRIBE),
+    "unregisterSubscriber": CallRule(api=2, unregisters=SUBSCRIBE),
     "unregisterService": CallRule(service=2, unregisters="registerService"),
     "unsubscribeParam": CallRule(api=1, unregisters="subscribeParam"),
     "lookupNode": CallRule(result=Result.NODE, default=""),
@@ -124,7 +123,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
         answer = yield from _search(caller, master_params[0], key)
     if answer[0] == 1:
         _record_registration(agent, method, rule, params, master_params)
-        if method == _SUBSCRIBE:
+        if method == SUBSCRIBE:
             answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
     return answer
@@ -154,8 +153,8 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     """Search from the namespace of `caller`; the master would search from that of `name`."""
-    for place, found in search_places(caller, key):
-        answer = search_result((yield from _call_master(SEARCH, (name, place))), found)
+    for candidate, found in search_places(caller, key):
+        answer = search_result((yield from _call_master(SEARCH, (name, candidate))), found)
         if answer is not None:
             return answer
     return not_found(key)
@@ -201,12 +200,12 @@ def _params_for_master(
         if address is None:
             return None
         changed[index] = address
-    own = _own_api(rule, params)
-    if own is not None and rule.registers:
-        agent.endpoints.set_own_uri(own, str(params[rule.api or 0]))
-        known = agent.programs.get(own)
+    own_api = _own_api(rule, params)
+    if own_api is not None and rule.registers:
+        agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
+        known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
-            agent.programs[own] = Program(caller)
+            agent.programs[own_api] = Program(caller)
     return tuple(changed)
 
 
@@ -237,9 +236,9 @@ def _record_registration(
     master_params: tuple[object, ...],
 ) -> None:
     key = str(master_params[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
-    own = _own_api(rule, params)
-    if rule.registers and own is not None:
-        program = agent.programs.setdefault(own, Program(str(params[0])))
+    own_api = _own_api(rule, params)
+    if rule.registers and own_api is not None:
+        program = agent.programs.setdefault(own_api, Program(str(params[0])))
         program.registrations[method, key] = master_params
     elif rule.unregisters is not None:
         _remove_registration(agent, rule, rule.unregisters, key, master_params)
@@ -248,30 +247,30 @@ def _record_registration(
 def _remove_registration(
     agent: AgentState,
     rule: CallRule,
-    registered_by: str,
+    registering: str,
     key: str,
     master_params: tuple[object, ...],
 ) -> None:
     """Remove the registration with this address; a new program of the same name keeps its own."""
-    index, registered_index = rule.address_index, RULES[registered_by].address_index
+    index, registered_index = rule.address_index, RULES[registering].address_index
     for program in agent.programs.values():
-        made = program.registrations.get((registered_by, key))
+        registration = program.registrations.get((registering, key))
         if (
-            made is not None
+            registration is not None
             and len(master_params) > index
-            and made[registered_index] == master_params[index]
+            and registration[registered_index] == master_params[index]
         ):
-            del program.registrations[registered_by, key]
+            del program.registrations[registering, key]
 
 
 def _answer_for_program(
-    agent: AgentState, rule: CallRule, own: Endpoint | None, answer: list[object]
+    agent: AgentState, rule: CallRule, own_api: Endpoint | None, answer: list[object]
 ) -> Layer[list[object]]:
     """A successful answer of the master, rewritten for the program."""
     code, status, value = answer
     match rule.result:
         case Result.NODES:
-            value = yield from agent.egress_uris(value, own)
+            value = yield from agent.egress_uris(value, own_api)
         case Result.NODE:
             remote = parse_endpoint(value, WireProtocol.HTTP)
             value = "" if remote is None else (yield from _node(agent, remote))
@@ -288,8 +287,8 @@ def _answer_for_program(
 
 def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
     """The URI of a node; a node of the same identity is reached directly."""
-    own = agent.endpoints.program_at(remote)
-    return (yield from agent.egress_uri(remote, own, probe=True))
+    own_api = agent.endpoints.program_at(remote)
+    return (yield from agent.egress_uri(remote, own_api, probe=True))
 
 
 def _not_covered(agent: AgentState, caller: str) -> str:
@@ -298,61 +297,3 @@ def _not_covered(agent: AgentState, caller: str) -> str:
         f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
         f" start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
     )
-
-
-def restore(agent: AgentState) -> Layer[None]:
-    """Make every registration again with a restarted master, except those of dead programs.
-
-    A dead program could replace a new one of the same name, which the master would shut down.
-    """
-    for own, program in tuple(agent.programs.items()):
-        if (yield from _is_gone(agent, own, (yield Probe(own)))):
-            continue
-        for (method, key), params in tuple(program.registrations.items()):
-            yield from _register_again(agent, own, method, key, params)
-
-
-def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
-    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
-    for own, program in tuple(agent.programs.items()):
-        params = program.registrations.get((_SUBSCRIBE, topic))
-        if params is not None:
-            yield from _register_again(agent, own, _SUBSCRIBE, topic, params)
-
-
-def _register_again(
-    agent: AgentState, own: Endpoint, method: str, key: str, params: tuple[object, ...]
-) -> Layer[None]:
-    event = yield CallMaster(method, params)
-    match event:
-        case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
-            uris = yield from agent.egress_uris(agent.followed_publishers(key, value), own)
-            yield from notify_program(agent, own, "publisherUpdate", (MASTER, key, uris))
-        case NoAnswer(reason=reason):
-            raise HangUp(reason)
-        case _:
-            pass
-
-
-def drop_overdue_publishers(agent: AgentState) -> Layer[None]:
-    """Update the subscribers of topics whose publishers the master did not name again in time."""
-    for topic in agent.publisher_grace.expired_topics():
-        for own, program in tuple(agent.programs.items()):
-            if (_SUBSCRIBE, topic) in program.registrations:
-                uris = yield from agent.egress_uris(agent.publisher_grace.to_follow(topic), own)
-                yield from notify_program(agent, own, "publisherUpdate", (MASTER, topic, uris))
-
-
-def notify_program(
-    agent: AgentState, own: Endpoint, method: str, params: tuple[object, ...]
-) -> Layer[None]:
-    """Call a program that may have ended."""
-    yield from _is_gone(agent, own, (yield CallProgram(own, method, params)))
-
-
-def _is_gone(agent: AgentState, own: Endpoint, event: Event) -> Layer[bool]:
-    if isinstance(event, NoAnswer) and event.dead:
-        agent.forget(own)
-        yield Suspend(own)
-        return True
-    return False

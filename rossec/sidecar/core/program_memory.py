@@ -1,7 +1,7 @@
 """Memory of limits per program behind a sidecar: one for each program that runs at a time.
 
 Pure. Each program has its own memory, also if others publish the same topic: their values would
-reset its hysteresis. Memories are not kept per name, since `rostopic pub` and `rosbag play` use a
+reset its hysteresis. There is no memory per name, since `rostopic pub` and `rosbag play` use a
 new name in each run: a new program reuses the memory of one that has ended, preferably of the same
 name. A subscriber cannot influence whether a program counts as ended.
 """

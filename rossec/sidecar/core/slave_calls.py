@@ -32,7 +32,7 @@ from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, own_e
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
-_MAX_EGRESS: Final = 64  # ports that one answer of a peer can open
+_MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
 
 
 def handle_peer_call(
@@ -149,18 +149,18 @@ def _program_bus_info(
     agent: AgentState, local: Endpoint, entries: list[object]
 ) -> Layer[list[object]]:
     """A program's bus info; an incoming connection names its publisher, maybe the program."""
-    found: list[object] = []
+    rewritten: list[object] = []
     for entry in entries:
         match entry:
             case [number, str() as uri, "i", *rest]:
-                place = parse_endpoint(uri, WireProtocol.HTTP)
-                remote = None if place is None else agent.endpoints.peer_at(place)
+                endpoint = parse_endpoint(uri, WireProtocol.HTTP)
+                remote = None if endpoint is None else agent.endpoints.peer_at(endpoint)
                 if own_endpoint(uri) == local:
                     remote = yield from agent.ingress_endpoint(local)
-                found.append([number, uri if remote is None else remote.uri, _INBOUND, *rest])
+                rewritten.append([number, uri if remote is None else remote.uri, _INBOUND, *rest])
             case _:
-                found.append(entry)
-    return found
+                rewritten.append(entry)
+    return rewritten
 
 
 def handle_program_call(
@@ -220,24 +220,24 @@ def _answer_for_program(
             return [1, status, value]
 
 
-def _leads_back(agent: AgentState, remote: Endpoint, place: Endpoint) -> bool:
+def _leads_back(agent: AgentState, remote: Endpoint, endpoint: Endpoint) -> bool:
     """Whether another node names an endpoint of this identity (reflection)."""
-    behind = agent.endpoints.program_at
-    return behind(place) is not None and behind(remote) is None
+    program_at = agent.endpoints.program_at
+    return program_at(endpoint) is not None and program_at(remote) is None
 
 
 def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[object]]:
     """A peer's bus info, with the URIs that `lookupNode` returns: tools compare them."""
     uris: dict[str, str] = {}
-    found: list[object] = []
+    rewritten: list[object] = []
     for entry in entries:
         match entry:
             case [number, str() as uri, "i", *rest]:
                 remote = parse_endpoint(uri, WireProtocol.HTTP)
-                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS:
-                    own = agent.endpoints.program_at(remote)
-                    uris[uri] = yield from agent.egress_uri(remote, own)
-                found.append([number, uris.get(uri, uri), _INBOUND, *rest])
+                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS_PORTS:
+                    own_api = agent.endpoints.program_at(remote)
+                    uris[uri] = yield from agent.egress_uri(remote, own_api)
+                rewritten.append([number, uris.get(uri, uri), _INBOUND, *rest])
             case _:
-                found.append(entry)
-    return found
+                rewritten.append(entry)
+    return rewritten

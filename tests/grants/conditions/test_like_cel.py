@@ -7,7 +7,7 @@ an error for either of them denies here, also where CEL's `||` and `&&` absorb i
 import struct
 from collections.abc import Callable
 from datetime import UTC, datetime
-from random import Random  # noqa: TID251 - seeded: a failing test must fail again
+from random import Random  # noqa: TID251 - seeded, for reproducible failures
 from typing import Any
 
 import pytest

@@ -4,7 +4,7 @@ import hashlib
 import hmac
 import importlib
 import math
-import random  # noqa: TID251 - seeded: a failing test must fail again
+import random  # noqa: TID251 - seeded, for reproducible failures
 from collections.abc import Callable, Iterator
 from typing import Any
 

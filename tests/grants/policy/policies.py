@@ -1,4 +1,4 @@
-"""Policies to test with: message definitions without ROS, and short ways to say things."""
+"""Policies for tests: message definitions without ROS, and short helpers."""
 
 from collections.abc import Callable
 
@@ -60,7 +60,7 @@ def rules(*lines: str, head: str = HEADER) -> Policy:
 
 
 def mistakes(text: str) -> list[Mistake]:
-    """All mistakes of a text; none for a good one."""
+    """All mistakes of a text; none for a valid one."""
     try:
         policy(text)
     except HintedError as error:

@@ -1,4 +1,4 @@
-"""deny > allow > prompt > default; restrictions accumulate; order does not matter; and why."""
+"""deny > allow > prompt > default; restrictions accumulate; order does not matter; explanations."""
 
 import dataclasses
 from typing import Any
@@ -41,7 +41,7 @@ def test_allow_outweighs_prompt_and_prompt_the_default() -> None:
     assert [effect(of, "/b"), effect(of, "/c"), effect(of, "/c/d")] == ["allow", "prompt", "deny"]
 
 
-def test_only_a_plain_yes_is_true() -> None:
+def test_only_allow_is_true() -> None:
     of = rules(
         "{id: a, who: /x, allow: {subscribe: /b}}", "{id: p, who: /x, prompt: {subscribe: /c}}"
     )
@@ -50,7 +50,7 @@ def test_only_a_plain_yes_is_true() -> None:
     ]  # fmt: skip
 
 
-def test_restrictions_of_all_matching_rules_hold_together() -> None:
+def test_restrictions_of_all_matching_rules_apply() -> None:
     of = rules(
         "{id: wide, who: /x, allow: {subscribe: [/pose]}, lifetime: 7d, renew_until: 30d}",
         "{id: rough, who: /x, allow: {subscribe: [/pose]}, filter: {pose.position: {round: 1}}, "
@@ -95,14 +95,14 @@ def test_nothing_is_allowed_that_no_allowing_rule_names(
 
 
 @given(policies, subject, right, pattern, name)
-def test_whoever_is_allowed_a_pattern_is_allowed_each_of_its_names(
+def test_a_right_on_a_pattern_is_a_right_on_each_of_its_names(
     of: Policy, asking: Subject, asked: Right, about: str, inside: str
 ) -> None:
     if covers(about, inside) and decide(of, asking, asked, about):
         assert decide(of, asking, asked, inside)
 
 
-def test_a_pattern_is_given_whole_or_not_at_all() -> None:
+def test_a_pattern_is_allowed_whole_or_not_at_all() -> None:
     of = rules(
         '{id: a, who: /x, allow: {subscribe: ["/s/**"]}}',
         "{id: r, who: /x, allow: {subscribe: [/s/pose]}, filter: {pose.position: {round: 1}}}",
@@ -112,7 +112,7 @@ def test_a_pattern_is_given_whole_or_not_at_all() -> None:
     )
     whole = decide(of, X, Right.SUBSCRIBE, "/s/**")
     assert whole
-    assert len(whole.restrictions) == 1  # what narrows a part of it narrows it all
+    assert len(whole.restrictions) == 1  # a restriction of a part restricts all of it
     assert effect(of, "/**") == "deny"
     assert effect(of, "/t/**") == "deny"
     assert effect(of, "/t/other") == "allow"
@@ -123,12 +123,12 @@ def test_a_pattern_is_given_whole_or_not_at_all() -> None:
     )
 
 
-# --- the peers' faults (F1 to F5) ---
+# --- faults of earlier systems (F1 to F5) ---
 
 
-def test_f1_unknown_is_no() -> None:
+def test_f1_unknown_is_not_allowed() -> None:
     of = policy()
-    assert effect(of, "/never/heard/of") == "prompt"  # its default, never a yes
+    assert effect(of, "/never/heard/of") == "prompt"  # its default, never allowed
     assert effect(rules(), "/never/heard/of") == "deny"
     for both in (Right.SUBSCRIBE | Right.PUBLISH, Right(0)):
         with pytest.raises(PolicyRefused, match="is not one right"):
@@ -140,7 +140,7 @@ def test_f1_unknown_is_no() -> None:
             decide(of, node(bad), Right.SUBSCRIBE, "/a")
 
 
-def test_f2_two_nodes_of_one_host_are_told_apart_and_so_are_two_keys_of_one_name() -> None:
+def test_f2_two_nodes_of_one_host_are_distinct_and_so_are_two_keys_of_one_name() -> None:
     of = policy()
     assert effect(of, "/robot/pose", who=HEATING) == "allow"
     assert effect(of, "/robot/pose", who=node("/heating")) == "prompt"
@@ -149,7 +149,7 @@ def test_f2_two_nodes_of_one_host_are_told_apart_and_so_are_two_keys_of_one_name
 
 
 @pytest.mark.parametrize("flip", [False, True])
-def test_f3_a_parent_never_goes_round_a_rule_for_its_child(flip: bool) -> None:
+def test_f3_a_parent_never_bypasses_a_rule_for_its_child(flip: bool) -> None:
     lines = [
         '{id: wide, who: /x, allow: {param-set: ["/a"], param-get: ["/**"]}}',
         "{id: narrow, who: /x, deny: {param-set: [/a/b]}}",
@@ -161,14 +161,14 @@ def test_f3_a_parent_never_goes_round_a_rule_for_its_child(flip: bool) -> None:
     assert effect(of, "/**", Right.PARAM_SET) == "deny"
 
 
-def test_f4_each_right_is_its_own() -> None:
+def test_f4_no_right_implies_another() -> None:
     of = rules("{id: s, who: /x, allow: {param-set: [/a]}}")
     assert [effect(of, "/a", right) for right in ALL_RIGHTS] == [
         "allow" if right is Right.PARAM_SET else "deny" for right in ALL_RIGHTS
     ]
 
 
-def test_f5_a_name_is_no_prefix_and_narrow_beats_wide() -> None:
+def test_f5_a_name_is_not_a_prefix_and_a_narrow_denial_overrides() -> None:
     of = rules(
         '{id: a, who: /x, allow: {subscribe: [/chatter, "/s/**"]}}',
         "{id: d, who: /x, deny: {subscribe: [/s/secret]}}",
@@ -179,7 +179,7 @@ def test_f5_a_name_is_no_prefix_and_narrow_beats_wide() -> None:
     assert effect(of, "/chatter", who=node("/xy")) == "deny"
 
 
-# --- answers ---
+# --- explanations ---
 
 
 def explained(who: Subject, right: Right, topic: str) -> list[str]:
@@ -187,7 +187,7 @@ def explained(who: Subject, right: Right, topic: str) -> list[str]:
     return decider.explain(decider.decide(who, right, topic))
 
 
-def test_a_yes_explains_itself() -> None:
+def test_an_allowing_verdict_is_explained() -> None:
     assert explained(HEATING, Right.SUBSCRIBE, "/robot/pose") == [
         "ALLOW: /heating subscribe /robot/pose",
         "  rule heating-room: Heating lowers rooms. (allow subscribe /robot/pose)",
@@ -200,7 +200,7 @@ def test_a_yes_explains_itself() -> None:
     ]
 
 
-def test_a_no_names_its_rule() -> None:
+def test_a_denial_names_its_rule() -> None:
     assert explained(HEATING, Right.SUBSCRIBE, "/camera/image") == [
         "DENY: /heating subscribe /camera/image",
         "  rule no-camera: no (deny subscribe /camera/**)",
@@ -228,7 +228,7 @@ def test_near_misses(who: Subject, right: Right, topic: str, miss: str) -> None:
     assert lines[-1] == f"  an allow rule for {who.name} with {asked} would change it"
 
 
-def test_what_would_be_without_a_rule_names_the_next_one() -> None:
+def test_changes_name_the_next_deciding_rule() -> None:
     of = rules(
         "{id: d, who: /x, deny: {call: /b}}", "{id: a, who: /x, allow: {call: /b}}",
     )  # fmt: skip
@@ -238,7 +238,7 @@ def test_what_would_be_without_a_rule_names_the_next_one() -> None:
 
 
 @given(policies, subject, right, name | pattern)
-def test_every_answer_can_explain_itself(
+def test_every_verdict_has_an_explanation(
     of: Policy, asking: Subject, asked: Right, about: str
 ) -> None:
     decider = Decider(of)
@@ -246,11 +246,11 @@ def test_every_answer_can_explain_itself(
     assert len(lines) >= 2
 
 
-def test_spans() -> None:
+def test_spans_in_the_largest_unit() -> None:
     assert [span(n) for n in (0, 90, 120, 7200, 86400, 90000)] == [
         "0s", "90s", "2m", "2h", "1d", "25h",
     ]  # fmt: skip
 
 
-def test_refusals_are_of_one_family() -> None:
+def test_policy_errors_are_grant_errors() -> None:
     assert issubclass(PolicyRefused, GrantError)

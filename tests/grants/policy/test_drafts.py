@@ -31,7 +31,7 @@ def policy() -> Policy:
     )
 
 
-def wish(policy: Policy, right: Right, name: str) -> Verdict:
+def verdict_on(policy: Policy, right: Right, name: str) -> Verdict:
     return decide(policy, X, right, name)
 
 
@@ -39,21 +39,21 @@ def made(*verdicts: Verdict) -> list[Draft]:
     return drafts(verdicts, domain="home", now=NOW, serial=lambda: bytes(16))
 
 
-def test_wishes_are_sorted_by_what_the_policy_says(policy: Policy) -> None:
-    wishes = [
+def test_requested_rights_are_sorted_by_decision(policy: Policy) -> None:
+    rights = [
         RequestedRight(Right.CALL, "/door"), RequestedRight(Right.CALL, "/lift"),
         RequestedRight(Right.SUBSCRIBE, "/b"),
         RequestedRight(Right.SUBSCRIBE, "/b"), RequestedRight(Right.SUBSCRIBE, "/unheard"),
     ]  # fmt: skip
-    sorted_ = plan(Decider(policy), X, wishes)
+    sorted_ = plan(Decider(policy), X, rights)
     assert [v.name for v in sorted_.allowed] == ["/b"]
-    assert [v.name for v in sorted_.asked] == ["/lift"]
+    assert [v.name for v in sorted_.prompted] == ["/lift"]
     assert [v.name for v in sorted_.denied] == ["/unheard", "/door"]
-    assert str(wishes[0]) == "call /door"
+    assert str(rights[0]) == "call /door"
 
 
-def test_what_is_signed_is_what_was_decided(policy: Policy) -> None:
-    pose = wish(policy, Right.SUBSCRIBE, "/pose")
+def test_a_signed_draft_has_the_decided_restrictions(policy: Policy) -> None:
+    pose = verdict_on(policy, Right.SUBSCRIBE, "/pose")
     (draft,) = made(pose)
     grant = open_grant(sign(CA, draft), CA.public_key, NOW)
     found = authorize(
@@ -65,8 +65,8 @@ def test_what_is_signed_is_what_was_decided(policy: Policy) -> None:
 
 
 def test_one_draft_for_each_validity(policy: Policy) -> None:
-    long = [wish(policy, Right.SUBSCRIBE, "/b"), wish(policy, Right.PUBLISH, "/c")]
-    short = approve(wish(policy, Right.CALL, "/lift"))
+    long = [verdict_on(policy, Right.SUBSCRIBE, "/b"), verdict_on(policy, Right.PUBLISH, "/c")]
+    short = approve(verdict_on(policy, Right.CALL, "/lift"))
     first, second = made(*long, short)
     assert [item.pattern for item in first.permissions] == ["/b", "/c"]
     assert (first.expires, first.cap) == (NOW + 7 * DAY, NOW + 30 * DAY)
@@ -74,38 +74,38 @@ def test_one_draft_for_each_validity(policy: Policy) -> None:
     assert (second.subject, second.holder, second.domain) == ("/x", X.key, "home")
 
 
-def test_only_a_yes_is_signed(policy: Policy) -> None:
+def test_only_allowed_verdicts_are_signed(policy: Policy) -> None:
     with pytest.raises(PolicyRefused, match="not allowed: PROMPT: /x call /lift"):
-        made(wish(policy, Right.CALL, "/lift"))
+        made(verdict_on(policy, Right.CALL, "/lift"))
 
 
-def test_nobody_is_asked_over_a_denial(policy: Policy) -> None:
+def test_a_denial_cannot_be_approved(policy: Policy) -> None:
     with pytest.raises(PolicyRefused, match="the policy denies call /door: rule d: stays shut"):
-        approve(wish(policy, Right.CALL, "/door"))
+        approve(verdict_on(policy, Right.CALL, "/door"))
     with pytest.raises(PolicyRefused, match="no rule allows it"):
-        approve(wish(policy, Right.CALL, "/unheard"))
+        approve(verdict_on(policy, Right.CALL, "/unheard"))
 
 
 def test_approximate_adds_to_what_the_policy_restricts(policy: Policy) -> None:
     coarse = Restriction("geometry_msgs/PoseStamped", (), ROUND, rate=0.5)
-    rough = approximate(wish(policy, Right.SUBSCRIBE, "/pose"), coarse)
+    rough = approximate(verdict_on(policy, Right.SUBSCRIBE, "/pose"), coarse)
     assert replace(coarse, rate=None) in rough.restrictions
     assert (len(permissions(rough)), rough.rate) == (3, 0.5)
     with pytest.raises(PolicyRefused, match="cannot be approximate"):
-        approximate(wish(policy, Right.PUBLISH, "/c"), coarse)
+        approximate(verdict_on(policy, Right.PUBLISH, "/c"), coarse)
 
 
-def test_only_today_is_never_longer_than_the_policy_allows(policy: Policy) -> None:
-    verdict = wish(policy, Right.SUBSCRIBE, "/b")
+def test_shortening_never_extends_the_lifetime(policy: Policy) -> None:
+    verdict = verdict_on(policy, Right.SUBSCRIBE, "/b")
     assert (shorten(verdict, HOUR).lifetime, shorten(verdict, HOUR).renew_until) == (HOUR, 0)
     assert shorten(verdict, 99 * DAY).lifetime == 7 * DAY
 
 
-def test_the_lowest_rate_stands_in_every_restriction(policy: Policy) -> None:
-    verdict = wish(policy, Right.SUBSCRIBE, "/b")
+def test_the_lowest_rate_is_in_every_restriction(policy: Policy) -> None:
+    verdict = verdict_on(policy, Right.SUBSCRIBE, "/b")
     limited = replace(verdict, clauses=(replace(verdict.clauses[0], rate=2.0),))
     assert [item.restriction for item in permissions(limited)] == [Restriction(rate=2.0)]
-    pose = wish(policy, Right.SUBSCRIBE, "/pose")
+    pose = verdict_on(policy, Right.SUBSCRIBE, "/pose")
     limited = replace(pose, clauses=(*pose.clauses, replace(pose.clauses[0], rate=2.0)))
     rates = [item.restriction.rate for item in permissions(limited) if item.restriction]
     assert rates == [2.0, 2.0]
@@ -121,10 +121,12 @@ def test_on_stale_reaches_the_grant_when_every_rule_says_keep() -> None:
         "{id: b, who: /x, allow: {subscribe: [/pose]}, when: now.getHours() >= 6, on_stale: cut}",
         "{id: c, who: /x, allow: {subscribe: [/slow]}, limit: {rate: 1}, on_stale: keep}",
     )
-    kept, slow, cut = (wish(policy, Right.SUBSCRIBE, name) for name in ("/stop", "/slow", "/pose"))
+    kept, slow, cut = (
+        verdict_on(policy, Right.SUBSCRIBE, name) for name in ("/stop", "/slow", "/pose")
+    )
     assert [item.restriction for item in permissions(kept)] == [Restriction(keep_when_stale=True)]
     [limited] = permissions(slow)
     assert limited.restriction == Restriction(rate=1, keep_when_stale=True)
     assert "kept while revocation data is stale" in "".join(Decider(policy).explain(kept))
     assert not cut.keep_when_stale
-    assert not wish(policy, Right.CALL, "/none").keep_when_stale
+    assert not verdict_on(policy, Right.CALL, "/none").keep_when_stale

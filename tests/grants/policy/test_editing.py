@@ -37,7 +37,7 @@ def test_comments_and_quotes_stay() -> None:
     assert read.types == {"/c": "std_msgs/String", "/scan": "sensor_msgs/LaserScan"}
 
 
-def test_a_known_rule_gains_what_it_lacks() -> None:
+def test_an_existing_rule_is_extended() -> None:
     more = rule(id="one", rights={"subscribe": ["/scan", "/d"], "call": ["/e"]}, types={})
     read = policy(add_rules(TEXT, [more, more]))
     assert [(c.right.label, c.pattern) for c in read.rules[0].clauses] == [
@@ -45,7 +45,7 @@ def test_a_known_rule_gains_what_it_lacks() -> None:
     ]  # fmt: skip
 
 
-def test_a_type_that_is_said_is_not_changed() -> None:
+def test_an_existing_type_is_not_changed() -> None:
     text = add_rules(TEXT, [rule(types={"/scan": "std_msgs/String"})])
     assert policy(text).types == {"/scan": "sensor_msgs/LaserScan"}
 
@@ -57,7 +57,7 @@ def test_a_filter_is_used_by_name() -> None:
     assert clause.restriction is not None
 
 
-def test_from_nothing() -> None:
+def test_rules_are_added_to_an_empty_policy() -> None:
     start = empty("robbie")
     assert policy(start).robot == "robbie"
     assert policy(add_rules(start, [rule()])).types == {"/c": "std_msgs/String"}
@@ -65,7 +65,7 @@ def test_from_nothing() -> None:
     assert len(policy(add_rules(without, [rule()])).rules) == 1
 
 
-def test_a_single_rule_without_a_dash() -> None:
+def test_a_single_rule_without_a_dash_becomes_a_list() -> None:
     text = "rossec: 1\nrobot: r\nrules: {id: one, who: /a, allow: {call: /b}}\n"
     assert len(policy(add_rules(text, [rule()])).rules) == 2
 

@@ -1,4 +1,4 @@
-"""The three policies that are shipped as examples, loaded and asked as their readers would."""
+"""The three example policies, loaded and evaluated."""
 
 from pathlib import Path
 
@@ -21,11 +21,11 @@ def decider(name: str) -> Decider:
     return Decider(load(text, definition, file=f"{name}.yaml"))
 
 
-def test_all_three_are_here() -> None:
+def test_there_are_three_examples() -> None:
     assert {path.stem for path in FOLDER.glob("*.yaml")} == {"home", "hospital", "visitor"}
 
 
-def test_home() -> None:
+def test_decisions_of_the_home_policy() -> None:
     home = decider("home")
     heating = node("/heating", HEATING)
     room = home.decide(heating, Right.SUBSCRIBE, "/robot/pose")
@@ -44,7 +44,7 @@ def test_home() -> None:
     assert home.decide(node("/toaster"), Right.SUBSCRIBE, "/robot/pose").effect is Effect.PROMPT
 
 
-def test_hospital() -> None:
+def test_decisions_of_the_hospital_policy() -> None:
     ward = decider("hospital")
     station = ward.decide(node("/ward/station"), Right.SUBSCRIBE, "/patient/vitals")
     assert station
@@ -65,7 +65,7 @@ def test_hospital() -> None:
         assert ward.decide(node(who), Right.CALL, "/arm/stop").effect is Effect.DENY
 
 
-def test_visitor() -> None:
+def test_decisions_of_the_visitor_policy() -> None:
     flat = decider("visitor")
     guest = node("/guest/phone")
     pose = flat.decide(guest, Right.SUBSCRIBE, "/robot/pose")
@@ -79,12 +79,12 @@ def test_visitor() -> None:
 
 
 @pytest.mark.parametrize("name", ["home", "hospital", "visitor"])
-def test_there_is_nothing_to_remark_on_an_example(name: str) -> None:
+def test_examples_get_no_advice(name: str) -> None:
     found = lint(decider(name).policy, lambda kind: parse(kind, definition(kind)))
     assert [item.message for item in found] == []
 
 
-def test_the_how_to_says_what_is_so() -> None:
+def test_the_how_to_matches_the_program() -> None:
     text = (FOLDER.parents[1] / "docs" / "howto" / "room-not-position.md").read_text()
     decided = Decider(load(text.split("```yaml\n")[1].split("```")[0], definition))
     verdict = decided.decide(node("/heating"), Right.SUBSCRIBE, "/robot/pose")

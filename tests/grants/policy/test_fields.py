@@ -1,15 +1,15 @@
-"""Filters and conditions as a policy writes them."""
+"""Filters and conditions in the notation of a policy."""
 
 import pytest
 
 from grants.filters.layout import parse
 from grants.policy.fields import (
+    check_condition,
     check_fields,
     check_preset,
-    check_when,
-    nearest_field,
+    read_condition,
     read_fields,
-    read_when,
+    suggest_field,
 )
 from grants.policy.mistakes import Mistakes
 from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
@@ -60,18 +60,18 @@ def test_short_and_long_forms(text: str, expected: str, mistakes: Mistakes) -> N
         ("5", "a: exactly one operator per field", "for example {round: 0.5} or {clear: true}"),
         ("{clear: true, drop: true}", "a: exactly one operator per field", "for example"),
         ("{cleer: true}", "a: unknown operator 'cleer'", "did you mean 'clear'?"),
-        ("{clear: false}", "a: clear cannot take this", "write {clear: true}"),
-        ("{clear: {}}", "a: clear cannot take this", "write {clear: true}"),
-        ("{round: [1, 2]}", "a: round cannot take this", "write {round: STEP} or"),
-        ("{round: {step: [1]}}", "a: round cannot take this", "write {round: STEP} or"),
-        ("{truncate: [[5]]}", "a: truncate cannot take this", "write {truncate: LENGTH}"),
+        ("{clear: false}", "a: invalid parameters of clear", "write {clear: true}"),
+        ("{clear: {}}", "a: invalid parameters of clear", "write {clear: true}"),
+        ("{round: [1, 2]}", "a: invalid parameters of round", "write {round: STEP} or"),
+        ("{round: {step: [1]}}", "a: invalid parameters of round", "write {round: STEP} or"),
+        ("{truncate: [[5]]}", "a: invalid parameters of truncate", "write {truncate: LENGTH}"),
         ("{clamp: 5}", "a: clamp: high must", ""),
-        ("{clamp: [5]}", "a: clamp cannot take this", "write {clamp: [LOW, HIGH]}"),
+        ("{clamp: [5]}", "a: invalid parameters of clamp", "write {clamp: [LOW, HIGH]}"),
         ("{round: 0}", "a: round needs a step above zero", "for example"),
         ("{round: x}", "a: step must be a number", "write {round: STEP}"),
     ],
 )
-def test_a_mistake_is_placed_and_hinted(
+def test_a_mistake_has_position_and_hint(
     text: str, message: str, hint: str, mistakes: Mistakes
 ) -> None:
     if text == "{clamp: 5}":
@@ -83,7 +83,7 @@ def test_a_mistake_is_placed_and_hinted(
     assert found.line == 1
 
 
-def test_a_path_that_is_none(mistakes: Mistakes) -> None:
+def test_an_invalid_path_is_a_mistake(mistakes: Mistakes) -> None:
     assert read_fields(table('"a b": {clear: true}'), mistakes) == ()
     assert mistakes.found[0].message == "not a field path: 'a b'"
 
@@ -93,7 +93,7 @@ def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
     assert check_fields(POSE, good, HERE, mistakes)
     overlap = read_fields(table("pose: {clear: true}\npose.position: {round: 1}"), mistakes)
     assert not check_fields(POSE, overlap, HERE, mistakes)
-    assert (mistakes.found[-1].line, "lies inside" in mistakes.found[-1].message) == (5, True)
+    assert (mistakes.found[-1].line, "contains one" in mistakes.found[-1].message) == (5, True)
     wrong = read_fields(table("\n\npoze: {clear: true}"), mistakes)
     assert not check_fields(POSE, wrong, HERE, mistakes)
     assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (3, "did you mean 'pose'?")
@@ -103,40 +103,42 @@ def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
     ("text", "message"),
     [("now.getHours() >= 6", False), ("msg.header.seq > 1u", None), ("msg.header.seq > 1", True)],
 )
-def test_whether_a_condition_looks_into_the_message(
+def test_conditions_that_read_the_message(
     text: str, message: bool | None, mistakes: Mistakes
 ) -> None:
-    when = read_when(YamlScalar(text, 1, 1), mistakes)
-    assert (when.message if when is not None else None) is message
+    when = read_condition(YamlScalar(text, 1, 1), mistakes)
+    assert (when.reads_message if when is not None else None) is message
 
 
 @pytest.mark.parametrize(
     "part",
     [YamlScalar(5, 1, 1), YamlSequence((), 1, 1), YamlScalar("now >", 1, 1), YamlScalar("5", 1, 1)],
 )
-def test_what_is_no_condition(part: YamlScalar | YamlSequence, mistakes: Mistakes) -> None:
-    assert read_when(part, mistakes) is None
+def test_invalid_conditions_are_mistakes(
+    part: YamlScalar | YamlSequence, mistakes: Mistakes
+) -> None:
+    assert read_condition(part, mistakes) is None
     assert len(mistakes.found) == 1
 
 
 def test_conditions_are_checked_for_a_type(mistakes: Mistakes) -> None:
-    good = read_when(YamlScalar('msg.header.frame_id == "map"', 1, 1), mistakes)
+    good = read_condition(YamlScalar('msg.header.frame_id == "map"', 1, 1), mistakes)
     assert good is not None
-    assert check_when(POSE, good, mistakes)
-    misspelt = read_when(YamlScalar('msg.header.frameid.startsWith("map")', 2, 2), mistakes)
+    assert check_condition(POSE, good, mistakes)
+    misspelt = read_condition(YamlScalar('msg.header.frameid.startsWith("map")', 2, 2), mistakes)
     assert misspelt is not None
-    assert not check_when(POSE, misspelt, mistakes)
+    assert not check_condition(POSE, misspelt, mistakes)
     assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (2, "did you mean 'frame_id'?")
-    mixed = read_when(YamlScalar("msg.pose.position.x + 1 > 2.0", 2, 2), mistakes)
+    mixed = read_condition(YamlScalar("msg.pose.position.x + 1 > 2.0", 2, 2), mistakes)
     assert mixed is not None
-    assert not check_when(POSE, mixed, mistakes)
+    assert not check_condition(POSE, mixed, mistakes)
     assert mistakes.found[-1].hint == "write whole numbers as 2.0 beside a double"
 
 
-def test_presets_are_for_some_types(mistakes: Mistakes) -> None:
+def test_presets_are_checked_for_the_type(mistakes: Mistakes) -> None:
     assert check_preset(POSE, "coarse-position", HERE, mistakes)
     assert not check_preset(STATUS, "coarse-position", HERE, mistakes)
-    assert (mistakes.found[0].line, "does not exist for" in mistakes.found[0].message) == (5, True)
+    assert (mistakes.found[0].line, "does not support" in mistakes.found[0].message) == (5, True)
 
 
 @pytest.mark.parametrize(
@@ -149,4 +151,4 @@ def test_presets_are_for_some_types(mistakes: Mistakes) -> None:
     ],
 )
 def test_the_nearest_field(path: str, hint: str) -> None:
-    assert nearest_field(STATUS, path) == hint
+    assert suggest_field(STATUS, path) == hint

@@ -1,4 +1,4 @@
-"""The tree finds exactly what looking at every clause finds, and its cost is flat."""
+"""The index finds exactly what comparing every clause finds, at constant cost."""
 
 import pytest
 from hypothesis import given
@@ -47,7 +47,7 @@ def of(*made: PolicyRule) -> Policy:
 
 
 @given(policies, subject, right, name | pattern)
-def test_the_tree_finds_what_looking_at_all_finds(
+def test_the_index_finds_what_comparing_all_clauses_finds(
     policy: Policy, asking: Subject, asked: Right, about: str
 ) -> None:
     found = Index(policy).find(asking, asked, about)
@@ -63,7 +63,7 @@ def test_an_exact_subscription_is_found_by_covering_patterns_alone(
         assert covers(found.pattern, about)
 
 
-def test_a_right_nobody_speaks_about_finds_nothing() -> None:
+def test_a_right_without_clauses_finds_nothing() -> None:
     assert Index(of()).find(Subject("/a", KEYS[0]), Right.CALL, "/b") == []
 
 
@@ -76,16 +76,16 @@ def test_a_denial_below_denies_the_parameter_above(asked: str, found: int) -> No
     assert len(index.find(Subject("/x", KEYS[0]), Right.PARAM_SET, asked)) == found
 
 
-def test_the_work_does_not_grow_with_rules_about_other_names(
+def test_the_cost_does_not_grow_with_rules_on_other_names(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    looked: list[str] = []
+    compared: list[str] = []
 
-    def look(rule: PolicyRule, _: Subject) -> bool:
-        looked.append(rule.id)
+    def compare(rule: PolicyRule, _: Subject) -> bool:
+        compared.append(rule.id)
         return True
 
-    monkeypatch.setattr(PolicyRule, "is_for", look)
+    monkeypatch.setattr(PolicyRule, "applies_to", compare)
     made = [
         PolicyRule(
             f"r{n}", Effect.ALLOW, (SubjectPattern("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),)
@@ -93,4 +93,4 @@ def test_the_work_does_not_grow_with_rules_about_other_names(
         for n in range(500)
     ]
     assert len(Index(of(*made)).find(Subject("/n7", KEYS[0]), Right.CALL, "/s7")) == 1
-    assert looked == ["r7"]
+    assert compared == ["r7"]

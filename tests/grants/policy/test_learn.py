@@ -1,4 +1,4 @@
-"""From a graph or a complain log to rules, without learning what is decided already."""
+"""From a graph or a denial log to rules, without learning what is decided already."""
 
 import json
 
@@ -19,7 +19,7 @@ STATE = [
 TYPES = [["/cmd_vel", "geometry_msgs/Twist"], ["/robot/pose", "geometry_msgs/PoseStamped"]]
 
 
-def test_the_graph() -> None:
+def test_observations_of_a_graph() -> None:
     assert from_graph(STATE, TYPES) == [
         Observation("/joy", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"),
         Observation("/joy", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped"),
@@ -33,12 +33,12 @@ def test_the_graph() -> None:
     "state", [5, [], [[], []], [[], [], 5], [[["/a"]], [], []], [[["/a", 5]], [], []],
               [[["/a", [5]]], [], []], [[["a b", ["/n"]]], [], []]]
 )  # fmt: skip
-def test_another_shape_is_refused(state: object) -> None:
+def test_a_malformed_graph_is_refused(state: object) -> None:
     with pytest.raises(PolicyRefused, match="not the state of a ROS graph"):
         from_graph(state)
 
 
-def test_the_complain_log_is_read_as_it_is_written() -> None:
+def test_the_denial_log_round_trips() -> None:
     lines = [
         log_line(5, "/joy", Right.CALL, "/lift"),
         "\n",
@@ -64,8 +64,8 @@ def test_the_complain_log_is_read_as_it_is_written() -> None:
         "[" * 4000,
     ],
 )  # fmt: skip
-def test_a_line_that_is_none_is_named(line: str) -> None:
-    with pytest.raises(PolicyRefused, match="line 2 of the complain log is none"):
+def test_an_invalid_line_is_named(line: str) -> None:
+    with pytest.raises(PolicyRefused, match="line 2 of the denial log is invalid"):
         from_log([log_line(1, "/a", Right.CALL, "/b"), line])
 
 
@@ -88,6 +88,6 @@ def test_only_what_no_rule_decides_is_learned() -> None:
     assert learn(text, Decider(read), from_graph(STATE, TYPES), "later") == (text, [])
 
 
-def test_what_a_pinned_key_may_is_not_learned_for_the_name() -> None:
+def test_rights_of_a_pinned_key_are_not_learned_for_the_name() -> None:
     seen = [Observation("/heating", Right.SUBSCRIBE, "/robot/pose")]
     assert learn(SMALL, Decider(policy()), seen, "today")[1] == []

@@ -1,4 +1,4 @@
-"""Advice: what is allowed but unwise, above all what leaks beside a filter."""
+"""Advice: what is allowed but unwise, in particular what reveals filtered fields."""
 
 import pytest
 
@@ -18,13 +18,13 @@ types:
 )
 
 
-def said(*lines: str, head: str = HEAD) -> list[str]:
+def advice(*lines: str, head: str = HEAD) -> list[str]:
     text = head + "rules:\n" + "".join(f"  - {line}\n" for line in lines)
     return [item.message for item in lint(policy(text), lambda t: parse(t, definition(t)))]
 
 
 def test_a_wise_policy_gets_no_advice() -> None:
-    assert said("{id: a, who: /x, why: w, allow: {publish: [/x/out], subscribe: [/odom]}}") == []
+    assert advice("{id: a, who: /x, why: w, allow: {publish: [/x/out], subscribe: [/odom]}}") == []
 
 
 @pytest.mark.parametrize(
@@ -40,28 +40,28 @@ def test_a_wise_policy_gets_no_advice() -> None:
          "rule a: param-set on /** may move anything"),
     ],
 )  # fmt: skip
-def test_one_piece_of_advice(line: str, message: str) -> None:
-    assert said(line) == [message]
+def test_each_kind_of_advice(line: str, message: str) -> None:
+    assert advice(line) == [message]
 
 
-def test_no_lifetime_anywhere() -> None:
+def test_a_missing_lifetime_is_advised() -> None:
     line = "{id: a, who: /x, why: w, allow: {call: /b}}"
-    assert said(line, head=HEADER) == ["rule a says no lifetime"]
+    assert advice(line, head=HEADER) == ["rule a has no lifetime"]
 
 
 def test_a_node_may_publish_below_its_own_name() -> None:
-    assert said('{id: a, who: /x, why: w, allow: {publish: ["/x/**"]}}') == []
-    assert said('{id: a, who: "/x/**", why: w, allow: {publish: ["/x/**"]}}') == []
+    assert advice('{id: a, who: /x, why: w, allow: {publish: ["/x/**"]}}') == []
+    assert advice('{id: a, who: "/x/**", why: w, allow: {publish: ["/x/**"]}}') == []
 
 
 ROUND = "filter: {pose.position: {round: 1}}"
 
 
-def test_relatives_inside_the_message() -> None:
-    found = said(f"{{id: a, who: /x, why: w, allow: {{subscribe: [/pose]}}, {ROUND}}}")
+def test_related_fields_of_the_message() -> None:
+    found = advice(f"{{id: a, who: /x, why: w, allow: {{subscribe: [/pose]}}, {ROUND}}}")
     for field in ("header.stamp", "header.seq", "pose.orientation"):
         assert any(f"pose.position of /pose is filtered, {field} is not" in m for m in found)
-    assert any("comes at the full rate" in message for message in found)
+    assert any("sent at the full rate" in message for message in found)
     assert not any("twist" in message for message in found)
 
 
@@ -70,7 +70,7 @@ def test_twist_and_covariance_of_odometry() -> None:
         "{id: a, who: /x, why: w, allow: {subscribe: [/odom]}, filter: "
         "{pose.pose.position: {round: 5}}}"
     )
-    found = said(line)
+    found = advice(line)
     assert any("twist is not: the exact path" in message for message in found)
     assert any("pose.covariance is not" in message for message in found)
 
@@ -83,60 +83,60 @@ def test_other_topics_of_the_same_receiver() -> None:
         "{id: a, who: /x, why: w, allow: {subscribe: [/pose]}, "
         f"filter: {{pose.position: {{clear: true}}, {WHOLE}}}}}"
     )
-    assert said(coarse) == []
+    assert advice(coarse) == []
     exact = "{id: b, who: /x, why: w, allow: {subscribe: [/odom, /tf]}}"
-    assert said(coarse, exact) == [
+    assert advice(coarse, exact) == [
         "rule a: /x sees /pose coarsely, but /odom exactly",
         "rule a: /x sees /pose coarsely, but /tf exactly",
     ]
     elsewhere = "{id: b, who: /y, why: w, allow: {subscribe: [/odom, /tf]}}"
-    assert said(coarse, elsewhere) == []
+    assert advice(coarse, elsewhere) == []
 
 
-def test_hysteresis_is_advised_where_it_exists(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hysteresis_is_advised_if_supported(monkeypatch: pytest.MonkeyPatch) -> None:
     line = (
         "{id: a, who: /x, why: w, allow: {subscribe: [/pose]}, limit: {rate: 1}, "
         f"filter: {{pose.position: {{round: 1}}, {WHOLE}}}}}"
     )
-    monkeypatch.setattr(module, "_knows_hysteresis", lambda: False)
-    assert said(line) == []
-    monkeypatch.setattr(module, "_knows_hysteresis", lambda: True)
-    assert said(line) == ["rule a: pose.position is rounded without hysteresis"]
+    monkeypatch.setattr(module, "_supports_hysteresis", lambda: False)
+    assert advice(line) == []
+    monkeypatch.setattr(module, "_supports_hysteresis", lambda: True)
+    assert advice(line) == ["rule a: pose.position is rounded without hysteresis"]
 
 
-def test_whether_round_knows_hysteresis_is_asked_of_the_operator(
+def test_whether_round_supports_hysteresis_is_asked_of_the_operator(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "treatment_for", lambda _: None)
-    assert module._knows_hysteresis()
+    assert module._supports_hysteresis()
 
     def refuse(_: object) -> None:
         raise GrantError("no such parameter")
 
     monkeypatch.setattr(module, "treatment_for", refuse)
-    assert not module._knows_hysteresis()
+    assert not module._supports_hysteresis()
 
 
-def test_a_filter_of_something_else_is_no_place() -> None:
+def test_filters_of_other_fields_get_no_advice() -> None:
     line = (
         "{id: a, who: /x, why: w, allow: {subscribe: [/pose]}, "
         "filter: {header.frame_id: {clear: true}}}"
     )
-    assert said(line) == []
+    assert advice(line) == []
 
 
-def test_what_is_not_used() -> None:
+def test_unused_identities_and_filters() -> None:
     head = (
         HEAD + "identities: {i: {node: /i}, j: {node: /j}}\n"
         "filters: {f: {pose.position: {clear: true}}, g: {header: {clear: true}}}\n"
     )
     line = "{id: a, who: j, why: w, allow: {subscribe: [/pose]}, filter: {use: g}}"
-    assert said(line, head=head) == [
+    assert advice(line, head=head) == [
         "filter f is used by no rule", "identity i is used by no rule",
     ]  # fmt: skip
 
 
-def test_staying_connected_without_news_is_pointed_out() -> None:
-    assert said("{id: a, who: /x, why: w, allow: {subscribe: /stop}, on_stale: keep}") == [
-        "rule a: a revocation that is held back leaves /stop connected"
+def test_keep_on_stale_is_advised_against() -> None:
+    assert advice("{id: a, who: /x, why: w, allow: {subscribe: /stop}, on_stale: keep}") == [
+        "rule a: if revocation data is withheld, /stop stays connected"
     ]

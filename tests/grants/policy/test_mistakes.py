@@ -7,14 +7,14 @@ from grants.policy.mistakes import MAX_MISTAKES, Mistakes, suggest
 from grants.policy.source import YamlScalar
 
 
-def test_all_mistakes_are_carried_in_the_order_of_the_file() -> None:
+def test_all_mistakes_are_raised_in_the_order_of_the_file() -> None:
     mistakes = Mistakes("p.yaml")
-    mistakes.refuse_any()
+    mistakes.raise_if_any()
     mistakes.add(YamlScalar("", 9, 2), "second", "b")
     mistakes.add(YamlScalar("", 3, 1), "first", "a")
     mistakes.add(YamlScalar("", 9, 2), "second", "b")
     with pytest.raises(PolicyRefused) as caught:
-        mistakes.refuse_any()
+        mistakes.raise_if_any()
     assert str(caught.value) == "p.yaml:3:1: first (and 1 more, see: rossec policy check p.yaml)"
     assert caught.value.hint == "a"
     assert [str(item) for item in caught.value.mistakes] == [
@@ -26,14 +26,14 @@ def test_one_mistake_is_the_message() -> None:
     mistakes = Mistakes("p.yaml")
     mistakes.add(YamlScalar("", 1, 1), "only")
     with pytest.raises(PolicyRefused, match=r"^p\.yaml:1:1: only$"):
-        mistakes.refuse_any()
+        mistakes.raise_if_any()
 
 
-def test_their_number_is_bounded() -> None:
+def test_the_number_of_mistakes_is_bounded() -> None:
     mistakes = Mistakes("p.yaml")
     for line in range(MAX_MISTAKES - 1):
         mistakes.add(YamlScalar("", line, 1), "x")
-    with pytest.raises(PolicyRefused) as caught:  # to read on would be work for nobody
+    with pytest.raises(PolicyRefused) as caught:  # reading stops at the maximum
         mistakes.add(YamlScalar("", MAX_MISTAKES, 1), "x")
     assert len(caught.value.mistakes) == MAX_MISTAKES
 
@@ -42,10 +42,12 @@ def test_their_number_is_bounded() -> None:
     ("word", "known", "hint"),
     [
         ("positon", ("position", "orientation"), "did you mean 'position'?"),
-        ("zzz", ("b", "a"), "there are a, b"),
-        ("zzz", (), "there are none"),
-        ("zz", list("abcdefghijklmnop"), "there are a, b, c, d, e, f, g, h, i, j, k, l, ..."),
+        ("zzz", ("b", "a"), "expected one of a, b"),
+        ("zzz", (), "none is defined"),
+        ("zz", list("abcdefghijklmnop"), "expected one of a, b, c, d, e, f, g, h, i, j, k, l, ..."),
     ],
 )  # fmt: skip
-def test_the_nearest_word_or_a_choice(word: str, known: tuple[str, ...], hint: str) -> None:
+def test_the_most_similar_value_or_a_list_is_suggested(
+    word: str, known: tuple[str, ...], hint: str
+) -> None:
     assert suggest(word, known) == hint

@@ -1,4 +1,4 @@
-"""Whom a rule is for, and which type a topic has."""
+"""The subjects of a rule, and the type of a topic."""
 
 import pytest
 
@@ -31,28 +31,28 @@ BY_KEY = SubjectPattern("anywhere", None, HEATING_KEY)
         (SubjectPattern("nav", "/nav/**"), "/navy/a", bytes(32), False, False),
     ],
 )
-def test_a_yes_needs_name_and_key_a_no_either(
+def test_allowing_needs_name_and_key_denying_either(
     who: SubjectPattern, name: str, key: bytes, admitted: bool, suspected: bool
 ) -> None:
-    assert who.admits(node(name, key)) is admitted
-    assert who.suspects(node(name, key)) is suspected
+    assert who.matches(node(name, key)) is admitted
+    assert who.may_match(node(name, key)) is suspected
 
 
 def rule(effect: Effect, *, exceptions: tuple[SubjectPattern, ...] = ()) -> PolicyRule:
     return PolicyRule("r", effect, (NAMED,), (), exceptions=exceptions)
 
 
-def test_a_denial_hits_on_weaker_evidence_and_spares_only_on_full() -> None:
-    assert rule(Effect.DENY).is_for(node("/heating"))
-    assert not rule(Effect.ALLOW).is_for(node("/heating"))
-    assert rule(Effect.ALLOW).is_for(HEATING)
-    assert not rule(Effect.DENY, exceptions=(NAMED,)).is_for(HEATING)
-    assert rule(Effect.DENY, exceptions=(NAMED,)).is_for(node("/heating"))
+def test_a_denial_applies_on_a_partial_match_an_exception_on_a_full_one() -> None:
+    assert rule(Effect.DENY).applies_to(node("/heating"))
+    assert not rule(Effect.ALLOW).applies_to(node("/heating"))
+    assert rule(Effect.ALLOW).applies_to(HEATING)
+    assert not rule(Effect.DENY, exceptions=(NAMED,)).applies_to(HEATING)
+    assert rule(Effect.DENY, exceptions=(NAMED,)).applies_to(node("/heating"))
 
 
-def test_words_for_people() -> None:
-    assert rule(Effect.DENY, exceptions=(BY_KEY,)).people == "heating except anywhere"
-    assert rule(Effect.DENY).people == "heating"
+def test_rules_as_text() -> None:
+    assert rule(Effect.DENY, exceptions=(BY_KEY,)).subjects_text == "heating except anywhere"
+    assert rule(Effect.DENY).subjects_text == "heating"
     assert rule(Effect.DENY).reason == "rule r"
     assert Clause(Right.SUBSCRIBE, "/a", None, 0.5).lines() == ["at most 0.5 messages a second"]
     assert Clause(Right.SUBSCRIBE, "/a").lines() == []
@@ -64,6 +64,6 @@ def test_the_type_of_a_topic() -> None:
     assert type_of(types, "/b/c/d") == "x/B"
     assert type_of(types, "/b/**") == "x/B"
     assert type_of(types, "/b/d/*") is None
-    assert type_of(types, "/c/c") is None  # two say different things
+    assert type_of(types, "/c/c") is None  # two patterns disagree
     assert type_of(types, "/z") is None
     assert Policy("r", Defaults(), {}, types, ()).type_of("/a") == "x/A"

@@ -1,4 +1,4 @@
-"""Patterns beside each other, compared with the names they stand for."""
+"""Comparison of patterns, checked with the names they cover."""
 
 from itertools import product
 
@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from grants.model import Right
 from grants.names import covers, covers_tree
-from grants.policy.patterns import concerns, gives, includes, intersects, intersects_tree
+from grants.policy.patterns import gives, includes, intersects, intersects_tree, overlaps
 
 patterns = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=3).map(
     lambda parts: "/" + "/".join(parts)
 )
-# Every name a difference can show in: three letters, one of which no pattern spells out.
+# Names that show any difference: three segments, one of which only wildcards match.
 NAMES = ["/" + "/".join(parts) for n in range(1, 7) for parts in product("abz", repeat=n)]
 
 
@@ -30,19 +30,19 @@ def test_includes(outer: str, inner: str, expected: bool) -> None:
 
 
 @given(patterns, patterns)
-def test_includes_is_about_names(outer: str, inner: str) -> None:
+def test_a_pattern_includes_another_if_it_covers_its_names(outer: str, inner: str) -> None:
     expected = all(covers(outer, name) for name in NAMES if covers(inner, name))
     assert includes(outer, inner) is expected
 
 
 @given(patterns, patterns)
-def test_meets_is_about_names(one: str, other: str) -> None:
+def test_patterns_intersect_if_they_share_a_name(one: str, other: str) -> None:
     expected = any(covers(one, name) and covers(other, name) for name in NAMES)
     assert intersects(one, other) is expected
 
 
 @given(patterns, patterns)
-def test_trees_meet_where_a_key_lies_in_both(one: str, other: str) -> None:
+def test_trees_intersect_if_they_share_a_key(one: str, other: str) -> None:
     expected = any(covers_tree(one, name) and covers_tree(other, name) for name in NAMES)
     assert intersects_tree(one, other) is expected
 
@@ -53,9 +53,9 @@ def test_a_tree_right_includes_what_lies_below(pattern: str, asked: str) -> None
     assert gives(pattern, Right.PARAM_GET, asked) is expected
 
 
-def test_a_message_right_is_about_exactly_the_names() -> None:
+def test_a_message_right_covers_exactly_the_names() -> None:
     assert not gives("/a", Right.SUBSCRIBE, "/a/b")
     assert gives("/a", Right.PARAM_SET, "/a/b")
-    assert not concerns("/a/b", Right.SUBSCRIBE, "/a")
-    assert concerns("/a/b", Right.PARAM_SET, "/a")
-    assert concerns("/a/*", Right.SUBSCRIBE, "/*/b")
+    assert not overlaps("/a/b", Right.SUBSCRIBE, "/a")
+    assert overlaps("/a/b", Right.PARAM_SET, "/a")
+    assert overlaps("/a/*", Right.SUBSCRIBE, "/*/b")

@@ -1,4 +1,4 @@
-"""Each field, each receiver, how, why and until when; and a page nothing can be smuggled into."""
+"""Each field, each receiver, how, why and until when; and a page that escapes every text."""
 
 from dataclasses import replace
 
@@ -9,12 +9,12 @@ from grants.policy.privacy import (
     PrivacyRow,
     ReceiverAccess,
     as_json,
+    filters_of,
     from_policy,
     html,
-    leaves,
+    leaf_paths,
     lines,
     rows,
-    treats,
 )
 from tests.grants.policy.policies import definition, policy, rules
 
@@ -29,7 +29,7 @@ def found() -> list[PrivacyRow]:
 
 def test_every_field_has_its_row() -> None:
     by_field = {row.field: row for row in found() if row.receiver == "/heating"}
-    assert list(by_field) == sorted(leaves(layout("geometry_msgs/PoseStamped")))
+    assert list(by_field) == sorted(leaf_paths(layout("geometry_msgs/PoseStamped")))
     assert by_field["header.stamp"].treatment == "as it is"
     assert by_field["pose.orientation.w"].treatment == "clear"
     x = by_field["pose.position.x"]
@@ -41,7 +41,7 @@ def test_every_field_has_its_row() -> None:
     assert as_json(found())[0]["topic"] == "/robot/pose"
 
 
-def test_what_a_denial_takes_back_is_not_there() -> None:
+def test_denied_access_is_not_reported() -> None:
     of = rules(
         '{id: a, who: /x, allow: {subscribe: [/a, "/b/**"], publish: [/c]}}',
         "{id: b, who: /x, allow: {subscribe: [/a]}}",
@@ -54,7 +54,7 @@ def test_what_a_denial_takes_back_is_not_there() -> None:
     assert access.by == "rule a, b"
 
 
-def test_two_treatments_of_one_field_are_both_said() -> None:
+def test_two_treatments_of_one_field_are_both_reported() -> None:
     of = rules(
         "{id: a, who: /x, allow: {subscribe: /p}, filter: {pose: {clear: true}}}",
         "{id: b, who: /x, allow: {subscribe: /p}, filter: {pose.position.x: {round: 1}}}",
@@ -65,30 +65,30 @@ def test_two_treatments_of_one_field_are_both_said() -> None:
     assert sorted(x.treatment.split(", then ")) == ["clear", "round step 1"]
 
 
-def test_a_filter_treats_what_lies_in_its_field() -> None:
+def test_a_filter_applies_to_nested_fields() -> None:
     rule = FilterRule("status[*].values", "drop")
-    assert treats([rule], "status[*].values[*].key") == [rule]
-    assert treats([rule], "status[*].value") == []
-    assert "status[*].values[*].key" in leaves(layout("diagnostic_msgs/DiagnosticArray"))
+    assert filters_of([rule], "status[*].values[*].key") == [rule]
+    assert filters_of([rule], "status[*].value") == []
+    assert "status[*].values[*].key" in leaf_paths(layout("diagnostic_msgs/DiagnosticArray"))
 
 
-def test_the_leaves_are_bounded() -> None:
+def test_leaf_paths_are_bounded() -> None:
     text = "\n".join(f"int8 f{n}" for n in range(600))
-    assert len(leaves(parse("a/B", text))) == 512
+    assert len(leaf_paths(parse("a/B", text))) == 512
     nested = "X[] a\nX b\n" + "=" * 80 + "\nMSG: a/X\n" + text
-    assert len(leaves(parse("a/B", nested))) == 512
+    assert len(leaf_paths(parse("a/B", nested))) == 512
 
 
-def test_in_words() -> None:
-    said = lines(found())
-    assert said[0] == "/robot/pose (geometry_msgs/PoseStamped) -> /heating"
-    assert said[1] == "  why: Heating lowers rooms. (rule heating-room)"
+def test_the_report_as_text() -> None:
+    report = lines(found())
+    assert report[0] == "/robot/pose (geometry_msgs/PoseStamped) -> /heating"
+    assert report[1] == "  why: Heating lowers rooms. (rule heating-room)"
     assert (
         "  clear: pose.orientation.w, pose.orientation.x, pose.orientation.y, "
-        "pose.orientation.z" in said
+        "pose.orientation.z" in report
     )
-    assert "  why: no reason given (rule nav-full)" in said
-    assert lines([]) == ["nobody sees anything"]
+    assert "  why: no reason given (rule nav-full)" in report
+    assert lines([]) == ["no receiver has access"]
 
 
 def test_the_page_escapes_every_text() -> None:
@@ -98,5 +98,5 @@ def test_the_page_escapes_every_text() -> None:
     assert "<script" not in page
     assert page.count("&lt;script&gt;") == 6
     assert 'class="open"' in page
-    assert "Nobody sees anything" in html([], "t")
+    assert "No receiver has access" in html([], "t")
     assert "http" not in page.replace("http-equiv", "")

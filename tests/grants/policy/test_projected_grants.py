@@ -3,7 +3,7 @@ from grants.policy.projected_grants import projected_grants
 from tests.grants.policy.policies import HEATING, OTHER_KEY, policy
 
 
-def test_what_a_name_would_get() -> None:
+def test_rules_for_a_name_are_listed() -> None:
     found = projected_grants(policy(), HEATING)
     assert found[0] == "allow subscribe /robot/pose (rule heating-room: Heating lowers rooms.)"
     assert "  pose.position: {round: 2.0}" in found or any(

@@ -1,4 +1,4 @@
-"""The outline of a policy: versions, defaults, identities, types, and that ids are one's own."""
+"""The outline of a policy: versions, defaults, identities, types, and unique ids."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from grants.policy.read import load, mistakes_in
 from tests.grants.policy.policies import HEADER, HEATING_KEY, mistakes, nothing_known, policy
 
 
-def test_a_policy_as_it_should_be() -> None:
+def test_a_valid_policy() -> None:
     read = policy()
     assert read.robot == "test-robot"
     assert [rule.id for rule in read.rules] == [
@@ -22,11 +22,11 @@ def test_a_policy_as_it_should_be() -> None:
     assert read.rules[0].line == 13
 
 
-def test_what_is_not_said_denies() -> None:
+def test_defaults_deny() -> None:
     read = policy(HEADER + "rules: []\n")
     assert read.defaults.decision is Effect.DENY
     assert read.rules == ()
-    assert (read.defaults.renew_until, read.defaults.own_lifetime) == (0, False)
+    assert (read.defaults.renew_until, read.defaults.has_lifetime) == (0, False)
 
 
 @pytest.mark.parametrize(
@@ -40,18 +40,18 @@ def test_what_is_not_said_denies() -> None:
         ("rossec: 1\nrobot: r\n", "the policy has no 'rules'", "add rules: ..."),
         (HEADER + "rules: 5", "a rule must be a mapping", "write key: value"),
         (HEADER + "rules: []\ndefaults: {decision: allow}",
-         "unknown default decision: 'allow'", "there are deny, prompt"),
+         "unknown default decision: 'allow'", "expected one of deny, prompt"),
         (HEADER + "rules: []\ndefaults: 5", "defaults must be a mapping", ""),
-        (HEADER + "rules: []\nidentities: {x: {}}", "identity x is nobody", "add node: /name"),
+        (HEADER + "rules: []\nidentities: {x: {}}", "identity x has neither node nor key", "add"),
         (HEADER + "rules: []\nidentities: {x: 5}", "identity x must be a mapping", ""),
         (HEADER + "rules: []\nidentities: {/x: {node: /x}}", "'/x' cannot be the name", ""),
         (HEADER + 'rules: []\nidentities: {"*": {node: /x}}', "'*' cannot be the name", ""),
         (HEADER + "rules: []\nfilters: {x: 5}", "filter x must be a mapping", ""),
-        (HEADER + "rules: []\ntypes: {/x: 5}", "the type of /x must be a text", ""),
-        (HEADER + "rules: []\nrobot: x", "'robot' again", "keep one"),
+        (HEADER + "rules: []\ntypes: {/x: 5}", "the type of /x must be text", ""),
+        (HEADER + "rules: []\nrobot: x", "duplicate key 'robot'", "keep one"),
     ],
 )  # fmt: skip
-def test_mistakes_of_the_outline(text: str, message: str, hint: str) -> None:
+def test_mistakes_outside_rules(text: str, message: str, hint: str) -> None:
     about = [item for item in mistakes(text) if item.message.startswith(message)]
     assert about, mistakes(text)
     assert hint in about[0].hint
@@ -61,11 +61,11 @@ def test_ids_are_unique() -> None:
     rule = "  - {id: a, who: /x, allow: {call: [/y]}}\n"
     found = mistakes(HEADER + "rules:\n" + rule + rule)
     assert [item.message for item in found] == [
-        "a second rule 'a'; the first stands in line 4",
+        "duplicate rule 'a'; the first is in line 4",
     ]
 
 
-def test_without_known_types_the_refusal_of_the_definition_speaks() -> None:
+def test_without_known_types_the_error_of_the_definition_is_used() -> None:
     text = HEADER + "rules: []\ntypes: {/x: a/B, /y: a/B}"
     with pytest.raises(PolicyRefused) as caught:
         load(text, nothing_known)
@@ -74,12 +74,12 @@ def test_without_known_types_the_refusal_of_the_definition_speaks() -> None:
     assert first.file == "policy.yaml"
 
 
-def test_a_definition_that_is_none_is_a_mistake() -> None:
+def test_an_invalid_definition_is_a_mistake() -> None:
     with pytest.raises(PolicyRefused, match="not a field"):
         load(HEADER + "rules: []\ntypes: {/x: a/B}", lambda _: "broken")
 
 
-def test_all_mistakes_are_told_at_once() -> None:
+def test_all_mistakes_are_reported_at_once() -> None:
     text = "rossec: 3\nrobt: r\ntypes: {x: a/B}\nrules:\n  - {id: a, who: b, alow: {}}\n"
     assert len(mistakes(text)) == 7
 

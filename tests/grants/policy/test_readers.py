@@ -1,4 +1,4 @@
-"""Parts as what they should be; anything else is a mistake with a hint."""
+"""Parts of the expected kind; anything else is a mistake with a hint."""
 
 from typing import Any
 
@@ -9,12 +9,12 @@ from grants.policy.mistakes import Mistakes
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 
-def word(value: Any) -> YamlScalar:
+def scalar(value: Any) -> YamlScalar:
     return YamlScalar(value, 3, 7)
 
 
-ROW = YamlSequence((word("a"),), 3, 7)
-TABLE = YamlMapping({"a": (word("a"), word(1))}, 3, 7)
+SEQUENCE = YamlSequence((scalar("a"),), 3, 7)
+MAPPING = YamlMapping({"a": (scalar("a"), scalar(1))}, 3, 7)
 
 
 @pytest.fixture
@@ -28,42 +28,44 @@ def only(mistakes: Mistakes) -> tuple[str, str]:
     return found.message, found.hint
 
 
-def test_what_is_absent_is_no_mistake(mistakes: Mistakes) -> None:
-    assert readers.table(None, "x", mistakes) is None
+def test_missing_parts_are_no_mistake(mistakes: Mistakes) -> None:
+    assert readers.mapping(None, "x", mistakes) is None
     assert readers.text(None, "x", mistakes) is None
     assert readers.duration(None, "x", mistakes) is None
     assert readers.pattern(None, "x", mistakes) is None
     assert readers.key(None, mistakes) is None
     assert readers.number(None, "x", mistakes) is None
     assert readers.choice(None, "x", (), mistakes) is None
-    assert readers.words(None) == ()
+    assert readers.items(None) == ()
     assert mistakes.found == []
 
 
-def test_tables(mistakes: Mistakes) -> None:
-    assert readers.table(TABLE, "x", mistakes) is TABLE
-    assert readers.table(ROW, "x", mistakes) is None
+def test_mappings(mistakes: Mistakes) -> None:
+    assert readers.mapping(MAPPING, "x", mistakes) is MAPPING
+    assert readers.mapping(SEQUENCE, "x", mistakes) is None
     assert only(mistakes) == ("x must be a mapping", "write key: value")
 
 
-def test_a_closed_table(mistakes: Mistakes) -> None:
-    readers.closed(TABLE, "x", ("a", "b"), ("b",), mistakes)
+def test_unknown_and_missing_keys(mistakes: Mistakes) -> None:
+    readers.check_keys(MAPPING, "x", ("a", "b"), ("b",), mistakes)
     assert only(mistakes) == ("x has no 'b'", "add b: ...")
-    readers.closed(TABLE, "x", ("a",), ("a",), mistakes)
-    readers.closed(TABLE, "x", ("b", "aa"), (), mistakes)
+    readers.check_keys(MAPPING, "x", ("a",), ("a",), mistakes)
+    readers.check_keys(MAPPING, "x", ("b", "aa"), (), mistakes)
     assert (mistakes.found[1].message, mistakes.found[1].hint) == (
         "unknown key 'a' in x", "did you mean 'aa'?",
     )  # fmt: skip
 
 
-def test_words_of_a_list_or_one() -> None:
-    assert readers.words(ROW) == ROW.items
-    assert readers.words(TABLE) == (TABLE,)
+def test_items_of_a_sequence_or_one() -> None:
+    assert readers.items(SEQUENCE) == SEQUENCE.items
+    assert readers.items(MAPPING) == (MAPPING,)
 
 
-@pytest.mark.parametrize("part", [word(""), word(5), word(True), word("x" * 1001), ROW])
+@pytest.mark.parametrize(
+    "part", [scalar(""), scalar(5), scalar(True), scalar("x" * 1001), SEQUENCE]
+)
 def test_texts(part: Part, mistakes: Mistakes) -> None:
-    assert readers.text(word("fine"), "x", mistakes) == "fine"
+    assert readers.text(scalar("fine"), "x", mistakes) == "fine"
     assert readers.text(part, "x", mistakes) is None
     assert only(mistakes)[1] == "put it in quotes"
 
@@ -73,49 +75,49 @@ def test_texts(part: Part, mistakes: Mistakes) -> None:
     [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200)],
 )
 def test_durations(text: str, seconds: int, mistakes: Mistakes) -> None:
-    assert readers.duration(word(text), "x", mistakes) == seconds
+    assert readers.duration(scalar(text), "x", mistakes) == seconds
 
 
 @pytest.mark.parametrize(
     "value", ["never", "7", 7, "0s", "-1d", "1000000d", "7d ", "\u0667d", True]
 )
-def test_what_is_no_duration(value: object, mistakes: Mistakes) -> None:
-    assert readers.duration(word(value), "x", mistakes) is None
+def test_invalid_durations(value: object, mistakes: Mistakes) -> None:
+    assert readers.duration(scalar(value), "x", mistakes) is None
     assert only(mistakes)[1] == "write 30s, 15m, 8h, 7d or 4w"
 
 
-def test_never_where_it_may_be(mistakes: Mistakes) -> None:
-    assert readers.duration(word("never"), "x", mistakes, never=True) == 0
-    assert readers.duration(ROW, "x", mistakes, never=True) is None
-    assert only(mistakes) == ("x is no duration", "write 30s, 15m, 8h, 7d or 4w, or never")
+def test_never_is_read_if_allowed(mistakes: Mistakes) -> None:
+    assert readers.duration(scalar("never"), "x", mistakes, never=True) == 0
+    assert readers.duration(SEQUENCE, "x", mistakes, never=True) is None
+    assert only(mistakes) == ("x is not a duration", "write 30s, 15m, 8h, 7d or 4w, or never")
 
 
 def test_patterns(mistakes: Mistakes) -> None:
-    assert readers.pattern(word("/a/**"), "x", mistakes) == "/a/**"
-    assert readers.pattern(word("~a"), "x", mistakes) is None
+    assert readers.pattern(scalar("/a/**"), "x", mistakes) == "/a/**"
+    assert readers.pattern(scalar("~a"), "x", mistakes) is None
     assert only(mistakes)[0].startswith("x: not a name pattern: '~a'")
 
 
 @pytest.mark.parametrize("value", ["sha256:12", "ab" * 32, "sha256:" + "AB" * 32, 5])
 def test_keys(value: object, mistakes: Mistakes) -> None:
-    assert readers.key(word("sha256:" + "ab" * 32), mistakes) == bytes([0xAB]) * 32
-    assert readers.key(word(value), mistakes) is None
+    assert readers.key(scalar("sha256:" + "ab" * 32), mistakes) == bytes([0xAB]) * 32
+    assert readers.key(scalar(value), mistakes) is None
     assert "64 hexadecimal digits" in only(mistakes)[1]
 
 
 @pytest.mark.parametrize("value", [0, -1, True, "1", 1e9, float("inf"), float("nan")])
 def test_numbers(value: object, mistakes: Mistakes) -> None:
-    assert readers.number(word(0.2), "x", mistakes) == 0.2
-    assert readers.number(word(value), "x", mistakes) is None
+    assert readers.number(scalar(0.2), "x", mistakes) == 0.2
+    assert readers.number(scalar(value), "x", mistakes) is None
     assert only(mistakes)[1] == "for example 0.2"
 
 
 def test_choices(mistakes: Mistakes) -> None:
-    assert readers.choice(word("deny"), "decision", ("deny", "prompt"), mistakes) == "deny"
-    assert readers.choice(word("promt"), "decision", ("deny", "prompt"), mistakes) is None
+    assert readers.choice(scalar("deny"), "decision", ("deny", "prompt"), mistakes) == "deny"
+    assert readers.choice(scalar("promt"), "decision", ("deny", "prompt"), mistakes) is None
     assert only(mistakes) == ("unknown decision: 'promt'", "did you mean 'prompt'?")
 
 
-def test_a_list_is_no_choice(mistakes: Mistakes) -> None:
-    assert readers.choice(ROW, "decision", ("deny",), mistakes) is None
-    assert only(mistakes) == ("unknown decision", "there are deny")
+def test_a_sequence_is_not_a_choice(mistakes: Mistakes) -> None:
+    assert readers.choice(SEQUENCE, "decision", ("deny",), mistakes) is None
+    assert only(mistakes) == ("unknown decision", "expected one of deny")

@@ -1,4 +1,4 @@
-"""One rule: its outline, its people, and the restriction of each of its topics."""
+"""One rule: its structure, its subjects, and the restriction of each of its topics."""
 
 import pytest
 
@@ -23,7 +23,7 @@ def found(line: str) -> list[tuple[str, str]]:
     return [(m.message, m.hint) for m in mistakes(HEAD + f"rules:\n  - {line}\n")]
 
 
-def test_people_rights_and_validity() -> None:
+def test_subjects_rights_and_validity() -> None:
     (rule,) = rules(
         '{id: a, who: [x, /y/*, "*"], except: /z, prompt: {call: /b, param-get: [/c, /d]}, '
         "lifetime: 2h, renew_until: never}",
@@ -37,7 +37,7 @@ def test_people_rights_and_validity() -> None:
     assert [(item.right, item.pattern) for item in rule.clauses] == [
         (Right.CALL, "/b"), (Right.PARAM_GET, "/c"), (Right.PARAM_GET, "/d"),
     ]  # fmt: skip
-    assert (rule.lifetime, rule.renew_until, rule.own_lifetime) == (2 * HOUR, 0, True)
+    assert (rule.lifetime, rule.renew_until, rule.has_lifetime) == (2 * HOUR, 0, True)
 
 
 def test_a_filter_for_one_of_two_topics() -> None:
@@ -59,7 +59,7 @@ def test_a_filter_for_one_of_two_topics() -> None:
     }  # fmt: skip
 
 
-def test_a_preset_brings_its_own_rate() -> None:
+def test_a_preset_has_its_own_rate() -> None:
     for limit, rate in (("", 0.2), (", limit: {rate: 0.1}", 0.1), (", limit: {rate: 5}", 0.2)):
         (rule,) = rules(
             "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: coarse-position}"
@@ -91,29 +91,29 @@ def test_a_condition_on_time_needs_no_type() -> None:
     ("line", "message", "hint"),
     [
         ("just words", "a rule must be a mapping", "write key: value"),
-        ("{id: a, who: y, allow: {call: /b}}", "unknown identity 'y'", "there are x"),
+        ("{id: a, who: y, allow: {call: /b}}", "unknown identity 'y'", "expected one of x"),
         ("{id: a, who: x, allow: {call: /b/}}", "call: not a name pattern", "segment"),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/poze: {header: {clear: true}}}}",
-         "rule a does not let subscribe '/poze'", "'/pose'"),
+         "rule a has no subscribe right on '/poze'", "'/pose'"),
         ("{id: a, who: x}", "rule a needs one of allow, deny and prompt", "for example allow"),
         ("{id: a, who: x, allow: {call: /b}, deny: {call: /b}}", "rule a needs one", "two rules"),
         ("{id: a, who: x, allow: 5}", "allow of rule a must be a mapping", "write key: value"),
-        ("{id: a, who: x, allow: {}}", "rule a names no right", "there are"),
-        ("{id: a, who: x, allow: {call: []}}", "rule a: call of nothing", "add a name"),
+        ("{id: a, who: x, allow: {}}", "rule a has no rights", "expected one of"),
+        ("{id: a, who: x, allow: {call: []}}", "rule a: call has no names", "add a name"),
         ("{id: a, who: x, allow: {cal: /b}}", "unknown right 'cal' in rule a", "'call'"),
         ("{id: a b, who: x, allow: {call: /b}}", "not an id: 'a b'", "letters"),
         ("{who: x, allow: {call: /b}}", "rule ? has no 'id'", "add id: ..."),
         ("{id: a, allow: {call: /b}}", "rule a has no 'who'", "add who: ..."),
-        ("{id: a, who: 5, allow: {call: /b}}", "who must be a text", "quotes"),
+        ("{id: a, who: 5, allow: {call: /b}}", "who must be text", "quotes"),
         ("{id: a, who: /y/, allow: {call: /b}}", "who: not a name pattern", "segment"),
-        ("{id: a, who: x, deny: {call: /b}, lifetime: 1d}", "rule a: a denial has no 'lifetime'",
-         "take it out"),
+        ("{id: a, who: x, deny: {call: /b}, lifetime: 1d}",
+         "rule a: a deny rule cannot have 'lifetime'", "remove it"),
         ("{id: a, who: x, allow: {param-get: /b}, when: now.getHours() > 5}",
-         "rule a: parameters, graph and admin cannot be restricted", "rule of their own"),
+         "rule a: parameters, graph and admin rights", "separate rule"),
         ("{id: a, who: x, allow: {call: /pose}, when: msg.header.seq > 5}",
-         "call /pose: conditions on messages are for topics", "rule of its own"),
+         "call /pose: conditions on messages are for topics", "separate rule"),
         ("{id: a, who: x, allow: {subscribe: /b}, when: msg.header.seq > 5}",
-         "the message type of /b is not known here", "add it to types: {/b: package/Type}"),
+         "the message type of /b is unknown", "add it to types: {/b: package/Type}"),
         ("{id: a, who: x, allow: {call: /b}, filter: {use: place}}", "rule a: nothing to filter",
          "add a subscribe right"),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {}}", "rule a: nothing to filter", ""),
@@ -123,7 +123,7 @@ def test_a_condition_on_time_needs_no_type() -> None:
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {use: plaze}}",
          "unknown filter: 'plaze'", "'place'"),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {use: place, x: 1}}",
-         "unknown key 'x' in a filter with use", "there are use"),
+         "unknown key 'x' in a filter with use", "expected one of use"),
         ("{id: a, who: x, allow: {call: /b}, limit: {rate: 1}}", "rule a: nothing to limit", "add"),
         ("{id: a, who: x, allow: {subscribe: /b}, limit: {rate: 0}}", "rate must be a number", ""),
         ("{id: a, who: x, allow: {subscribe: /b}, limit: 5}", "limit of rule a must be a", ""),
@@ -137,18 +137,18 @@ def test_mistakes_of_a_rule(line: str, message: str, hint: str) -> None:
     assert hint in about[0][1]
 
 
-def test_an_unknown_type_is_told_once() -> None:
+def test_an_unknown_type_is_reported_once() -> None:
     text = HEADER + "types: {/b: no/Type}\nrules:\n  - {id: a, who: /x, allow: {subscribe: /b}, "
     (only,) = mistakes(text + "filter: {x: {clear: true}}}\n")
     assert only.message == "unknown message type 'no/Type'"
 
 
-def test_what_a_grant_refuses_is_a_mistake_here() -> None:
+def test_a_restriction_invalid_in_a_grant_is_a_mistake() -> None:
     long = "now.getHours() > 5" + " " * 1000
     assert len(found(f"{{id: a, who: x, allow: {{call: /b}}, when: '{long}'}}")) == 1
 
 
-def test_a_policy_is_only_ever_whole() -> None:
+def test_a_valid_policy_has_rules() -> None:
     assert policy().rules
 
 
@@ -157,10 +157,10 @@ def test_a_policy_is_only_ever_whole() -> None:
     [
         ("{id: a, who: x, allow: {call: /b}, on_stale: stay}", "unknown on_stale: 'stay'"),
         ("{id: a, who: x, deny: {call: /b}, on_stale: keep}",
-         "rule a: a denial has no 'on_stale', it always holds"),
+         "rule a: a deny rule cannot have 'on_stale'"),
         ("{id: a, who: x, allow: {graph: /b}, on_stale: keep}",
-         "rule a: parameters, graph and admin cannot be restricted by messages"),
+         "rule a: parameters, graph and admin rights cannot have restrictions"),
     ],
 )  # fmt: skip
-def test_on_stale_where_it_does_not_belong(line: str, message: str) -> None:
+def test_invalid_uses_of_on_stale(line: str, message: str) -> None:
     assert [said for said, _ in found(line)] == [message]

@@ -1,4 +1,4 @@
-"""The schema for editors: accepts the examples, refuses what it can know to be wrong."""
+"""The schema for editors: accepts the examples, refuses the mistakes it can detect."""
 
 import json
 from pathlib import Path
@@ -13,9 +13,10 @@ from grants.policy import schema
 from tests.grants.policy.policies import SMALL
 from tests.grants.policy.test_seeds import GOOD, SEEDS
 
+FILE = Path(schema.__file__).with_name("policy.schema.json")
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "policies").glob("*.yaml"))
-# What only somebody who knows the identities, the types and the operators' parameters can see.
-UNSEEN = {
+# Mistakes that need the identities, the types and the operators' parameters.
+NOT_DETECTED = {
     "field": 7,
     "operator": 0,
     "identity": 7,
@@ -31,13 +32,13 @@ def check(text: str) -> list[str]:
     return [error.message for error in validator.iter_errors(YAML(typ="safe").load(text))]
 
 
-def test_the_file_is_the_schema() -> None:
-    assert schema.FILE.read_text() == schema.text(), "run: python -m tools.schema"
+def test_the_file_has_the_schema() -> None:
+    assert FILE.read_text() == schema.text(), "run: python -m tools.schema"
     jsonschema.Draft202012Validator.check_schema(json.loads(schema.text()))
 
 
 @pytest.mark.parametrize("text", [SMALL, GOOD])
-def test_good_policies_pass(text: str) -> None:
+def test_valid_policies_pass(text: str) -> None:
     assert check(text) == []
 
 
@@ -49,9 +50,9 @@ def test_the_examples_pass(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", SEEDS)
-def test_planted_mistakes_show_in_the_editor(kind: str) -> None:
+def test_inserted_mistakes_are_detected(kind: str) -> None:
     seen = [check(GOOD.replace(there, planted, 1)) != [] for there, planted, *_ in SEEDS[kind]]
-    assert len(seen) - sum(seen) == UNSEEN[kind]
+    assert len(seen) - sum(seen) == NOT_DETECTED[kind]
 
 
 def test_a_denial_has_no_filter() -> None:

@@ -1,4 +1,4 @@
-"""Seven mistakes of each of seven kinds, planted in a good policy: found, placed, hinted."""
+"""Seven mistakes of each of seven kinds, inserted into a valid policy: found with position."""
 
 import pytest
 
@@ -48,7 +48,7 @@ rules:
   - {{id: heating-asks, who: heating, prompt: {{call: [/lift/down]}}, lifetime: 10m}}
 """
 
-# kind: (what stands there, what is planted, the message's beginning, a part of the hint)
+# kind: (original text, mistake, beginning of the message, part of the hint)
 SEEDS: dict[str, list[tuple[str, ...]]] = {
     "field": [
         ("pose.position:", "pose.positon:", "geometry_msgs/PoseStamped: pose", "'position'"),
@@ -87,13 +87,13 @@ SEEDS: dict[str, list[tuple[str, ...]]] = {
         ("{node: /heating, key:", "{node: /heating, kee:", "unknown key 'kee'", "'key'"),
     ],
     "duration": [
-        ("lifetime: 7d", "lifetime: 7 days", "lifetime is no duration: '7 days'", "7d"),
-        ("renew_until: 180d", "renew_until: 180", "renew_until is no duration: '180'", "or never"),
-        ("prompt_timeout: 60s", "prompt_timeout: never", "prompt_timeout is no duration", "30s"),
-        ("lifetime: 1d", "lifetime: 0d", "lifetime is no duration: '0d'", "7d"),
-        ("renew_until: 30d", "renew_until: 1y", "renew_until is no duration: '1y'", "4w"),
-        ("lifetime: 10m", "lifetime: 10M", "lifetime is no duration: '10M'", "15m"),
-        ("lifetime: 1d", "lifetime: [1d]", "lifetime is no duration", "30s"),
+        ("lifetime: 7d", "lifetime: 7 days", "lifetime is not a duration: '7 days'", "7d"),
+        ("renew_until: 180d", "renew_until: 180", "renew_until is not a duration", "or never"),
+        ("prompt_timeout: 60s", "prompt_timeout: never", "prompt_timeout is not a duration", "30s"),
+        ("lifetime: 1d", "lifetime: 0d", "lifetime is not a duration: '0d'", "7d"),
+        ("renew_until: 30d", "renew_until: 1y", "renew_until is not a duration: '1y'", "4w"),
+        ("lifetime: 10m", "lifetime: 10M", "lifetime is not a duration: '10M'", "15m"),
+        ("lifetime: 1d", "lifetime: [1d]", "lifetime is not a duration", "30s"),
     ],
     "pattern": [
         ("subscribe: [/scan", "subscribe: [scan", "subscribe: not a name pattern: 'scan'", "*"),
@@ -102,7 +102,7 @@ SEEDS: dict[str, list[tuple[str, ...]]] = {
         ("[/lift/down]", "[/lift/]", "call: not a name pattern: '/lift/'", "segment"),
         ('"/vendor/**"}', '"/vendor//x"}', "node of vendor: not a name pattern", "segment"),
         ("  /diagnostics: d", "  diagnostics: d", "topic: not a name pattern", "segment"),
-        ("      /diagnostics:\n", "      /diagnostic:\n", "rule vendor-scan does not let subscribe",
+        ("      /diagnostics:\n", "      /diagnostic:\n", "rule vendor-scan has no subscribe right",
          "'/diagnostics'"),
     ],
     "type": [
@@ -111,16 +111,16 @@ SEEDS: dict[str, list[tuple[str, ...]]] = {
         ("sensor_msgs/LaserScan", "sensor_msg/LaserScan", "unknown message type", "LaserScan"),
         ("diagnostic_msgs/DiagnosticArray", "DiagnosticArray", "'DiagnosticArray' is no",
          "diagnostic_msgs/DiagnosticArray"),
-        ("  /scan: sensor_msgs/LaserScan\n", "", "the message type of /scan is not known", "/scan",
+        ("  /scan: sensor_msgs/LaserScan\n", "", "the message type of /scan is unknown", "/scan",
          "[/scan, /diag"),
         ("{round: 2.0}", '{round: "2"}', "pose.position: step must be a number", "round"),
         ("{set: hidden}", "{set: 5}", "diagnostic_msgs/DiagnosticArray: status[*].name: set", ""),
-        ("position.x > 0.0", 'position.x > "0"', "geometry_msgs/PoseStamped: > does not go", ""),
+        ("position.x > 0.0", 'position.x > "0"', "geometry_msgs/PoseStamped: > cannot be", ""),
     ],
 }  # fmt: skip
 
 
-def test_the_good_policy_is_good() -> None:
+def test_the_valid_policy_has_no_mistakes() -> None:
     assert mistakes(GOOD) == []
 
 
@@ -134,13 +134,13 @@ def test_there_are_seven_of_each_of_seven_kinds() -> None:
     "seed",
     [pytest.param(seed, id=f"{k}-{n}") for k, s in SEEDS.items() for n, seed in enumerate(s)],
 )
-def test_a_planted_mistake_is_reported_with_its_line_and_a_hint(
+def test_an_inserted_mistake_is_reported_with_its_line_and_a_hint(
     seed: tuple[str, ...],
 ) -> None:
-    there, planted, message, hint, *where = seed
-    text = GOOD.replace(there, planted, 1)
+    there, inserted, message, hint, *where = seed
+    text = GOOD.replace(there, inserted, 1)
     assert text != GOOD
-    line = text[: text.index(where[0] if where else planted)].count("\n") + 1
+    line = text[: text.index(where[0] if where else inserted)].count("\n") + 1
     about = [item for item in mistakes(text) if item.message.startswith(message)]
     assert [item.line for item in about] == [line]
     assert hint in about[0].hint

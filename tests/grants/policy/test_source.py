@@ -1,4 +1,4 @@
-"""YAML text to parts: places, refusals, and words that stay what was written."""
+"""YAML text to parts: positions, refusals, and scalars that stay as written."""
 
 import contextlib
 
@@ -16,7 +16,7 @@ from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_sou
 def read(text: str) -> object:
     mistakes = Mistakes("p.yaml")
     part = read_source(text, mistakes)
-    mistakes.refuse_any()
+    mistakes.raise_if_any()
     return part
 
 
@@ -26,7 +26,7 @@ def refusal(text: str) -> str:
     return str(caught.value)
 
 
-def test_every_part_knows_its_place() -> None:
+def test_every_part_has_its_position() -> None:
     part = read("a: 1\nb:\n  - x\n  - {c: d}\n")
     assert isinstance(part, YamlMapping)
     row = part.get("b")
@@ -49,7 +49,7 @@ def test_every_part_knows_its_place() -> None:
         ("true", True), ("false", False), (".nan", ".nan"), (".inf", ".inf"),
     ],
 )  # fmt: skip
-def test_words_stay_what_was_written(text: str, value: object) -> None:
+def test_plain_scalars_stay_as_written(text: str, value: object) -> None:
     part = read(f"a: {text}")
     assert isinstance(part, YamlMapping)
     word = part.get("a")
@@ -71,11 +71,11 @@ def test_words_stay_what_was_written(text: str, value: object) -> None:
         ("[" * 100_000, "p.yaml:1:17: nested deeper than 16"),
         ("a: [1\nb: 2", "p.yaml:2:2: not YAML: expected ',' or ']', but got ':'"),
         ("a: \x00", "p.yaml:1:1: not YAML: unacceptable character #x0000"),
-        ("a: 1\nb: 2\na: 3", "p.yaml:3:1: 'a' again: it stands in line 1 already"),
+        ("a: 1\nb: 2\na: 3", "p.yaml:3:1: duplicate key 'a', first in line 1"),
         ("? [a]\n: 1", "p.yaml:1:3: a key must be a scalar"),
     ],
 )
-def test_what_is_outside_the_subset_is_refused_with_its_place(text: str, message: str) -> None:
+def test_text_outside_the_subset_is_refused_with_its_position(text: str, message: str) -> None:
     assert refusal(text).startswith(message)
 
 
@@ -84,7 +84,7 @@ def test_a_large_file_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyP
     assert "where at most" in refusal("a" * (source.MAX_SIZE + 1))
 
 
-def test_an_empty_file_is_nothing() -> None:
+def test_an_empty_file_has_no_part() -> None:
     assert read("") is None
     assert read("# only a comment\n") is None
 

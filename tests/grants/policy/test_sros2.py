@@ -1,4 +1,4 @@
-"""SROS2's XML: what fits becomes rules, what does not is said, what attacks is refused."""
+"""SROS2's XML: supported parts become rules, others are reported, attacks are refused."""
 
 import pytest
 
@@ -24,7 +24,7 @@ TALKER = """<policy version="0.2.0"><enclaves><enclave path="/"><profiles>
 <xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="/etc/passwd"/></policy>"""
 
 
-def test_a_policy_of_sros2() -> None:
+def test_an_sros2_policy_is_imported() -> None:
     text, notes = import_sros2(TALKER)
     allow, deny, again = policy(text).rules
     assert [(item.right.label, item.pattern) for item in allow.clauses] == [
@@ -33,7 +33,7 @@ def test_a_policy_of_sros2() -> None:
         ("publish", "/robot/fib/result"), ("provide", "/add"), ("call", "/sub"),
         ("subscribe", "/robot/fib/goal"), ("subscribe", "/robot/fib/cancel"),
     ]  # fmt: skip
-    assert (allow.people, str(deny.effect), deny.clauses[0].pattern) == (
+    assert (allow.subjects_text, str(deny.effect), deny.clauses[0].pattern) == (
         "/robot/talker", "deny", "/camera/*",
     )  # fmt: skip
     assert (again.id, again.clauses[0].right.label) == ("sros2-robot-talker-2", "publish")
@@ -51,13 +51,13 @@ def test_a_policy_of_sros2() -> None:
         ("<policy>", "not XML"),
         ("", "not XML"),
         ("<other/>", "not an SROS2 policy but 'other'"),
-        ("<policy/>", "no profile in this policy says anything"),
+        ("<policy/>", "no profile in this policy has rules"),
         ('<!DOCTYPE p [<!ENTITY a "b">]><policy>&a;</policy>', "a policy with a DTD is refused"),
         ('<!DOCTYPE p SYSTEM "http://x/y"><policy/>', "a policy with a DTD is refused"),
         ("\x00", "not XML"),
     ],
 )
-def test_what_is_refused(xml: str, message: str) -> None:
+def test_invalid_and_dangerous_xml_is_refused(xml: str, message: str) -> None:
     with pytest.raises(PolicyRefused, match=message):
         import_sros2(xml)
 
@@ -77,12 +77,12 @@ def test_a_large_file_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyP
     ],
     ids=["wide", "deep", "attributes"],
 )
-def test_what_costs_by_its_structure_is_refused(xml: str) -> None:
+def test_too_many_elements_and_attributes_are_refused(xml: str) -> None:
     with pytest.raises(PolicyRefused, match="more than 20000 elements and attributes"):
         import_sros2(xml)
 
 
-def test_one_node_again_and_again_has_rules_of_its_own() -> None:
+def test_repeated_nodes_have_separate_rules() -> None:
     one = '<profile ns="/" node="a"><topics publish="ALLOW"><topic>x</topic></topics></profile>'
     other = one.replace('"a"', '"a-2"').replace("a-2", "a_2")
     text, _ = import_sros2(f"<policy>{one}{other}{one}{one}</policy>")

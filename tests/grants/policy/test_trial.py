@@ -1,4 +1,4 @@
-"""What a verdict would do to a message."""
+"""The effect of a verdict on a message."""
 
 import struct
 
@@ -26,27 +26,32 @@ def trial(who: str = "/x", layout: object = STRING) -> Trial:
     return Trial(layout, decide(of, node(who), Right.SUBSCRIBE, "/s"))  # type: ignore[arg-type]
 
 
-def test_it_is_what_the_guard_would_do() -> None:
+def test_a_trial_filters_as_the_guard() -> None:
     assert trial()(HELLO, 0).message == struct.pack("<I", 2) + b"he"
 
 
 @pytest.mark.parametrize(
     ("who", "message", "now", "reason"),
     [
-        ("/x", struct.pack("<I", 1) + b"j", 0, 'not now or not this one: msg.data.startsWith("h")'),
-        ("/x", HELLO, 1 << 34, "not now or not this one: now.getFullYear() < 2030"),
+        (
+            "/x",
+            struct.pack("<I", 1) + b"j",
+            0,
+            'the condition is not true: msg.data.startsWith("h")',
+        ),
+        ("/x", HELLO, 1 << 34, "the condition is not true: now.getFullYear() < 2030"),
         ("/x", HELLO + b"tail", 0, "std_msgs/String"),
         ("/y", HELLO, 0, "deny: rule d: no"),
         ("/z", HELLO, 0, "deny: no rule matches"),
     ],
 )
-def test_why_not(who: str, message: bytes, now: int, reason: str) -> None:
+def test_a_withheld_message_has_a_reason(who: str, message: bytes, now: int, reason: str) -> None:
     outcome = trial(who)(message, now)
     assert outcome.message is None
     assert reason in outcome.reason
 
 
-def test_a_rate_counts_as_the_messages_come() -> None:
+def test_a_trial_applies_the_rate() -> None:
     of = rules("{id: a, who: /x, allow: {subscribe: /s}, limit: {rate: 0.5}}")
     tried = Trial(STRING, decide(of, node("/x"), Right.SUBSCRIBE, "/s"))
     passed = [tried(HELLO, now) for now in range(5)]
@@ -54,7 +59,7 @@ def test_a_rate_counts_as_the_messages_come() -> None:
     assert passed[1].reason == "more than 0.5 messages a second"
 
 
-def test_pseudonyms_are_shown_under_a_key_of_nobody() -> None:
+def test_pseudonyms_use_placeholder_keys() -> None:
     of = rules(
         "{id: a, who: /x, allow: {subscribe: /s}, filter: {data: {hash: {key: k, length: 8}}}}",
         head=HEADER + "types: {/s: std_msgs/String}\n",
@@ -70,7 +75,7 @@ def test_another_type_is_withheld() -> None:
     assert "of type std_msgs/String, these are geometry_msgs/PoseStamped" in outcome.reason
 
 
-def test_a_refusal_without_a_failing_condition_is_still_one(
+def test_a_withheld_message_without_failed_condition(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tried = trial()

@@ -1,4 +1,4 @@
-"""The vectors of policies: rules, and the scope of the grant that follows; None: refused."""
+"""The vectors of policies: rules, and the scope of the resulting grant; None: refused."""
 
 import json
 from pathlib import Path
@@ -23,12 +23,12 @@ def scope(draft: Draft) -> Any:
     return json.loads(json.dumps(decode(claims[9])))
 
 
-def test_the_corpus() -> None:
+def test_the_number_of_vectors() -> None:
     assert len(VECTORS) >= 8
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
-def test_on_stale(vector: dict[str, Any]) -> None:
+def test_on_stale_of_rules_in_the_grant(vector: dict[str, Any]) -> None:
     if vector["scope"] is None:
         assert mistakes(*vector["rules"])
         return

@@ -12,6 +12,7 @@ from rossec.channel.opening import Accepted, classify_caller
 from rossec.errors import HandshakeFailed, ProtocolViolation
 from tests.support.wire import BOB, dice, trust
 from tests.vectors import make_wire
+from tests.vectors.handshake_vector import exchange_messages
 
 
 def load(stem: str) -> list[Any]:
@@ -79,7 +80,7 @@ def share(length: int) -> bytes:
 
 @named("handshake")
 def test_the_handshake(vector: dict[str, Any]) -> None:
-    messages, exporter = make_wire.spoken()
+    messages, exporter = exchange_messages()
     assert {name: data.hex() for name, data in messages.items()}.items() <= vector.items()
     assert exporter.prk_out.hex() == vector["prk_out"]  # which depends on everything before it
     assert len(vector["mac_2"]) == len(vector["mac_3"]) == 2 * 32

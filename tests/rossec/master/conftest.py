@@ -1,4 +1,4 @@
-"""A running master for the tests of its shells."""
+"""A running master for the tests of its server."""
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack

@@ -1,7 +1,7 @@
-"""The same calls to Debian's rosmaster and to ours: equal answers, but for what is listed here.
+"""The same calls to Debian's rosmaster and to ours: equal answers, except for listed differences.
 
-Ours sees callers that may do everything: what remains is behaviour. Stock's handler runs in
-process with a thread pool that never calls out.
+Our callers have all rights, so only behaviour differs. Stock's handler runs in process, with a
+thread pool that never calls slave APIs.
 """
 
 import os
@@ -13,14 +13,14 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, everything
 
 pytestmark = pytest.mark.ros
 
 A, B, A2 = "http://h:1/", "http://h:2/", "http://h:3/"
 S1, S2 = "rosrpc://h:11", "rosrpc://h:12"
 T, U = "std_msgs/String", "std_msgs/Bool"
-CANNOT, ASKED = "XML-RPC cannot carry", "in an answer"
+CANNOT, IN_ANSWER = "XML-RPC cannot carry", "in an answer"
 Call = tuple[Any, ...]
 
 TABLES: dict[str, list[Call]] = {
@@ -144,7 +144,7 @@ TABLES: dict[str, list[Call]] = {
 
 # Where ours differs on purpose, by the name under which docs/spec/master.md explains it.
 BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
-    # Stock trips over its own tree walk; the parameter is simply not there.
+    # Stock fails in its own tree walk; the parameter does not exist.
     "delete-below-value": [
         (("deleteParam", "/a", "/tree/a/b/c"), [-1, "parameter [/tree/a/b/c] is not set", 0]),
     ],
@@ -187,15 +187,15 @@ BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
     # Stock stores it, and then no tree that holds it can be read any more.
     "unreadable-values": [
         (("setParam", "/a", "/big", 1 << 31), [
-            -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {ASKED}", 0,
+            -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {IN_ANSWER}", 0,
         ]),
         (("setParam", "/a", "/nil", [None]), [
-            -1, f"Error: invalid arguments: {CANNOT} nil {ASKED}", 0,
+            -1, f"Error: invalid arguments: {CANNOT} nil {IN_ANSWER}", 0,
         ]),
     ],
-    # Stock keeps the type of a topic that nobody publishes or subscribes to any more.
+    # Stock keeps the type of a topic without publishers and subscribers.
     "types-of-the-gone": [(("getTopicTypes", "/gone"), [1, "current system state", []])],
-    # A service that another node took over keeps the old node in stock's list for ever.
+    # After a service was replaced, stock keeps the old node registered.
     "replaced-provider": [(("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""])],
 }  # fmt: skip
 DIFFERENCES = [difference for group in BY_NAME.values() for difference in group]
@@ -214,7 +214,7 @@ TABLES["differences"] = [
 
 
 class NoPool:
-    """Stock's worker threads, which here never call out."""
+    """Stock's worker threads, which here never call slave APIs."""
 
     def queue_task(self, *_: object) -> None:
         pass
@@ -240,14 +240,14 @@ def ours() -> MasterApi:
 
 
 def plain(value: Any) -> Any:
-    """Tuples and lists are one array on the wire."""
+    """Tuples and lists are the same array on the wire."""
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return value
 
 
 def wired(value: Any) -> Any:
-    """As it comes over the wire: base64 is bytes."""
+    """The value as received: base64 is bytes."""
     match value:
         case xmlrpc.client.Binary():
             return value.data
@@ -262,7 +262,7 @@ def wired(value: Any) -> Any:
 def ask_ours(api: MasterApi, call: Call) -> Any:
     method, *params = wired(call)
     name = params[0] if params and isinstance(params[0], str) else "/a"
-    return plain(api.call(method, params, everything(name), 0).answer)
+    return plain(call_api(api, method, params, everything(name), 0).answer)
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -283,7 +283,7 @@ def test_unknown_methods_are_the_same_fault(stock: Any, ours: MasterApi) -> None
         with pytest.raises(xmlrpc.client.Fault) as expected:
             xmlrpc.client.loads(server._marshaled_dispatch(xmlrpc.client.dumps((), method)))
         with pytest.raises(xmlrpc.client.Fault) as got:
-            ours.call(method, [], everything("/a"), 0)
+            call_api(ours, method, [], everything("/a"), 0)
         assert (got.value.faultCode, got.value.faultString) == (
             expected.value.faultCode,
             expected.value.faultString,
@@ -303,4 +303,6 @@ def test_multicall_is_the_same(stock: Any, ours: MasterApi) -> None:
         {"methodName": "getParam", "params": []},
     ]
     expected = plain(server.system_multicall(calls))
-    assert plain(ours.call("system.multicall", [calls], everything("/a"), 0).answer) == expected
+    assert (
+        plain(call_api(ours, "system.multicall", [calls], everything("/a"), 0).answer) == expected
+    )

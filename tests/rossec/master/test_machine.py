@@ -1,8 +1,8 @@
-"""Registry, grants and revocation together: whatever is called in whatever order.
+"""Registry, grants and revocation together: any calls in any order.
 
-What must hold all the time: once a revocation is loaded and enforced, nothing of what is revoked
-appears in any answer; and no sequence of calls leaves a node with an entry it has no right to, or
-shows it one. Everything is real but the network: signed grants, lists, tickets; the clock is ours.
+Invariants: once a revocation is loaded and enforced, nothing revoked appears in any answer; and no
+sequence of calls leaves a node with a registration it has no right to, or shows it one. Only the
+network and the clock are fake: grants, lists and tickets are signed.
 """
 
 from copy import deepcopy
@@ -24,6 +24,7 @@ from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.participant.graph_view import GraphView
+from tests.rossec.master.fakes import call_api
 from tests.support.authority import Member, Site
 
 NODES: Final = ("/a", "/b", "/watcher")
@@ -48,7 +49,7 @@ picks = st.integers(0, 1 << 16)
 
 
 class Master(RuleBasedStateMachine):
-    """The pure master, and beside it a plain model of who holds what."""
+    """The pure master, and a simple model of the grants of each node."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -75,14 +76,14 @@ class Master(RuleBasedStateMachine):
     # --- calls, as the server makes them ---
 
     def call(self, name: str, method: str, *params: object) -> Any:
-        """Answer of the master, or None for a revoked caller, whose connection is cut."""
+        """Answer of the master, or None for a revoked caller, whose connection is closed."""
         try:
             caller = self.trust.caller(self.registered_nodes[name].identity, self.now)
         except HintedError:
             assert name in self.dead
             return None
         assert name not in self.dead
-        outcome = self.api.call(method, [name, *params], caller, self.now)
+        outcome = call_api(self.api, method, [name, *params], caller, self.now)
         for event in outcome.events:
             assert not isinstance(event, ShutdownNode)
             if isinstance(event, PublishersChanged):
@@ -97,7 +98,7 @@ class Master(RuleBasedStateMachine):
         return f"http://host{name.replace('/', '-')}:1/"
 
     def may(self, name: str, right: Right, key: str) -> bool:
-        """The model's own opinion: some grant the node has presented, by its plain content."""
+        """Whether, in the model, a grant that the node has presented covers the right."""
         if name in self.dead:
             return False
         gone = {grant_id(item) for item in self.revoked if isinstance(item, bytes)}
@@ -108,7 +109,7 @@ class Master(RuleBasedStateMachine):
                 return True
         return False
 
-    # --- what may happen ---
+    # --- rules ---
 
     @initialize(first=st.sampled_from(RIGHTS), second=st.sampled_from(RIGHTS))
     def begin(self, first: Right, second: Right) -> None:
@@ -174,8 +175,8 @@ class Master(RuleBasedStateMachine):
             ("registerPublisher", topic, "*", uri), ("unregisterPublisher", topic, uri),
             ("setParam", "/p", 1),
         ):  # fmt: skip
-            answer: Any = self.api.call(method, [victim, *params], caller, self.now).answer
-            # An administrator cleans up after a node, and acts for it in nothing else.
+            answer: Any = call_api(self.api, method, [victim, *params], caller, self.now).answer
+            # An administrator may unregister a node's entries, and act as it in no other call.
             cleans_up = method == "unregisterPublisher" and self.may(name, Right.ADMIN, victim)
             assert answer[0] == -1 or cleans_up
 
@@ -207,7 +208,7 @@ class Master(RuleBasedStateMachine):
             caller = self.trust.caller(self.registered_nodes[name].identity, self.now)
         except HintedError:
             return
-        answers: Any = self.api.call("system.multicall", [calls], caller, self.now).answer
+        answers: Any = call_api(self.api, "system.multicall", [calls], caller, self.now).answer
         rights = (
             (Right.PUBLISH, topic), (Right.PARAM_GET, "/p"), (Right.ADMIN, "/master"),
         )  # fmt: skip
@@ -237,7 +238,7 @@ class Master(RuleBasedStateMachine):
     @precondition(lambda self: self.dead)
     @rule()
     def enroll_again(self) -> None:
-        """A new key under an old name begins with nothing."""
+        """A new key under an old name has no grants."""
         name = min(self.dead)
         self.site.now = self.now
         self.registered_nodes[name] = self.site.enroll(name)
@@ -247,12 +248,12 @@ class Master(RuleBasedStateMachine):
 
     @rule()
     def an_older_list(self) -> None:
-        """Nobody undoes a revocation by bringing a list that somebody else signed."""
+        """A list that is older or signed by another key does not undo a revocation."""
         caller = self.trust.caller_of(self.registered_nodes["/a"].identity, self.now)
         if caller is not None:
-            stranger = Site(now=self.now).revoke()
-            answer: Any = self.api.call(
-                "rossec.updateRevocations", ["/a", stranger], caller, self.now
+            forged = Site(now=self.now).revoke()
+            answer: Any = call_api(
+                self.api, "rossec.updateRevocations", ["/a", forged], caller, self.now
             ).answer
             assert answer[0] == -1
 
@@ -265,7 +266,7 @@ class Master(RuleBasedStateMachine):
                 assert isinstance(event, PublishersChanged)
                 assert not self.who(event.subscribers) & self.dead
 
-    # --- what must hold ---
+    # --- invariants ---
 
     @invariant()
     def nothing_registered_without_a_right(self) -> None:

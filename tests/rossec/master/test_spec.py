@@ -1,4 +1,4 @@
-"""docs/spec/master.md says what the master does: its methods, rights and differences."""
+"""docs/spec/master.md lists the master's methods, rights and differences, as implemented."""
 
 import re
 from pathlib import Path

@@ -23,7 +23,7 @@ EVERYTHING = {"/**": Right(255)}
 
 
 class SlaveNode:
-    """An enrolled node: a control connection, and a slave API that records what it is told."""
+    """An enrolled node: a control connection, and a slave API that records its calls."""
 
     def __init__(self, world: "World", member: Member) -> None:
         self.world = world

@@ -1,4 +1,4 @@
-"""A small language for layers: the commands expected, and the event each is answered with."""
+"""Runs layers against a script: the expected commands, and the event that answers each."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -40,12 +40,12 @@ def run_layer(
 
 @dataclass
 class AgentSetup:
-    """Two identities of one site, a tenant for the first, and fresh revocations."""
+    """Two identities of one site, an agent state for the first, and fresh revocation data."""
 
     site: Site
     name: str = "/robot"
     wildcard: bool = False
-    time: float = 0.0  # by which publishers are missed
+    time: float = 0.0  # the clock of publisher grace periods
 
     def __post_init__(self) -> None:
         self.site.enroll(self.name, wildcard=self.wildcard)
@@ -62,7 +62,7 @@ class AgentSetup:
         return self.site.identity(name)
 
     def access(self, name: str) -> Access:
-        """What `name` holds, with a list of revocations that was confirmed now."""
+        """The access of `name`, with a revocation list that was confirmed now."""
         held = Revocations(self.site.anchor.public_key)
         data = self.site.authority.store.newest_list()
         assert data is not None

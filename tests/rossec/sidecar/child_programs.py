@@ -1,4 +1,4 @@
-"""Child processes that open files and connections when told to."""
+"""Child processes that open files and connections on request."""
 
 import contextlib
 import socket
@@ -6,7 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
-# Opens files, then makes one connection for each line it is sent; closes them when told.
+# Opens files, then makes one connection for each line it is sent; closes them on request.
 PROGRAM = """
 import os, socket, sys
 files = [open(os.devnull) for _ in range(int(sys.argv[2]))]
@@ -33,16 +33,16 @@ class Programs:
             for _ in range(count)
         ]
 
-    def send_line(self, which: int, line: str) -> None:
-        program = self.running[which]
+    def send_line(self, index: int, line: str) -> None:
+        program = self.running[index]
         assert program.stdin is not None
         assert program.stdout is not None
         program.stdin.write(line + "\n")
         program.stdin.flush()
         assert program.stdout.readline() == "done\n"
 
-    def connection(self, which: int) -> socket.socket:
-        self.send_line(which, "connect")
+    def connection(self, index: int) -> socket.socket:
+        self.send_line(index, "connect")
         return self.server.accept()[0]
 
     def close(self) -> None:
@@ -54,8 +54,8 @@ class Programs:
 
 @contextlib.contextmanager
 def programs(count: int = 1, files: int = 0) -> Iterator[Programs]:
-    made = Programs(count, files)
+    started = Programs(count, files)
     try:
-        yield made
+        yield started
     finally:
-        made.close()
+        started.close()

@@ -26,9 +26,9 @@ async def pair(tmp_path: Path) -> AsyncIterator[SidecarPair]:
     site.grant("/listener", Right.CALL, "/say")
     async with (
         site.running(),
-        sidecar(site) as near,
-        sidecar(site) as far,
-        Program("/talker", near) as talker,
-        Program("/listener", far) as listener,
+        sidecar(site) as talker_sidecar,
+        sidecar(site) as listener_sidecar,
+        Program("/talker", talker_sidecar) as talker,
+        Program("/listener", listener_sidecar) as listener,
     ):
-        yield SidecarPair(site, near, far, talker, listener)
+        yield SidecarPair(site, talker_sidecar, listener_sidecar, talker, listener)

@@ -1,4 +1,4 @@
-"""A plain ROS program in a few lines of asyncio, as a sidecar sees one: no grant, no identity."""
+"""A plain ROS program in a few lines of asyncio, without grant or identity."""
 
 import asyncio
 import contextlib
@@ -32,9 +32,9 @@ def string_message(text: str) -> bytes:
 
 
 class Program:
-    """One program: it publishes to whoever connects, echoes as a service, and notes its calls.
+    """One program: it accepts every subscriber, echoes as a service, and records its calls.
 
-    `published`: the topics it says it has; None: any.
+    `published`: the topics it publishes; None: any.
     """
 
     kind = STRING["type"]
@@ -70,21 +70,21 @@ class Program:
             await client.close()
 
     async def register(self, method: str, *params: object) -> object:
-        """Register with the master; the value, which must be granted."""
+        """Register with the master, which must succeed; the value."""
         answer = await self.ask(self.master_uri, method, *params, self.uri)
         assert isinstance(answer, list)
         assert answer[0] == 1, answer
         return answer[2]
 
     async def connect(self, endpoint: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
-        """Connect for TCPROS; the stream and the header answered with."""
+        """Connect for TCPROS; the stream and the header of the answer."""
         stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
         await stream.send(header.encode(fields | {"callerid": self.name.encode()}))
         answer, _ = await split_header(stream)
         return stream, answer
 
     async def subscribe(self, uri: str, topic: str) -> tuple[PlainStream, Fields]:
-        """As a subscriber does: ask the publisher at `uri`, then connect where it says."""
+        """As a subscriber does: ask the publisher at `uri`, then connect to its topic port."""
         answer = await self.ask(uri, "requestTopic", topic, [["TCPROS"]])
         assert isinstance(answer, list)
         assert answer[0] == 1, answer

@@ -1,4 +1,4 @@
-"""Two sidecars and plain programs in one process, and how they come into conversation."""
+"""Two sidecars and two plain programs in one process, and how to connect them."""
 
 import asyncio
 import contextlib
@@ -21,7 +21,7 @@ class SidecarPair:
 
 
 async def connect(pair: SidecarPair) -> tuple[PlainStream, PlainStream]:
-    """Publisher and subscriber in conversation; the plain ends at subscriber and publisher."""
+    """Connect publisher and subscriber; returns the plain ends at subscriber and publisher."""
     await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
     uris = await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
     assert isinstance(uris, list)
@@ -40,7 +40,7 @@ async def receive_bytes(stream: PlainStream, wanted: int) -> bytes:
 
 
 async def wait_closed(stream: PlainStream) -> None:
-    """Wait until the stream is at its end, whatever comes before."""
+    """Wait until the stream is closed."""
     with contextlib.suppress(RossecError):
         async with asyncio.timeout(30):
             while True:

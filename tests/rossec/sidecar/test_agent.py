@@ -1,4 +1,4 @@
-"""One identity: what ends its conversations, and how many doors it opens."""
+"""One identity: what closes its connections, and how many ports it opens."""
 
 import time
 
@@ -12,7 +12,7 @@ from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 
 
-async def test_revocation_cuts_the_conversation(pair: SidecarPair) -> None:
+async def test_revocation_closes_the_connection(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
     data = pair.site.revoke(pair.site.identity("/listener").thumbprint)
     assert pair.site.master is not None
@@ -23,7 +23,7 @@ async def test_revocation_cuts_the_conversation(pair: SidecarPair) -> None:
     await wait_closed(source)
 
 
-async def test_an_expired_grant_cuts_the_conversation(
+async def test_an_expired_grant_closes_the_connection(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     for file in pair.site.enroll("/listener").path.glob("grants/*"):
@@ -36,7 +36,7 @@ async def test_an_expired_grant_cuts_the_conversation(
     await wait_closed(source)
 
 
-async def test_without_news_of_revocations_the_conversation_is_cut(
+async def test_stale_revocation_data_closes_the_connection(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream, source = await connect(pair)
@@ -45,7 +45,7 @@ async def test_without_news_of_revocations_the_conversation_is_cut(
     await wait_closed(source)
 
 
-async def test_an_identity_that_nobody_watches_over_serves_nobody(
+async def test_an_agent_without_watchdog_closes_everything(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream, source = await connect(pair)
@@ -61,20 +61,22 @@ async def test_an_identity_that_nobody_watches_over_serves_nobody(
         await pair.talker.ask(pair.talker.master_uri, "getPid")
 
 
-async def test_old_doors_make_room(pair: SidecarPair, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_old_ports_are_evicted(pair: SidecarPair, monkeypatch: pytest.MonkeyPatch) -> None:
     stream, source = await connect(pair)
     for name in ("/talker", "/listener"):
         agent = (pair.talker_sidecar if name == "/talker" else pair.listener_sidecar)._agent_for(
             name
         )
-        for table in (agent._ingress.ports, agent._egress.ports):
-            monkeypatch.setattr(table, "_limit", 4)
-        far = [Endpoint(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
+        for pool in (agent._ingress.ports, agent._egress.ports):
+            monkeypatch.setattr(pool, "_limit", 4)
+        remotes = [Endpoint(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
         ports = [
-            agent.state.endpoints.add_egress(place, agent.open_egress(place)).port for place in far
+            agent.state.endpoints.add_egress(remote, agent.open_egress(remote)).port
+            for remote in remotes
         ]
         assert (
-            agent.state.endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, ports[-1])) == far[-1]
+            agent.state.endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, ports[-1]))
+            == remotes[-1]
         )
         assert agent.state.endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, ports[0])) is None
         for port in range(1, 9):

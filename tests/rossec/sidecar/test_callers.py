@@ -1,4 +1,4 @@
-"""Who may use a sidecar's loopback ports: the user, and the program it was started for."""
+"""Access to a sidecar's loopback ports: by user, and by the program it was started for."""
 
 import asyncio
 import os
@@ -20,32 +20,32 @@ def connecting(port: int) -> "subprocess.Popen[bytes]":
     return subprocess.Popen([sys.executable, "-c", CONNECT, str(port)])
 
 
-async def test_a_child_may_and_a_stranger_may_not() -> None:
+async def test_a_child_is_allowed_and_other_processes_are_refused() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
         connecting(server.getsockname()[1]) as child,
     ):
-        near, _ = server.accept()
-        with near:
-            await Callers({os.getuid()}).check(near)
-            ours = Callers({os.getuid()}, os.getpid())
-            await ours.check(near)
-            await ours.check(near)  # known by now
+        accepted, _ = server.accept()
+        with accepted:
+            await Callers({os.getuid()}).check(accepted)
+            callers = Callers({os.getuid()}, os.getpid())
+            await callers.check(accepted)
+            await callers.check(accepted)  # cached by now
             with (
                 socket.create_connection(server.getsockname()),
                 server.accept()[0] as own,
                 pytest.raises(PeerUserRefused, match="belongs to another program"),
             ):
-                await ours.check(own)  # who is known does not vouch for others
+                await callers.check(own)  # the cache does not allow others
             with pytest.raises(PeerUserRefused, match="belongs to another program"):
-                await Callers({os.getuid()}, child.pid).check(near)
+                await Callers({os.getuid()}, child.pid).check(accepted)
             with pytest.raises(PeerUserRefused, match="may not use this sidecar"):
-                await Callers({os.getuid() + 1}, os.getpid()).check(near)
+                await Callers({os.getuid() + 1}, os.getpid()).check(accepted)
             with pytest.raises(PeerUserRefused):
-                await Callers(set()).check(near)
+                await Callers(set()).check(accepted)
 
 
-async def test_who_listens_is_checked_before_it_is_reached() -> None:
+async def test_a_listener_is_checked_before_connecting() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         await Callers({os.getuid()}).check_listener(port)
@@ -54,13 +54,13 @@ async def test_who_listens_is_checked_before_it_is_reached() -> None:
         with pytest.raises(PeerUserRefused):
             await Callers({os.getuid()}, os.getpid()).check_listener(
                 port
-            )  # we are not our own child
+            )  # this process is not its own child
     with pytest.raises(ConnectionRefusedError):
         await Callers({os.getuid()}).check_listener(port)
 
 
-async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
-    """Anybody may bind the same port of another loopback address, or only to be in the way."""
+async def test_only_the_listener_of_the_same_address_is_checked() -> None:
+    """Any user can bind the same port at another loopback address."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with socket.create_server(("127.0.0.2", port)) as other:
@@ -77,8 +77,8 @@ async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
             callers.check_unchanged(port, [holder])
 
 
-async def test_users_of_another_user_namespace_are_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They all show as the same one, even if that is the user it serves."""
+async def test_users_of_another_user_namespace_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They all appear as one user, even if that is the allowed one."""
     monkeypatch.setattr(peeruid, "is_known", lambda user: user != os.getuid())
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
@@ -87,21 +87,21 @@ async def test_users_of_another_user_namespace_are_nobody(monkeypatch: pytest.Mo
         await Callers({os.getuid()}).check_listener(server.getsockname()[1])
 
 
-async def test_many_programs_are_told_apart_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search for each connection grows with the programs twice: a hundred got nowhere."""
-    looks: list[None] = []
+async def test_many_programs_are_checked_with_few_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One search per connection would be quadratic: a hundred programs timed out."""
+    reads: list[None] = []
     readlink = os.readlink
 
     def counted(path: str) -> str:
-        looks.append(None)
+        reads.append(None)
         return readlink(path)
 
     monkeypatch.setattr(os, "readlink", counted)
     count, files, each = 20, 40, 4
-    with programs(count, files) as many:
-        ends = [many.connection(which) for which in range(count) for _ in range(each)]
+    with programs(count, files) as several:
+        ends = [several.connection(which) for which in range(count) for _ in range(each)]
         callers = Callers({os.getuid()}, os.getpid())
         await asyncio.gather(*map(callers.check, ends))
-        assert len(looks) < 5 * count * (files + each)
+        assert len(reads) < 5 * count * (files + each)
         for end in ends:
             end.close()

@@ -16,34 +16,34 @@ from rossec.sidecar import child
 from rossec.sidecar.child import OUTSIDE, NoSuchProgram, outer_environment, program_environment
 from rossec.sidecar.core.endpoints import Loopback
 
-HERE = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
+ENVIRON = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
 LOOPBACK_URI = "http://127.0.0.1:4000/"
 
 
-def test_the_program_sees_loopback_alone() -> None:
-    env = program_environment(HERE, HERE, LOOPBACK_URI)
+def test_the_program_gets_only_the_loopback_master() -> None:
+    env = program_environment(ENVIRON, ENVIRON, LOOPBACK_URI)
     assert env.pop(OUTSIDE)
     assert env == {"ROS_MASTER_URI": LOOPBACK_URI, "ROS_IP": "127.0.0.1", "HOME": "/home/me"}
 
 
 def test_a_nested_run_finds_what_the_outer_one_replaced() -> None:
-    once = program_environment(HERE, HERE, LOOPBACK_URI)
-    assert {key: outer_environment(once).get(key) for key in HERE} == HERE
+    once = program_environment(ENVIRON, ENVIRON, LOOPBACK_URI)
+    assert {key: outer_environment(once).get(key) for key in ENVIRON} == ENVIRON
     assert "ROS_IP" not in outer_environment(once)
     twice = program_environment(once, outer_environment(once), "http://127.0.0.1:5000/")
     assert json.loads(twice[OUTSIDE]) == {
-        key: HERE[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
+        key: ENVIRON[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
     }
 
 
-def test_a_nested_run_finds_the_master_that_was_settled_on() -> None:
-    settled = HERE | {"ROS_MASTER_URI": "http://found:11311"}
-    once = program_environment(HERE | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
+def test_a_nested_run_finds_the_discovered_master() -> None:
+    settled = ENVIRON | {"ROS_MASTER_URI": "http://found:11311"}
+    once = program_environment(ENVIRON | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
     assert outer_environment(once)["ROS_MASTER_URI"] == "http://found:11311"
 
 
 @pytest.mark.parametrize("damaged", ["", "7", "{", "[]x"])
-def test_a_damaged_variable_is_named(damaged: str) -> None:
+def test_a_damaged_variable_is_an_error(damaged: str) -> None:
     with pytest.raises(ConfigurationError, match="damaged"):
         outer_environment({OUTSIDE: damaged})
 
@@ -52,11 +52,11 @@ def test_a_damaged_variable_is_named(damaged: str) -> None:
     ("code", "expected"),
     [("import sys; sys.exit(7)", 7), ("import os; os.kill(os.getpid(), 9)", 128 + 9)],
 )
-async def test_exit_codes(code: str, expected: int) -> None:
+async def test_the_exit_code_of_the_program_is_returned(code: str, expected: int) -> None:
     assert await child.run([sys.executable, "-c", code], os.environ) == expected
 
 
-async def test_programs_that_cannot_be_started(tmp_path: Path) -> None:
+async def test_programs_that_cannot_be_started_have_shell_exit_codes(tmp_path: Path) -> None:
     script = tmp_path / "script"
     script.write_text("echo no first line says who runs this\n")
     script.chmod(0o755)
@@ -66,7 +66,7 @@ async def test_programs_that_cannot_be_started(tmp_path: Path) -> None:
         assert refused.value.code == code
 
 
-async def test_the_program_has_the_descriptors_that_were_passed() -> None:
+async def test_the_program_inherits_passed_descriptors() -> None:
     ours, theirs = os.pipe()
     os.set_inheritable(theirs, True)
     try:
@@ -92,53 +92,53 @@ while True:
 
 
 @contextlib.contextmanager
-def on_a_terminal(words: str = "") -> Iterator[tuple[int, int]]:
-    """A guarded program that counts its signals, and its terminal."""
+def on_a_terminal(redirection: str = "") -> Iterator[tuple[int, int]]:
+    """The PID of a parent of a program that counts its signals, and its terminal."""
     process, terminal = pty.fork()
     if process == 0:
-        command = f'exec "$0" "$@" {words}'
+        command = f'exec "$0" "$@" {redirection}'
         os.execvp("sh", ["sh", "-c", command, sys.executable, "-c", RUN, COUNT])
     try:
-        said = b""
-        while not said.endswith(b"\r\n"):
-            said += os.read(terminal, 100)
-        yield int(said.split()[1]), terminal
+        output = b""
+        while not output.endswith(b"\r\n"):
+            output += os.read(terminal, 100)
+        yield int(output.split()[1]), terminal
     finally:
         os.close(terminal)
 
 
-def counted(guard: int) -> int:
-    """What the program has counted: ten for each SIGINT, one for each SIGUSR1."""
-    os.kill(guard, signal.SIGUSR2)
-    return os.waitstatus_to_exitcode(os.waitpid(guard, 0)[1])
+def counted_signals(parent_pid: int) -> int:
+    """The program's count: ten for each SIGINT, one for each SIGUSR1."""
+    os.kill(parent_pid, signal.SIGUSR2)
+    return os.waitstatus_to_exitcode(os.waitpid(parent_pid, 0)[1])
 
 
-def arrived(guard: int) -> None:
-    """Wait until no signal is pending for the guard, nor for its program."""
-    (program,) = Path(f"/proc/{guard}/task/{guard}/children").read_text().split()
+def wait_delivered(parent_pid: int) -> None:
+    """Wait until no signal is pending for the parent or its program."""
+    (program,) = Path(f"/proc/{parent_pid}/task/{parent_pid}/children").read_text().split()
     end = time.monotonic() + 30
-    for process in (guard, int(program)):
+    for process in (parent_pid, int(program)):
         while "ShdPnd:\t0000000000000000" not in Path(f"/proc/{process}/status").read_text():
             assert time.monotonic() < end
             time.sleep(0.01)
 
 
-@pytest.mark.parametrize("words", ["", "</dev/null"])
-def test_ctrl_c_reaches_the_program_once(words: str) -> None:
-    """The terminal sends it to the program itself, wherever its input comes from."""
-    with on_a_terminal(words) as (guard, terminal):
+@pytest.mark.parametrize("redirection", ["", "</dev/null"])
+def test_ctrl_c_reaches_the_program_once(redirection: str) -> None:
+    """The terminal sends it to the program itself, also if its input is redirected."""
+    with on_a_terminal(redirection) as (parent_pid, terminal):
         os.write(terminal, b"\x03")
         assert b"^C" in os.read(terminal, 100)
-        arrived(guard)
-        assert counted(guard) == 10
+        wait_delivered(parent_pid)
+        assert counted_signals(parent_pid) == 10
 
 
-def test_what_a_process_sends_is_passed_on_in_the_foreground_too() -> None:
-    with on_a_terminal() as (guard, _):
+def test_signals_of_a_process_are_forwarded_in_the_foreground_too() -> None:
+    with on_a_terminal() as (parent_pid, _):
         for number in (signal.SIGINT, signal.SIGUSR1):
-            os.kill(guard, number)
-            arrived(guard)
-        assert counted(guard) == 11
+            os.kill(parent_pid, number)
+            wait_delivered(parent_pid)
+        assert counted_signals(parent_pid) == 11
 
 
 def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
@@ -155,9 +155,9 @@ def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
     assert not Path(f"/proc/{program}/exe").exists()
 
 
-def test_without_ipv4_programs_are_told_a_name() -> None:
+def test_without_ipv4_programs_get_a_host_name() -> None:
     uri = "http://localhost:4000/"
-    env = program_environment(HERE, HERE, uri, Loopback("::1", "localhost"))
+    env = program_environment(ENVIRON, ENVIRON, uri, Loopback("::1", "localhost"))
     del env[OUTSIDE]
     own = {"ROS_HOSTNAME": "localhost", "ROS_IPV6": "on"}
     assert env == {"ROS_MASTER_URI": uri, "HOME": "/home/me", **own}

@@ -1,4 +1,4 @@
-"""Connections kept for who comes next: for one caller, and for a moment."""
+"""Cached connections: for one caller, for a few seconds."""
 
 import asyncio
 from typing import Any
@@ -15,7 +15,7 @@ ENDPOINT = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class FakeClient:
-    """Stands for a correspondent and its client."""
+    """Stands for a slave API client and its RPC client."""
 
     def __init__(self) -> None:
         self.rpc = self
@@ -25,7 +25,7 @@ class FakeClient:
         self.closed = True
 
 
-async def test_for_one_caller_alone() -> None:
+async def test_a_cached_connection_is_taken_once() -> None:
     cache, one = ConnectionCache(), FakeClient()
     cache.put(ENDPOINT, _as(one))
     assert cache.take(ENDPOINT) == _as(one)
@@ -34,7 +34,7 @@ async def test_for_one_caller_alone() -> None:
     assert not one.closed, "it is the caller's now"
 
 
-async def test_the_older_one_is_let_go() -> None:
+async def test_an_older_connection_is_closed() -> None:
     cache, old, new = ConnectionCache(), FakeClient(), FakeClient()
     cache.put(ENDPOINT, _as(old))
     cache.put(ENDPOINT, _as(new))
@@ -44,7 +44,9 @@ async def test_the_older_one_is_let_go() -> None:
     await cache.close()
 
 
-async def test_for_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_cached_connection_is_closed_after_its_lifetime(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(connection_cache, "_LIFETIME", 0.0)
     cache, one, other = ConnectionCache(), FakeClient(), FakeClient()
     cache.put(ENDPOINT, _as(one))

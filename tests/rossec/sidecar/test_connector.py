@@ -1,4 +1,4 @@
-"""The channel as one identity speaks it: who is met, and where it listens."""
+"""The secure channel of one identity: peers and listening ports."""
 
 import socket
 from pathlib import Path
@@ -18,8 +18,8 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 
-async def nothing(_: SecureStream[Identity]) -> None:
-    """Serves nobody."""
+async def ignore(_: SecureStream[Identity]) -> None:
+    """Serve nothing."""
 
 
 @pytest.fixture
@@ -30,20 +30,20 @@ def site(tmp_path: Path) -> Site:
     return site
 
 
-async def begun(near: Sidecar, name: str) -> None:
-    """The identity meets the master, and knows what is revoked."""
-    async with Program(name, near) as program:
-        await program.ask(near.uri, "getPid")
+async def start_agent(running: Sidecar, name: str) -> None:
+    """Start the agent, so that it has revocation data."""
+    async with Program(name, running) as program:
+        await program.ask(running.uri, "getPid")
 
 
-async def test_whoever_answers_is_judged_before_it_is_spoken_to(site: Site) -> None:
-    async with site.running(), sidecar(site) as near:
-        robot, viewer = near._agent_for("/robot"), near._agent_for("/viewer")
-        await begun(near, "/robot")
-        await begun(near, "/viewer")
-        server = robot._connector.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
-        place = Endpoint(WireProtocol.HTTP, "127.0.0.1", server.port)
-        stream = await viewer.dial(place)
+async def test_a_revoked_peer_is_refused_before_anything_is_sent(site: Site) -> None:
+    async with site.running(), sidecar(site) as running:
+        robot, viewer = running._agent_for("/robot"), running._agent_for("/viewer")
+        await start_agent(running, "/robot")
+        await start_agent(running, "/viewer")
+        server = robot._connector.listen(ignore, "127.0.0.1", WireProtocol.HTTP)
+        endpoint = Endpoint(WireProtocol.HTTP, "127.0.0.1", server.port)
+        stream = await viewer.dial(endpoint)
         assert stream.peer.name == "/robot"
         stream.abort("enough")
         key = site.identity("/robot").thumbprint
@@ -51,22 +51,24 @@ async def test_whoever_answers_is_judged_before_it_is_spoken_to(site: Site) -> N
         await membership._session.call("rossec.updateRevocations", site.revoke(key))
         await until(lambda: key in membership._revocations.entries, within=20)
         with pytest.raises(HangUp, match="revoked"):
-            await viewer.dial(place)
+            await viewer.dial(endpoint)
         await server.close()
 
 
-async def test_a_port_that_is_taken_meanwhile(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another is tried; where none is free the reason is told."""
+async def test_another_port_is_bound_if_one_is_taken(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another port is tried; if none is free, the error is raised."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         ports = [taken.getsockname()[1]]
         monkeypatch.setattr(
             loopback_port, "free_port", lambda: ports.pop() if ports else free_port()
         )
-        async with sidecar(site) as near:
-            robot = near._agent_for("/robot")._connector
-            server = robot.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
+        async with sidecar(site) as running:
+            robot = running._agent_for("/robot")._connector
+            server = robot.listen(ignore, "127.0.0.1", WireProtocol.HTTP)
             assert server.port != taken.getsockname()[1]
             await server.close()
             monkeypatch.setattr(loopback_port, "free_port", lambda: taken.getsockname()[1])
             with pytest.raises(OSError, match="in use"):
-                robot.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
+                robot.listen(ignore, "127.0.0.1", WireProtocol.HTTP)

@@ -1,4 +1,4 @@
-"""The limit of descriptors: raised here, as it was for the program."""
+"""The descriptor limit: raised for the sidecar, restored for the program."""
 
 import resource
 
@@ -20,7 +20,7 @@ WHICH = resource.RLIMIT_NOFILE
         ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), []),
     ],
 )
-def test_it_is_raised_as_far_as_it_goes(
+def test_the_soft_limit_is_raised_as_far_as_allowed(
     monkeypatch: pytest.MonkeyPatch, before: tuple[int, int], raised: list[tuple[int, int]]
 ) -> None:
     made: list[tuple[int, int]] = []
@@ -32,7 +32,7 @@ def test_it_is_raised_as_far_as_it_goes(
     assert made == [*raised, before]
 
 
-def test_where_it_cannot_be_raised_it_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_limit_that_cannot_be_raised_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: object) -> None:
         raise PermissionError
 

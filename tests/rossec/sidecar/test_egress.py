@@ -1,12 +1,14 @@
-"""Doors on loopback: what programs hear of peers, and what they do not."""
+"""Loopback ports for peers: what programs receive, and what not."""
 
 from grants.model import Restriction, Right, filter_rules
 from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes
 
 
-async def test_a_restricted_publisher_is_believed_no_further(pair: SidecarPair) -> None:
-    """Its own sidecar sends what the program says; the subscriber's applies the restriction."""
+async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(
+    pair: SidecarPair,
+) -> None:
+    """Its own sidecar sends everything; the subscriber's sidecar applies the restriction."""
     for file in pair.site.enroll("/talker").path.glob("grants/*"):
         file.unlink()
     rules = filter_rules({"data": {"truncate": {"length": 2}}})

@@ -1,4 +1,4 @@
-"""How commands are carried out, and what becomes of an end that does not answer."""
+"""Execution of commands, and ends that do not answer."""
 
 import asyncio
 from typing import Any
@@ -24,7 +24,7 @@ PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class FakeServices:
-    """An identity that reaches nobody."""
+    """The services of an agent that reaches no peer."""
 
     name = "/robot"
     callers = ANY_CALLER
@@ -53,7 +53,7 @@ class FakeServices:
         return None
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        raise PeerUnreachable(f"nobody at {remote.uri}")
+        raise PeerUnreachable(f"no peer at {remote.uri}")
 
     def check_peer(self, peer: Identity) -> None:
         raise AssertionError(peer)
@@ -68,7 +68,7 @@ class FakeServices:
 
 
 def one_command(command: Any) -> Layer[Event]:
-    """A layer of one question; its outcome is the event."""
+    """A layer of one command; its outcome is the event."""
     event: Event = yield command
     return event
 
@@ -81,7 +81,7 @@ async def outcome(services: FakeServices, command: Any) -> Event:
         await executor.close()
 
 
-async def test_a_fault_is_given_to_the_layer() -> None:
+async def test_a_fault_is_thrown_into_the_layer() -> None:
     def multicall() -> Layer[str]:
         try:
             yield CallMaster("odd", ())
@@ -96,7 +96,7 @@ async def test_a_fault_is_given_to_the_layer() -> None:
         await outcome(services, CallMaster("odd", ()))
 
 
-async def test_a_peer_out_of_reach_has_its_door_shut() -> None:
+async def test_the_egress_port_of_an_unreachable_peer_refuses_callers() -> None:
     services = FakeServices()
     event = await outcome(services, CallPeer(PEER, "getPid", ("/robot",), Right.GRAPH))
     assert isinstance(event, NoAnswer)
@@ -112,7 +112,9 @@ async def test_a_program_that_does_not_listen_is_dead() -> None:
     assert event.dead
 
 
-async def test_who_does_not_answer_in_time_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_master_that_does_not_answer_in_time_is_no_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(executor_module, "DEADLINE", 0.01)
     services = FakeServices()
     services.answer = asyncio.Event().wait

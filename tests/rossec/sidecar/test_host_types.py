@@ -1,4 +1,4 @@
-"""What a host knows of message types: its packages, and ROS's own."""
+"""The message types a host knows: of its packages, and of ROS."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def package(place: Path, **messages: str) -> Path:
     return place
 
 
-def test_the_standard_types_are_known() -> None:
+def test_standard_types_are_known() -> None:
     for name in type_names():
         known, own = known_type(name), message_type(name)
         assert known is not None
@@ -25,15 +25,15 @@ def test_the_standard_types_are_known() -> None:
 
 
 @pytest.mark.parametrize("name", ["*", "", "none/Such", "../etc/passwd", "std_msgs/../String", "a"])
-def test_others_are_not(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_types_are_unknown(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
     assert known_type(name) is None
 
 
-def test_packages_are_found_where_ros_finds_them(
+def test_packages_are_found_along_ros_package_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One beside others, and one by itself; parts may be standard types."""
+    """In a directory of packages, or given itself; nested types may be standard types."""
     package(tmp_path / "ws" / "my_robot", Drive="my_parts/Axle[2] axles\nHeader header\n")
     own = package(
         tmp_path / "else" / "my_parts", Axle="Wheel left  # \xe9\nWheel right", Wheel="float32 r"
@@ -45,7 +45,7 @@ def test_packages_are_found_where_ros_finds_them(
     assert found.layout.root.fields[0][1].size == 16
 
 
-def test_a_package_that_is_not_whole_is_not_known(
+def test_types_with_missing_or_invalid_parts_are_unknown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
@@ -58,11 +58,11 @@ def test_a_package_that_is_not_whole_is_not_known(
         assert known_type(f"my_robot/{name}") is None
 
 
-def test_what_is_made_of_too_many_types_is_not_known(
+def test_a_type_with_too_many_dependencies_is_unknown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
-    monkeypatch.setattr(host_types, "_MOST", 2)
+    monkeypatch.setattr(host_types, "_MAX_TYPES", 2)
     package(tmp_path / "my_robot", A="B b", B="C c", C="int8 c")
     assert known_type("my_robot/B") is not None
     assert known_type("my_robot/A") is None

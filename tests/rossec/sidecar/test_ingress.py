@@ -1,4 +1,4 @@
-"""Doors to the network: what passes to peers, what does not."""
+"""Network ports for programs: what peers receive, and what not."""
 
 import asyncio
 
@@ -19,7 +19,7 @@ from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 
 
-async def test_messages_pass_unchanged_and_large_ones_in_pieces(pair: SidecarPair) -> None:
+async def test_messages_are_forwarded_unchanged(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
     message = string_message("hello") + string_message("x" * 3_000_000)
     sending = asyncio.ensure_future(source.send(message))
@@ -28,7 +28,7 @@ async def test_messages_pass_unchanged_and_large_ones_in_pieces(pair: SidecarPai
     assert b"rossec_grants" not in str(pair.talker.headers).encode()
 
 
-async def test_both_ends_go_together(pair: SidecarPair) -> None:
+async def test_closing_one_end_closes_the_other(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
     await source.close()
     await wait_closed(stream)
@@ -37,7 +37,7 @@ async def test_both_ends_go_together(pair: SidecarPair) -> None:
     await wait_closed(source)
 
 
-async def test_a_restricted_subscriber_sees_what_it_may(pair: SidecarPair) -> None:
+async def test_messages_for_a_restricted_subscriber_are_filtered(pair: SidecarPair) -> None:
     rules = filter_rules({"data": {"truncate": {"length": 2}}})
     for file in pair.site.enroll("/listener").path.glob("grants/*"):
         file.unlink()
@@ -49,7 +49,7 @@ async def test_a_restricted_subscriber_sees_what_it_may(pair: SidecarPair) -> No
     assert await receive_bytes(stream, len(expected)) == expected
 
 
-async def test_a_guard_that_crashes_lets_nothing_through(
+async def test_no_message_passes_a_guard_that_raises(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for file in pair.site.enroll("/listener").path.glob("grants/*"):
@@ -68,7 +68,7 @@ async def test_a_guard_that_crashes_lets_nothing_through(
     await wait_closed(source)
 
 
-async def test_services_pass_both_ways(pair: SidecarPair) -> None:
+async def test_service_calls_are_forwarded_both_ways(pair: SidecarPair) -> None:
     uri = f"rosrpc://127.0.0.1:{pair.talker.topics.port}"
     await pair.talker.register("registerService", "/say", uri)
     answer = await pair.listener.ask(pair.listener.master_uri, "lookupService", "/say")
@@ -80,7 +80,7 @@ async def test_services_pass_both_ways(pair: SidecarPair) -> None:
         assert await receive_bytes(stream, len(string_message(text))) == string_message(text)
 
 
-async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: SidecarPair) -> None:
+async def test_the_port_of_a_dead_program_refuses_callers(pair: SidecarPair) -> None:
     site = pair.site
     site.grant("/listener", Right.GRAPH, "/talker")
     await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
@@ -97,31 +97,31 @@ async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: SidecarPai
 
 
 async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[Agent, Endpoint]:
-    """The listener's identity, and where peers meet the talker."""
+    """The listener's agent, and the endpoint at which peers reach the talker."""
     await connect(pair)
-    exports = pair.talker_sidecar._agent_for("/talker")._ingress.ports
+    ports = pair.talker_sidecar._agent_for("/talker")._ingress.ports
     (port,) = (
-        server.port for place, server in exports._ports.items() if place.protocol is protocol
+        server.port for endpoint, server in ports._ports.items() if endpoint.protocol is protocol
     )
     return pair.listener_sidecar._agent_for("/listener"), Endpoint(protocol, "127.0.0.1", port)
 
 
-async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: SidecarPair) -> None:
-    agent, place = await ingress_endpoint(pair, WireProtocol.TCPROS)
-    asked = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
+async def test_a_subscriber_that_sends_data_is_disconnected(pair: SidecarPair) -> None:
+    agent, endpoint = await ingress_endpoint(pair, WireProtocol.TCPROS)
+    request = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
     proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
-    for fields, more in ((asked | proof, b"more"), (asked, b"")):
-        stream = await agent.dial(place)
+    for fields, more in ((request | proof, b"more"), (request, b"")):
+        stream = await agent.dial(endpoint)
         await stream.send(header.encode(fields) + more)
         answer, _ = await split_header(stream)
-        assert ("error" in answer) is (fields == asked)
+        assert ("error" in answer) is (fields == request)
         with pytest.raises(RossecError):
             await stream.receive()
 
 
-async def test_what_is_for_the_master_alone(pair: SidecarPair) -> None:
-    agent, place = await ingress_endpoint(pair, WireProtocol.HTTP)
-    client = RpcClient(await agent.dial(place))
+async def test_only_the_master_may_update_revocations(pair: SidecarPair) -> None:
+    agent, endpoint = await ingress_endpoint(pair, WireProtocol.HTTP)
+    client = RpcClient(await agent.dial(endpoint))
     params = ("/master", b"list", b"timestamp")
     answer = await client.call("rossec.revocationUpdate", *params)
     assert answer == [-1, "rossec: rossec.revocationUpdate is for the master alone", 0]

@@ -22,7 +22,7 @@ async def echo(stream: PlainStream) -> None:
         await stream.send(await stream.receive())
 
 
-async def greeted(port: int) -> bytes:
+async def exchange_hello(port: int) -> bytes:
     stream = PlainStream(await dial("127.0.0.1", port, 10))
     await stream.send(b"hello")
     try:
@@ -31,7 +31,7 @@ async def greeted(port: int) -> bytes:
         await stream.close()
 
 
-async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
+async def test_a_suspended_port_refuses_callers_and_stays_bound() -> None:
     listener = LoopbackPort(ANY_CALLER, echo)
     connections: list[PlainStream] = []
     try:
@@ -42,15 +42,15 @@ async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
                 bind_loopback(listener.port)
             listener.open()
             listener.open()
-            assert await greeted(listener.port) == b"hello"
+            assert await exchange_hello(listener.port) == b"hello"
             connections.append(PlainStream(await dial("127.0.0.1", listener.port, 10)))
             await connections[-1].send(b"x")
             assert await connections[-1].receive() == b"x"
             listener.suspend()
-            with socket.socket() as thief:
-                thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            with socket.socket() as other:
+                other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 with pytest.raises(OSError, match="in use"):
-                    thief.bind(("127.0.0.1", listener.port))
+                    other.bind(("127.0.0.1", listener.port))
     finally:
         await listener.close()
         for stream in connections:
@@ -58,12 +58,12 @@ async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
     bind_loopback(listener.port).close()
 
 
-async def test_programs_of_others_are_dropped_before_a_byte_is_read() -> None:
+async def test_programs_of_other_users_are_dropped_before_reading() -> None:
     listener = LoopbackPort(Callers({os.getuid() + 1}), echo)
     listener.open()
     try:
         with pytest.raises((ChannelClosed, ConnectionError)):
-            await greeted(listener.port)
+            await exchange_hello(listener.port)
     finally:
         await listener.close()
 
@@ -77,45 +77,45 @@ async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyP
     assert await first.receive() == b"x"
     assert listener.connections == 1
     with pytest.raises((ChannelClosed, ConnectionError)):
-        await greeted(listener.port)
+        await exchange_hello(listener.port)
     first.abort()
     await listener.close()
 
 
 class Exhausted(socket.socket):
-    """Out of descriptors for a while; counts how often it is asked."""
+    """Out of descriptors for three calls; counts the calls."""
 
-    asked = 0
+    calls = 0
 
     def accept(self) -> tuple[socket.socket, object]:
-        Exhausted.asked += 1
-        if Exhausted.asked <= 3:
+        Exhausted.calls += 1
+        if Exhausted.calls <= 3:
             raise OSError(errno.EMFILE, "too many open files")
         return super().accept()
 
 
-async def test_without_descriptors_it_rests(
+async def test_accepting_pauses_without_descriptors(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Whoever waits is told of again at once: to try again at once would take all the time."""
+    """The socket stays readable: retrying at once would be a busy loop."""
     monkeypatch.setattr(
         loopback_port, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach())
     )
     monkeypatch.setattr(loopback_port, "_PAUSE", 0.05)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
-    assert await greeted(listener.port) == b"hello"
-    assert Exhausted.asked == 4
+    assert await exchange_hello(listener.port) == b"hello"
+    assert Exhausted.calls == 4
     assert "too many open files" in caplog.text
     listener.suspend()
-    listener._start_accepting()  # it rests
+    listener._start_accepting()  # no effect while suspended
     with pytest.raises(ConnectionRefusedError):
         await dial("127.0.0.1", listener.port, 10)
     await listener.close()
 
 
 async def test_a_slow_program_slows_the_sender() -> None:
-    """Back-pressure: what is not taken stays with the sender, not in our memory."""
+    """Back-pressure: unread bytes stay with the sender, not in our memory."""
     taken = asyncio.Event()
     received = 0
 
@@ -138,7 +138,7 @@ async def test_a_slow_program_slows_the_sender() -> None:
     assert received == 32_000_000
 
 
-async def test_too_many_at_once_are_let_go(
+async def test_connections_above_the_limit_are_closed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
@@ -148,13 +148,13 @@ async def test_too_many_at_once_are_let_go(
     await stream.send(b"hello")
     assert await stream.receive() == b"hello"
     with pytest.raises(ChannelClosed):
-        await greeted(listener.port)
+        await exchange_hello(listener.port)
     assert f"too many connections at loopback port {listener.port}" in caplog.text
     await stream.close()
     await listener.close()
 
 
-async def test_a_mistake_of_ours_lets_nobody_in(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_error_in_the_check_refuses_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     async def crash(_: socket.socket) -> None:
         raise ArithmeticError
 
@@ -162,11 +162,11 @@ async def test_a_mistake_of_ours_lets_nobody_in(monkeypatch: pytest.MonkeyPatch)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     with pytest.raises(ChannelClosed):
-        await greeted(listener.port)
+        await exchange_hello(listener.port)
     await listener.close()
 
 
-async def test_another_free_port_where_one_is_taken_meanwhile(
+async def test_binding_fails_when_every_free_port_is_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -181,7 +181,7 @@ def resolving(monkeypatch: pytest.MonkeyPatch, here: set[str], names: dict[str, 
     monkeypatch.setattr(loopback_port, "_addresses", lambda name: names.get(name, set()))
 
 
-def test_loopback_is_ipv4_wherever_it_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loopback_is_ipv4_if_possible(monkeypatch: pytest.MonkeyPatch) -> None:
     assert loopback_port.find_loopback() == LOOPBACK
     resolving(monkeypatch, {"127.0.0.1", "::1"}, {"localhost": {"::1"}})
     assert loopback_port.find_loopback() == LOOPBACK
@@ -194,7 +194,7 @@ def test_loopback_is_ipv4_wherever_it_can_be(monkeypatch: pytest.MonkeyPatch) ->
         ({"localhost": {"::1", "2001:db8::1"}, "ip6-localhost": {"::1"}}, "ip6-localhost"),
     ],
 )
-def test_without_ipv4_it_is_a_name_that_leads_to_ipv6_alone(
+def test_without_ipv4_loopback_is_a_name_that_resolves_to_ipv6_alone(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
     names: dict[str, set[str]],
@@ -202,10 +202,10 @@ def test_without_ipv4_it_is_a_name_that_leads_to_ipv6_alone(
 ) -> None:
     resolving(monkeypatch, {"::1"}, names)
     assert loopback_port.find_loopback() == ("::1", name)
-    assert f"no 127.0.0.1: programs are told {name}, and ROS_IPV6=on" in caplog.text
+    assert f"no 127.0.0.1: programs get the host name {name} and ROS_IPV6=on" in caplog.text
 
 
-def test_a_host_without_loopback_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_without_loopback_gets_a_hint(monkeypatch: pytest.MonkeyPatch) -> None:
     resolving(monkeypatch, set(), {"localhost": {"::1"}})
     with pytest.raises(ConfigurationError, match="this host has no loopback address") as caught:
         loopback_port.find_loopback()
@@ -216,7 +216,7 @@ def test_a_host_without_loopback_is_told_what_to_do(monkeypatch: pytest.MonkeyPa
     assert caught.value.hint == "write in /etc/hosts: ::1 localhost ip6-localhost"
 
 
-def test_what_a_name_leads_to(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_resolve_to_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
     def found(*_: object) -> list[tuple[object, ...]]:
         return [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("::1", 0, 0, 0))]
 
@@ -231,8 +231,8 @@ def test_what_a_name_leads_to(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not loopback_port._is_here("192.0.2.1")
 
 
-async def test_a_port_of_ipv6_is_for_programs_that_may(caplog: pytest.LogCaptureFixture) -> None:
-    """The kernel says who is at the other end there as well."""
+async def test_an_ipv6_port_checks_callers_too(caplog: pytest.LogCaptureFixture) -> None:
+    """The kernel gives the user at the other end for IPv6 as well."""
     six = Loopback("::1", "localhost")
     for users, answer in ((os.getuid(), b"hello"), (os.getuid() + 1, b"")):
         listener = LoopbackPort(Callers({users}, None, six), echo)

@@ -1,4 +1,4 @@
-"""The standing with the master: what programs need not notice."""
+"""The master session: what programs need not handle."""
 
 import logging
 from pathlib import Path
@@ -16,8 +16,8 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 
-async def test_a_program_returns_to_a_topic_that_it_lost(pair: SidecarPair) -> None:
-    """Stock rospy waits until the publisher is named again."""
+async def test_a_program_resubscribes_to_a_topic_whose_connection_ended(pair: SidecarPair) -> None:
+    """Stock rospy waits for a publisherUpdate."""
     stream, source = await connect(pair)
     before = len(pair.listener.calls)
     source.abort()
@@ -30,7 +30,7 @@ async def test_a_program_returns_to_a_topic_that_it_lost(pair: SidecarPair) -> N
     await until(lambda: named() == ["/word"], within=20)
 
 
-async def test_a_restarted_master_hears_of_the_programs_again(pair: SidecarPair) -> None:
+async def test_programs_are_registered_again_with_a_restarted_master(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
     await pair.site.restart_master()
     update = "publisherUpdate"
@@ -39,41 +39,41 @@ async def test_a_restarted_master_hears_of_the_programs_again(pair: SidecarPair)
     assert await receive_bytes(stream, len(string_message("still"))) == string_message("still")
 
 
-async def test_a_publisher_that_is_not_back_yet_is_named_for_a_while(
+async def test_a_publisher_not_yet_registered_again_is_kept_for_a_grace_period(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """roscpp hangs up on whom the master does not name."""
+    """roscpp disconnects from publishers that the master does not name."""
     absent = Absent(monkeypatch)
     stream, source = await connect(pair)
     absent.names = {"/talker"}
     await pair.site.restart_master()
 
-    def told() -> list[tuple[object, ...]]:
+    def updates() -> list[tuple[object, ...]]:
         return [params for method, params in pair.listener.calls if method == "publisherUpdate"]
 
-    await until(told, within=30)
-    assert [len(uris) for _, _, uris in told() if isinstance(uris, list)][-1] == 1
+    await until(updates, within=30)
+    assert [len(uris) for _, _, uris in updates() if isinstance(uris, list)][-1] == 1
     await source.send(string_message("still"))
     assert await receive_bytes(stream, len(string_message("still"))) == string_message("still")
     monkeypatch.setattr("rossec.participant.publisher_grace.GRACE", 0.0)
     named = pair.listener_sidecar._agent_for("/listener").state.publisher_grace
     monkeypatch.setattr(named, "_until", 0.0)
-    await until(lambda: told()[-1][2] == [], within=30)
+    await until(lambda: updates()[-1][2] == [], within=30)
 
 
-async def test_a_master_that_is_away_is_no_answer(tmp_path: Path) -> None:
+async def test_a_call_fails_without_a_master(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.enroll("/talker")
-    async with site.running(), sidecar(site) as near:
+    async with site.running(), sidecar(site) as running:
         assert site.master is not None
         await site.master.close()
-        async with Program("/talker", near) as talker:
+        async with Program("/talker", running) as talker:
             with pytest.raises(RossecError):
                 await talker.ask(talker.master_uri, "getPid")
 
 
-async def test_a_master_that_is_revoked_is_not_asked(pair: SidecarPair) -> None:
-    """Nothing is said to it, not even while nobody knows what else is revoked."""
+async def test_a_revoked_master_is_not_called(pair: SidecarPair) -> None:
+    """Nothing is sent to it, not even while revocation data is stale."""
     await connect(pair)
     data = pair.site.revoke(pair.site.identity("/master").thumbprint)
     agent = pair.talker_sidecar._agent_for("/talker")
@@ -83,15 +83,15 @@ async def test_a_master_that_is_revoked_is_not_asked(pair: SidecarPair) -> None:
         await agent._dial_master()
 
 
-async def test_who_begins_in_vain_keeps_no_connection(
+async def test_a_failed_start_keeps_no_connection(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A master that does not hold must not be asked later by whoever finds the connection."""
+    """A later call must not use the connection to an invalid master."""
     agent = pair.talker_sidecar._agent_for("/talker")
     session = agent._membership._session
 
     def refused(*_: object) -> None:
-        raise HangUp("it does not hold")
+        raise HangUp("invalid identity")
 
     monkeypatch.setattr(session, "_refresh", refused)
     for _ in range(2):
@@ -102,10 +102,10 @@ async def test_who_begins_in_vain_keeps_no_connection(
 
 
 @pytest.mark.parametrize("restart", [False, True])
-async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
+async def test_a_dead_program_does_not_replace_a_new_one_of_its_name(
     pair: SidecarPair, restart: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The master would end the living one: a node of the same name at another address."""
+    """The master would shut down the new one: a node of the same name at another address."""
     caplog.set_level(logging.INFO)
     await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
     await pair.talker.close()
@@ -119,7 +119,7 @@ async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
             assert stream is not None
             stream.abort("a cable is pulled")
         await until(lambda: "/talker: connected to the master again" in caplog.text, within=30)
-        place = Endpoint(
+        endpoint = Endpoint(
             WireProtocol.HTTP,
             "127.0.0.1",
             agent.open_ingress(local_endpoint(WireProtocol.HTTP, successor.slave.port)),
@@ -127,16 +127,16 @@ async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
         assert await agent.call_master("lookupNode", ("/talker", "/talker")) == [
             1,
             "node api",
-            place.uri,
+            endpoint.uri,
         ]
         await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
         assert [method for method, _ in successor.calls if method == "shutdown"] == []
 
 
-async def test_a_grant_that_arrives_counts_while_the_program_runs(
+async def test_a_new_grant_takes_effect_while_the_program_runs(
     pair: SidecarPair, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """What the master refuses is told in the log: a program may not show it."""
+    """Refusals of the master are logged: a program may not print them."""
     talker = pair.talker
     wanted = ("registerPublisher", "/late", "std_msgs/String", talker.uri)
     refused = await talker.ask(talker.master_uri, *wanted)

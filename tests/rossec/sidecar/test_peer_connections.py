@@ -1,4 +1,4 @@
-"""Live connections: judged when they begin, told apart from mistakes when they end."""
+"""Open connections: checked when they begin; bugs are not hidden when they end."""
 
 import asyncio
 import logging
@@ -15,8 +15,8 @@ from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
 
 
-class Ends:
-    """A connection that remembers why it was cut."""
+class FakeStream:
+    """A connection that records why it was closed."""
 
     def __init__(self, setup: AgentSetup) -> None:
         self.peer = setup.identity("/viewer")
@@ -26,20 +26,20 @@ class Ends:
         self.reasons.append(reason)
 
 
-def setting(site: Site) -> tuple[PeerConnections, Any, Any]:
-    """The links of /robot, a connection of /viewer, and why it was admitted a moment ago."""
+def make_connections(site: Site) -> tuple[PeerConnections, Any, Any]:
+    """The connections of /robot, a connection of /viewer, and the decision that admitted it."""
     setup = AgentSetup(site)
     site.subscribe("/viewer", "/word")
-    shown = setup.access("/viewer").present(Right.SUBSCRIBE, "/word", site.now())
+    grants = setup.access("/viewer").present(Right.SUBSCRIBE, "/word", site.now())
     access = setup.access("/robot")
     decision = access.authorize(
-        setup.identity("/viewer"), shown, Right.SUBSCRIBE, "/word", site.now()
+        setup.identity("/viewer"), grants, Right.SUBSCRIBE, "/word", site.now()
     )
-    return PeerConnections(access._revocations), Ends(setup), decision
+    return PeerConnections(access._revocations), FakeStream(setup), decision
 
 
-def test_a_link_is_known_while_it_lives(setup: AgentSetup) -> None:
-    connections, stream, decision = setting(setup.site)
+def test_a_connection_is_registered_while_it_is_open(setup: AgentSetup) -> None:
+    connections, stream, decision = make_connections(setup.site)
     with connections.track(stream, decision):
         (connection,) = connections
         assert connection.ends == min(decision.expires, stream.peer.not_after)
@@ -48,21 +48,21 @@ def test_a_link_is_known_while_it_lives(setup: AgentSetup) -> None:
     assert list(connections) == []
 
 
-def test_what_was_revoked_meanwhile_does_not_begin(
+def test_a_connection_that_has_expired_meanwhile_is_refused(
     setup: AgentSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connections, stream, decision = setting(setup.site)
+    connections, stream, decision = make_connections(setup.site)
     monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: decision.expires))
     with pytest.raises(HangUp, match="expired"), connections.track(stream, decision):
         pytest.fail("it began")
     assert list(connections) == []
 
 
-async def test_a_guard_that_refuses_ends_the_block_alone(
+async def test_an_expired_grant_ends_only_the_block(
     setup: AgentSetup, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    connections, stream, decision = setting(setup.site)
+    connections, stream, decision = make_connections(setup.site)
 
     async def expire() -> None:
         raise GrantExpired("the grant has expired")

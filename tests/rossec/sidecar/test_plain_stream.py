@@ -1,4 +1,4 @@
-"""A plain stream hands on what arrives, holds back when told to, and never loses or mixes bytes."""
+"""A plain stream forwards bytes in order, with back-pressure, and loses none."""
 
 import asyncio
 import socket
@@ -11,7 +11,7 @@ from tests.support.witness import until
 
 
 class Sink:
-    """Takes what is pushed; lags after each, until it is let go."""
+    """Records what is written; optionally lags until `free` is set."""
 
     def __init__(self, *, lags: bool = False) -> None:
         self.got = bytearray()
@@ -44,65 +44,65 @@ DATA = bytes(range(256)) * 8000
 
 
 @pytest.mark.parametrize("lags", [False, True])
-async def test_everything_is_forwarded_in_order(lags: bool) -> None:
-    near, far = pair()
+async def test_forwarding_keeps_the_order(lags: bool) -> None:
+    left, right = pair()
     sink = Sink(lags=lags)
-    forwarding = asyncio.ensure_future(far.forward(sink.write_nowait, sink.drain))
-    sending = asyncio.ensure_future(near.send(DATA))
+    forwarding = asyncio.ensure_future(right.forward(sink.write_nowait, sink.drain))
+    sending = asyncio.ensure_future(left.send(DATA))
     await sink.arrived.wait()
     if lags:
         await asyncio.wait({sending}, timeout=0.1)
         assert len(sink.got) < len(DATA)
         sink.free.set()
     await sending
-    closing = asyncio.ensure_future(near.close())
+    closing = asyncio.ensure_future(left.close())
     with pytest.raises(ChannelClosed):
         await forwarding
     assert sink.got == DATA
-    far.abort()
+    right.abort()
     await closing
 
 
-async def test_an_error_while_forwarding_fails_the_caller() -> None:
-    near, far = pair()
+async def test_an_error_while_forwarding_is_raised_by_forward() -> None:
+    left, right = pair()
 
     def fail(_: memoryview) -> bool:
         raise ArithmeticError
 
-    forwarding = asyncio.ensure_future(far.forward(fail, Sink().drain))
+    forwarding = asyncio.ensure_future(right.forward(fail, Sink().drain))
     await asyncio.sleep(0)
-    await near.send(b"x")
+    await left.send(b"x")
     with pytest.raises(ArithmeticError):
         await forwarding
-    for end in (near, far):
+    for end in (left, right):
         end.abort()
 
 
-async def test_nothing_is_written_to_a_program_that_is_gone() -> None:
-    near, far = pair()
-    near.abort()
+async def test_writing_to_a_closed_connection_fails() -> None:
+    left, right = pair()
+    left.abort()
     with pytest.raises(ChannelClosed):
-        near.write_nowait(b"x")
-    far.abort()
+        left.write_nowait(b"x")
+    right.abort()
 
 
-async def test_units_without_waiting() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as near:
-        far = socket.create_connection(near.getsockname())
-        accepted, _ = near.accept()
-    heard = asyncio.Event()
+async def test_units_are_read_and_sent_without_waiting() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as left:
+        right = socket.create_connection(left.getsockname())
+        accepted, _ = left.accept()
+    received = asyncio.Event()
     stream = PlainStream(accepted)
-    stream.on_ready(heard.set)
+    stream.on_ready(received.set)
     assert stream.next_unit() is None
-    far.sendall(b"ping")
-    await heard.wait()
+    right.sendall(b"ping")
+    await received.wait()
     there = stream.has_unit, stream.next_unit(), stream.has_unit
     assert there == (True, b"ping", False)
     assert stream.try_send(b"pong")
-    assert far.recv(4) == b"pong"
+    assert right.recv(4) == b"pong"
     assert stream.try_send(b"x" * 50_000_000)
     assert not stream.try_send(b"more")  # the program lags
-    far.close()
+    right.close()
     stream.abort()
     await until(lambda: _ended(stream))
     with pytest.raises(ChannelClosed):

@@ -16,7 +16,7 @@ class FakePort:
 ENDPOINTS = [local_endpoint(WireProtocol.HTTP, port) for port in range(1, 6)]
 
 
-def test_the_idle_one_that_was_asked_for_longest_ago_makes_room() -> None:
+def test_the_least_recently_requested_idle_port_is_evicted() -> None:
     closed: list[Endpoint] = []
     pool = PortPool[FakePort](lambda endpoint, _: closed.append(endpoint), limit=3)
     first, second, _ = (pool.get_or_open(endpoint, FakePort) for endpoint in ENDPOINTS[:3])
@@ -28,8 +28,8 @@ def test_the_idle_one_that_was_asked_for_longest_ago_makes_room() -> None:
     assert list(pool) == [second, first, fourth]
 
 
-def test_only_what_can_be_spared_makes_room() -> None:
-    """A live program that nobody calls keeps its door: its address is known to the master."""
+def test_only_ports_that_may_be_evicted_are_evicted() -> None:
+    """An idle live program keeps its port: the master has its address."""
     closed: list[Endpoint] = []
     dead = {ENDPOINTS[1]}
     pool = PortPool[FakePort](
@@ -42,7 +42,7 @@ def test_only_what_can_be_spared_makes_room() -> None:
         pool.get_or_open(ENDPOINTS[4], FakePort)
 
 
-def test_doors_in_use_stay() -> None:
+def test_ports_in_use_are_not_evicted() -> None:
     pool = PortPool[FakePort](lambda *_: pytest.fail("closed one in use"), limit=2)
     for endpoint in ENDPOINTS[:2]:
         pool.get_or_open(endpoint, lambda: FakePort(1))

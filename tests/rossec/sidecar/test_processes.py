@@ -1,4 +1,4 @@
-"""What /proc says of processes, and what numbers that change hands cannot make it say."""
+"""Processes in /proc, also with reused PIDs."""
 
 import os
 import socket
@@ -9,7 +9,7 @@ import pytest
 from rossec.sidecar import processes
 from rossec.sidecar.processes import descendants, descends, descriptors, parents, process, socket_at
 
-NONE = 1 << 30
+NO_PID = 1 << 30
 
 
 def test_descendants() -> None:
@@ -19,20 +19,20 @@ def test_descendants() -> None:
     assert descendants(family, 4) == []
 
 
-def test_the_kernel_names_parents() -> None:
+def test_parents_includes_this_process() -> None:
     assert (os.getpid(), os.getppid()) in set(parents())
 
 
-def test_descent_ends_with_the_process() -> None:
+def test_descends_is_false_for_itself_and_for_dead_processes() -> None:
     assert descends(os.getpid(), os.getppid())
     assert not descends(os.getpid(), os.getpid())
     assert not descends(os.getppid(), os.getpid())
-    assert not descends(NONE, os.getpid())
+    assert not descends(NO_PID, os.getpid())
 
 
 @pytest.fixture
-def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Processes of the test's own making, 9 below 5 below 3, with a name that is hard to read."""
+def fake_proc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A fake /proc: 9 is a child of 5, 5 of 3; with a program name that is hard to parse."""
     monkeypatch.setattr(processes, "_PROC", tmp_path)
     for pid, parent, started in ((3, 2, 100), (5, 3, 200), (9, 5, 300)):
         (tmp_path / str(pid)).mkdir()
@@ -45,7 +45,7 @@ def write(proc: Path, pid: int, parent: int, started: int) -> None:
     (proc / str(pid) / "stat").write_text(f"{pid} (a ) b 7 (c) {rest}")
 
 
-def test_descent_of_grandchildren(made_up: Path) -> None:
+def test_grandchildren_descend(fake_proc: Path) -> None:
     assert descends(9, 3)
     assert descends(5, 3)
     assert not descends(9, 4)
@@ -53,9 +53,9 @@ def test_descent_of_grandchildren(made_up: Path) -> None:
     assert process(9) == (9, 300)
 
 
-def test_a_parent_that_is_younger_than_its_child_is_none(made_up: Path) -> None:
-    """Its number was read before another process, a descendant, was given it."""
-    write(made_up, 5, 3, 301)
+def test_a_parent_younger_than_its_child_is_refused(fake_proc: Path) -> None:
+    """Its PID was reused by a descendant while the chain was read."""
+    write(fake_proc, 5, 3, 301)
     assert not descends(9, 3)
     assert descends(5, 3)
 
@@ -68,7 +68,7 @@ def test_descriptors_and_their_sockets() -> None:
         assert socket_at(os.getpid(), str(file.fileno())) is None
 
 
-def test_processes_that_are_gone_have_nothing() -> None:
-    assert process(NONE) is None
-    assert descriptors(NONE) == []
-    assert socket_at(NONE, "0") is None
+def test_ended_processes_have_no_descriptors() -> None:
+    assert process(NO_PID) is None
+    assert descriptors(NO_PID) == []
+    assert socket_at(NO_PID, "0") is None

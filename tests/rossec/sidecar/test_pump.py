@@ -1,4 +1,4 @@
-"""What a pump does before and beside the bytes that just pass."""
+"""Forwarding between a program and a peer: headers, guards, lagging peers."""
 
 import asyncio
 import struct
@@ -21,13 +21,13 @@ from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.witness import until
 
 
-async def test_a_header_comes_in_any_pieces_and_with_what_follows() -> None:
-    near, far = pair()
+async def test_a_header_is_split_from_the_bytes_that_follow() -> None:
+    left, right = pair()
     data = header.encode({"topic": b"/word"})
-    sending = asyncio.ensure_future(in_pieces(near, data[:2], data[2:9], data[9:] + b"more"))
-    assert await split_header(far) == ({"topic": b"/word"}, b"more")
+    sending = asyncio.ensure_future(in_pieces(left, data[:2], data[2:9], data[9:] + b"more"))
+    assert await split_header(right) == ({"topic": b"/word"}, b"more")
     await sending
-    for end in (near, far):
+    for end in (left, right):
         end.abort()
 
 
@@ -37,17 +37,17 @@ async def in_pieces(end: PlainStream, *pieces: bytes) -> None:
         await asyncio.sleep(0.01)
 
 
-async def test_a_header_is_bounded_before_it_is_kept() -> None:
-    near, far = pair()
-    await near.send(struct.pack("<I", header.HEADER_LIMIT + 1))
+async def test_a_header_length_is_checked_before_buffering() -> None:
+    left, right = pair()
+    await left.send(struct.pack("<I", header.HEADER_LIMIT + 1))
     with pytest.raises(HeaderRefused, match="a connection header of"):
-        await split_header(far)
-    for end in (near, far):
+        await split_header(right)
+    for end in (left, right):
         end.abort()
 
 
 class FakeGuard:
-    """A guard that refuses what begins with an x, until it has expired."""
+    """A guard that refuses messages that begin with x; optionally expired."""
 
     def __init__(self, expired: bool = False) -> None:
         self.expired = expired
@@ -58,82 +58,84 @@ class FakeGuard:
 
     def apply(self, message: bytes, now: int) -> list[bytes] | None:
         if message.startswith(b"x"):
-            raise RestrictionMismatch("it cannot be judged")
+            raise RestrictionMismatch("it cannot be checked")
         return None if message.startswith(b"-") else [message[:1], message[1:]]
 
 
 class Peer:
-    """Whoever subscribes, and what it was sent."""
+    """A subscribing peer that records what it receives."""
 
     def __init__(self) -> None:
         self.peer = SimpleNamespace(name="/viewer")
-        self.heard = b""
+        self.received = b""
 
     async def send(self, *pieces: bytes) -> None:
-        self.heard += b"".join(pieces)
+        self.received += b"".join(pieces)
 
 
 async def received_by_peer(guard: FakeGuard, *messages: bytes) -> bytes:
-    """What a peer hears of the messages of a program that then ends."""
-    near, far = pair()
+    """What a peer receives of the messages of a program that then closes."""
+    left, right = pair()
     peer = Peer()
-    await near.send(b"".join(map(header.frame, messages[1:])))
-    closing = asyncio.ensure_future(near.close())
+    await left.send(b"".join(map(header.frame, messages[1:])))
+    closing = asyncio.ensure_future(left.close())
     sending: Any = send_filtered
     try:
-        await sending(far, peer, guard, header.frame(messages[0]))
+        await sending(right, peer, guard, header.frame(messages[0]))
     except ChannelClosed:
-        return peer.heard
+        return peer.received
     finally:
-        far.abort()
+        right.abort()
         await closing
-        assert not guard.expired or peer.heard == b""
+        assert not guard.expired or peer.received == b""
     raise AssertionError
 
 
-async def test_what_cannot_be_judged_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
-    heard = await received_by_peer(FakeGuard(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
-    assert heard == header.frame(b"one") + header.frame(b"two")
-    assert caplog.text.count("/viewer: withheld a message: it cannot be judged") == 1
+async def test_messages_that_cannot_be_checked_are_withheld(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    received = await received_by_peer(FakeGuard(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
+    assert received == header.frame(b"one") + header.frame(b"two")
+    assert caplog.text.count("/viewer: withheld a message: it cannot be checked") == 1
 
 
-async def test_nothing_passes_after_the_end_of_the_grant() -> None:
+async def test_no_message_passes_after_the_grant_expires() -> None:
     with pytest.raises(GrantExpired):
         await received_by_peer(FakeGuard(expired=True), b"one")
 
 
 class LaggingPeer:
-    """A peer that takes one message, and then no more until it is told to."""
+    """A peer that lags after each message."""
 
     def __init__(self) -> None:
         self.peer = SimpleNamespace(name="/viewer")
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
         self.lags = False
 
     def write_nowait(self, data: bytes) -> bool:
-        self.heard.append(data)
+        self.received.append(data)
         self.lags = True
         return False
 
 
-async def test_who_lags_misses_what_is_remembered() -> None:
-    """It costs no token either: what was missed was not judged."""
+async def test_a_lagging_peer_misses_messages() -> None:
+    """A missed message costs no token: it was not checked."""
     many = Restriction(rate=2.0)
     decision = Decision(Right.SUBSCRIBE, "/a", (), 1 << 40, (many,))
-    near, far = pair()
+    left, right = pair()
     peer: Any = LaggingPeer()
     guard = Guard(None, decision, None, lambda _: Memory())
     with CopyTracker().share(guard, 0, latching=False) as (shared, _):
-        passing = asyncio.ensure_future(outgoing(far, peer, shared, header.frame(b"one")))
-        await until(lambda: bool(peer.heard))
-        await near.send(header.frame(b"missed") * 20)
-        for _ in range(100):  # turns of the loop
+        forwarding = asyncio.ensure_future(outgoing(right, peer, shared, header.frame(b"one")))
+        await until(lambda: bool(peer.received))
+        await left.send(header.frame(b"missed") * 20)
+        for _ in range(100):  # iterations of the loop
             await asyncio.sleep(0)
         peer.lags = False
-        await near.send(header.frame(b"two"))
-        closing = asyncio.ensure_future(near.close())
+        await left.send(header.frame(b"two"))
+        closing = asyncio.ensure_future(left.close())
         with pytest.raises(ChannelClosed):
-            await passing
-        far.abort()
+            await forwarding
+        right.abort()
         await closing
-    assert peer.heard == [header.frame(b"one"), header.frame(b"two")]
+    assert peer.received == [header.frame(b"one"), header.frame(b"two")]

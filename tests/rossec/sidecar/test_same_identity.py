@@ -1,4 +1,4 @@
-"""Programs of one identity behind one sidecar reach each other, and each one itself."""
+"""Programs of one identity behind one sidecar reach each other and themselves."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def site(tmp_path: Path) -> Site:
     return Site(tmp_path / "site")
 
 
-def entitled(site: Site, name: str, *, wildcard: bool = False) -> None:
+def grant_everything(site: Site, name: str, *, wildcard: bool = False) -> None:
     site.enroll(name, wildcard=wildcard)
     site.publish(name, TOPIC)
     site.subscribe(name, TOPIC)
@@ -36,12 +36,14 @@ async def provide(program: Program) -> None:
 
 
 async def call(program: Program) -> bytes:
-    """What the service echoes, through the door that the master's answer leads to."""
+    """What the service echoes, through the port in the master's answer."""
     found = await program.ask(program.master_uri, "lookupService", SERVICE)
     assert isinstance(found, list)
-    place = parse_endpoint(found[2], WireProtocol.TCPROS)
-    assert place is not None
-    assert place.port != program.topics.port, "around the channel, and around what its grants say"
+    endpoint = parse_endpoint(found[2], WireProtocol.TCPROS)
+    assert endpoint is not None
+    assert endpoint.port != program.topics.port, (
+        "around the channel, and around what its grants say"
+    )
     stream, answer = await program.call(found[2], SERVICE)
     assert "error" not in answer, answer
     await stream.send(b"\4\0\0\0echo")
@@ -51,31 +53,31 @@ async def call(program: Program) -> bytes:
 
 
 async def test_a_program_calls_its_own_service(site: Site) -> None:
-    entitled(site, "/robot")
-    async with site.running(), sidecar(site) as near, Program("/robot", near) as robot:
+    grant_everything(site, "/robot")
+    async with site.running(), sidecar(site) as running, Program("/robot", running) as robot:
         await provide(robot)
         assert (await call(robot)).endswith(b"echo")
 
 
-async def test_another_program_of_the_same_identity_calls_it(site: Site) -> None:
-    entitled(site, "/robot")
+async def test_another_program_of_the_same_identity_calls_the_service(site: Site) -> None:
+    grant_everything(site, "/robot")
     async with (
         site.running(),
-        sidecar(site, each=False, identity="/robot") as near,
-        Program("/robot", near) as robot,
-        Program("/rosservice_17", near) as tool,
+        sidecar(site, each=False, identity="/robot") as running,
+        Program("/robot", running) as robot,
+        Program("/rosservice_17", running) as tool,
     ):
         await provide(robot)
         assert (await call(tool)).endswith(b"echo")
 
 
 async def test_another_node_of_the_same_identity_subscribes(site: Site) -> None:
-    entitled(site, "/robot", wildcard=True)
+    grant_everything(site, "/robot", wildcard=True)
     async with (
         site.running(),
-        sidecar(site, each=False, identity="/robot") as near,
-        Program("/robot", near) as robot,
-        Program("/robot_2", near) as other,
+        sidecar(site, each=False, identity="/robot") as running,
+        Program("/robot", running) as robot,
+        Program("/robot_2", running) as other,
     ):
         await robot.register("registerPublisher", TOPIC, "std_msgs/String")
         uris = await other.register("registerSubscriber", TOPIC, "std_msgs/String")

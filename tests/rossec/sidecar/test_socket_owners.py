@@ -1,4 +1,4 @@
-"""Whose a socket is: searched for together, proved each time."""
+"""Owners of sockets: shared searches, and verification each time."""
 
 import asyncio
 import os
@@ -14,105 +14,107 @@ from tests.rossec.sidecar.child_programs import programs
 
 
 @pytest.fixture
-def ours() -> SocketOwners:
+def owners() -> SocketOwners:
     return SocketOwners(os.getpid())
 
 
 @pytest.fixture
 def searches(monkeypatch: pytest.MonkeyPatch) -> list[None]:
-    """One for each search that begins."""
-    begun: list[None] = []
+    """One entry for each search."""
+    searches: list[None] = []
     parents = processes.parents
 
     def counted() -> Iterator[tuple[int, int]]:
-        begun.append(None)
+        searches.append(None)
         return parents()
 
     monkeypatch.setattr(socket_owners, "parents", counted)
-    return begun
+    return searches
 
 
-async def test_those_who_wait_share_a_search(
-    ours: SocketOwners, searches: list[None], monkeypatch: pytest.MonkeyPatch
+async def test_waiting_callers_share_a_search(
+    owners: SocketOwners, searches: list[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
         socket_owners, "_TIME_SLICE", 0.0
-    )  # a fast search would end before the next asks
+    )  # a fast search would end before the next call
     with programs(4) as several:
         ends = [several.connection(which) for which in range(4) for _ in range(5)]
         inodes = [peeruid.holder_of(end).inode for end in ends]
-        assert all(await asyncio.gather(*map(ours.holds, inodes)))
-        assert len(searches) == 2  # one that all but the first came too late for
-        assert all([await ours.holds(inode) for inode in inodes])
+        assert all(await asyncio.gather(*map(owners.holds, inodes)))
+        assert len(searches) == 2  # all but the first wait for the second search
+        assert all([await owners.holds(inode) for inode in inodes])
         assert len(searches) == 2
         for end in ends:
             end.close()
 
 
-async def test_the_socket_of_another_program_is_searched_for_and_not_found(
-    ours: SocketOwners,
+async def test_the_socket_of_another_program_is_not_found(
+    owners: SocketOwners,
 ) -> None:
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
         assert not await SocketOwners(one.running[0].pid).holds(inode)  # it is not its own child
-        assert await ours.holds(inode)
-        assert not await ours.holds(os.fstat(end.fileno()).st_ino)
-        assert not await ours.holds(0)
+        assert await owners.holds(inode)
+        assert not await owners.holds(os.fstat(end.fileno()).st_ino)
+        assert not await owners.holds(0)
 
 
-async def test_what_is_remembered_is_read_again(ours: SocketOwners, searches: list[None]) -> None:
+async def test_a_cached_location_is_verified_again(
+    owners: SocketOwners, searches: list[None]
+) -> None:
     """The next connection takes the descriptor of one that was closed."""
     with programs() as one:
         with one.connection(0) as end:
             first = peeruid.holder_of(end).inode
-            assert await ours.holds(first)
+            assert await owners.holds(first)
         one.send_line(0, "close")
         with one.connection(0) as end:
-            assert not await ours.holds(first)
-            assert await ours.holds(peeruid.holder_of(end).inode)
+            assert not await owners.holds(first)
+            assert await owners.holds(peeruid.holder_of(end).inode)
     assert len(searches) == 3
 
 
-async def test_a_number_that_is_given_again_proves_nothing(
-    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
+async def test_a_reused_pid_is_not_accepted(
+    owners: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
-        assert await ours.holds(inode)
-        started = [1, 2, 1]  # found by a search, then gone when it is to be proved
+        assert await owners.holds(inode)
+        started = [1, 2, 1]  # found by a search, then reused at verification
         monkeypatch.setattr(socket_owners, "process", lambda pid: Process(pid, started.pop()))
         monkeypatch.setattr(socket_owners, "parents", lambda: [(one.running[0].pid, os.getpid())])
-        assert not await ours.holds(inode)
+        assert not await owners.holds(inode)
         assert started == []
 
 
-async def test_a_number_given_again_while_it_is_read_proves_nothing(
-    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
+async def test_a_pid_reused_during_verification_is_not_accepted(
+    owners: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before, it is the process that was found; afterwards another one is."""
+    """Before the check it is the process that was found, afterwards another."""
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
-        asked: list[None] = []
+        calls: list[None] = []
         found = processes.process(one.running[0].pid)
         assert found is not None
 
         def changing(_: int) -> Process:
-            asked.append(None)
-            return found if len(asked) < 3 else Process(found.pid, found.started + 1)
+            calls.append(None)
+            return found if len(calls) < 3 else Process(found.pid, found.started + 1)
 
         monkeypatch.setattr(socket_owners, "process", changing)
         monkeypatch.setattr(socket_owners, "parents", lambda: [(found.pid, os.getpid())])
-        assert not await ours.holds(inode)
-        assert len(asked) == 3
+        assert not await owners.holds(inode)
+        assert len(calls) == 3
 
 
-async def test_who_gives_up_takes_nobody_along(
-    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
+async def test_a_cancelled_caller_does_not_cancel_others(
+    owners: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socket_owners, "_TIME_SLICE", 0.0)  # it gives way after each descriptor
+    monkeypatch.setattr(socket_owners, "_TIME_SLICE", 0.0)  # yield after each descriptor
     with programs(2, files=20) as two, two.connection(0) as one, two.connection(1) as other:
         inodes = [peeruid.holder_of(end).inode for end in (one, other)]
-        first, second = (asyncio.ensure_future(ours.holds(inode)) for inode in inodes)
+        first, second = (asyncio.ensure_future(owners.holds(inode)) for inode in inodes)
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         first.cancel()
@@ -120,11 +122,11 @@ async def test_who_gives_up_takes_nobody_along(
         assert first.cancelled()
 
 
-async def test_what_is_remembered_is_bounded(
-    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch, searches: list[None]
+async def test_the_location_cache_is_bounded(
+    owners: SocketOwners, monkeypatch: pytest.MonkeyPatch, searches: list[None]
 ) -> None:
     monkeypatch.setattr(socket_owners, "_REMEMBERED", 1)
     with programs() as one, one.connection(0) as end, one.connection(0) as other:
         for each in (end, other, end):
-            assert await ours.holds(peeruid.holder_of(each).inode)
+            assert await owners.holds(peeruid.holder_of(each).inode)
     assert len(searches) == 3

@@ -45,7 +45,7 @@ def test_a_part_of_a_service_may_be_restricted() -> None:
     assert made.type == "std_srvs/SetBoolRequest"
 
 
-def test_mistakes_show_at_once() -> None:
+def test_invalid_options_are_refused() -> None:
     with pytest.raises(FilterRefused, match="no field 'positon'"):
         restrictions(POSE, rules((), ("pose.positon=1",), ()), (), None, None)
     with pytest.raises(FilterRefused, match="the preset does not support std_msgs/String"):

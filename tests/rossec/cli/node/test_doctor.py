@@ -71,7 +71,7 @@ async def test_a_node_in_order_and_its_faults(
         assert "the options' file is not TOML" in said
 
 
-async def test_an_identity_that_ends_soon_is_said(
+async def test_an_identity_that_expires_soon_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clock = [0.0]
@@ -98,7 +98,7 @@ def granted(shell: Shell, topic: str) -> str:
     return said.out.split()[1]
 
 
-def test_what_the_authority_beside_it_revoked_is_not_ok(shell: Shell) -> None:
+def test_a_revocation_in_the_local_authoritys_record_is_not_ok(shell: Shell) -> None:
     shell.enroll("/robot")
     first, second = granted(shell, "/one"), granted(shell, "/two")
     assert shell("doctor", "/robot", "--offline").code == 0
@@ -117,7 +117,7 @@ def test_what_the_authority_beside_it_revoked_is_not_ok(shell: Shell) -> None:
 
 @pytest.mark.parametrize("tree", [False, True])
 @pytest.mark.parametrize("where", ["/robot", "/master"])
-def test_a_signed_list_on_this_machine_says_it_too(
+def test_a_revocation_in_a_signed_list_is_not_ok(
     shell: Shell, where: str, tree: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0 if tree else 4096)
@@ -134,7 +134,7 @@ def test_a_signed_list_on_this_machine_says_it_too(
     assert f"not ok  the key of /robot is revoked, says the list in {place.path}" in doctor(shell)
 
 
-def test_a_list_of_another_authority_says_nothing(shell: Shell, tmp_path: Path) -> None:
+def test_a_list_of_another_authority_is_ignored(shell: Shell, tmp_path: Path) -> None:
     shell.enroll("/robot")
     granted(shell, "/one")
     home, other = NodeHome.of(shell.root, "/robot"), Site(tmp_path / "other")

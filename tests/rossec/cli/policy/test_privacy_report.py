@@ -25,7 +25,7 @@ def site(shell: Shell) -> Shell:
     return shell
 
 
-def test_the_report(site: Shell, tmp_path: Path) -> None:
+def test_the_report_shows_what_the_policy_allows(site: Shell, tmp_path: Path) -> None:
     lines = site("privacy").out.splitlines()
     assert lines[:4] == [
         "/pose (geometry_msgs/PoseStamped) -> /viewer",
@@ -35,14 +35,14 @@ def test_the_report(site: Shell, tmp_path: Path) -> None:
     ]
     rows = json.loads(site("privacy", "--field", "position", "--json").out)
     assert {row["field"] for row in rows} == {f"pose.position.{axis}" for axis in "xyz"}
-    assert site("privacy", "--node", "/nobody").out == "nobody sees anything\n"
+    assert site("privacy", "--node", "/nobody").out == "no receiver has access\n"
     page = tmp_path / "privacy.html"
     assert site("privacy", "--html", str(page)).out == f"written to {page}\n"
     assert "What robbie shows to whom" in page.read_text()
 
 
-def test_what_is_held_now(site: Shell) -> None:
-    assert site("privacy", "--held").out == "nobody sees anything\n"
+def test_the_report_shows_the_grants_held_now(site: Shell) -> None:
+    assert site("privacy", "--held").out == "no receiver has access\n"
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--type", POSE,
                   "--clear", "header", "--publish", "/out")  # fmt: skip
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/other")

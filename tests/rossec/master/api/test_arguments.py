@@ -1,4 +1,4 @@
-"""Argument checks that stock does not have; its own texts are compared in test_differential."""
+"""Argument checks that stock does not have; stock's texts are compared in test_differential."""
 
 import pytest
 

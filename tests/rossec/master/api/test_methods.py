@@ -1,4 +1,4 @@
-"""What handlers read of a request."""
+"""How handlers read the arguments of a request."""
 
 import pytest
 

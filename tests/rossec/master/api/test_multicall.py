@@ -1,4 +1,4 @@
-"""Multicalls: each element alone, all of them bounded, and some at a time."""
+"""Multicalls: each element is authorized alone; all are limited and processed in turns."""
 
 from collections.abc import Callable
 from itertools import count
@@ -20,7 +20,7 @@ from rossec.master.api.watch_calls import WATCH
 from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, never_expires
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def api() -> MasterApi:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, params, who, 0).answer
+    return call_api(api, method, params, who, 0).answer
 
 
 def element(method: str, *params: object) -> dict[str, object]:
@@ -46,15 +46,15 @@ def test_each_element_of_a_multicall_is_authorized_alone(api: MasterApi) -> None
 
 
 def test_the_answers_of_a_multicall_are_bounded(api: MasterApi) -> None:
-    """Else 4096 short questions have the master write four gigabytes."""
+    """Else 4096 short requests make the master send four gigabytes."""
     who = everything("/a")
     ask(api, who, "setParam", "/a", "/big", "x" * (MULTICALL_ANSWER // 2))
     calls = [element("getParam", "/a", "/big")] * 100 + [element("setParam", "/a", "/last", 1)]
     calls.insert(0, element("setParam", "/a", "/first", 1))
-    outcome = api.call("system.multicall", [calls], who, 0)
+    outcome = call_api(api, "system.multicall", [calls], who, 0)
     assert isinstance(outcome.answer, Fault)
     assert "too long: 3 of its 102 calls were made" in outcome.answer.faultString
-    assert len(outcome.events) == 1  # of what was done
+    assert len(outcome.events) == 1  # of the calls made
     assert ask(api, who, "hasParam", "/a", "/first")[2] is True
     assert ask(api, who, "hasParam", "/a", "/last")[2] is False
 
@@ -62,7 +62,7 @@ def test_the_answers_of_a_multicall_are_bounded(api: MasterApi) -> None:
 def test_multicall_events_are_all_delivered(api: MasterApi) -> None:
     who = everything("/a")
     calls = [element("registerPublisher", "/a", f"/t{n}", "*", "http://a:1/") for n in range(3)]
-    assert len(api.call("system.multicall", [calls], who, 0).events) == 3
+    assert len(call_api(api, "system.multicall", [calls], who, 0).events) == 3
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_malformed_element_affects_no_other(api: MasterApi, broken: object) ->
 )
 def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
     with pytest.raises(Fault, match="multicall"):
-        api.call("system.multicall", params, caller("/a"), 0)
+        call_api(api, "system.multicall", params, caller("/a"), 0)
 
 
 def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
@@ -120,7 +120,7 @@ def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
     calls = [
         element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
     ]  # fmt: skip
-    events = api.call("system.multicall", [calls], who, 0).events
+    events = call_api(api, "system.multicall", [calls], who, 0).events
     refused = [event for event in events if isinstance(event, CallDenied)]
     assert [(event.node, event.method) for event in refused] == [
         ("/a", "setParam"), ("/a", "getUri"),
@@ -132,7 +132,7 @@ def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
 def test_each_turn_uses_the_rights_of_that_time(api: MasterApi) -> None:
     calls = [element("setParam", "/a", f"/p{number}", 1) for number in range(7)]
     multicall, outcome = Multicall([calls]), []
-    # Between the first and the last look its grant was revoked.
+    # Its grant was revoked during the query.
     for who, done in ((everything, False), (caller, False), (everything, True), (everything, True)):
         outcome.append(len(api.run_multicall(multicall, who("/a"), 0, expired=after(3))))
         assert multicall.done == done
@@ -155,13 +155,13 @@ def test_a_query_in_a_multicall_takes_as_many_turns_as_it_needs(api: MasterApi) 
 
 
 def test_a_query_restarts_when_rights_change(api: MasterApi) -> None:
-    """Also for one that may come once only, and begins a second time."""
+    """Also for a method that is allowed once, and here is started twice."""
     for number in range(2 * NAMES_PER_YIELD):
         ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
     multicall = Multicall([[element(WATCH, "/b", "", 0), element("getPublishedTopics", "/b", "")]])
     api.run_multicall(multicall, everything("/b"), 0, expired=lambda: True)
     multicall.restart_element()
-    api.run_multicall(multicall, caller("/b", {"/master": Right.GRAPH}), 0)
+    api.run_multicall(multicall, caller("/b", {"/master": Right.GRAPH}), 0, expired=never_expires)
     answers: Any = multicall.answer
     assert answers[0][0][:1] == [1]
     assert answers[0][0][2]["added"] == []
@@ -169,9 +169,9 @@ def test_a_query_restarts_when_rights_change(api: MasterApi) -> None:
 
 
 def after(times: int) -> Callable[[], bool]:
-    """A turn that is over when it was asked about so often."""
-    asked = count(1)
-    return lambda: next(asked) >= times
+    """A turn that expires at the given number of checks."""
+    checks = count(1)
+    return lambda: next(checks) >= times
 
 
 @pytest.mark.parametrize(
@@ -180,10 +180,10 @@ def after(times: int) -> Callable[[], bool]:
 )
 def test_an_element_that_changes_rights_ends_the_step(api: MasterApi, changes: Any) -> None:
     multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])
-    api.run_multicall(multicall, caller("/a"), 0)
+    api.run_multicall(multicall, caller("/a"), 0, expired=never_expires)
     outcome: Any = multicall.answer
     assert (len(outcome), multicall.done) == (2, False)
-    api.run_multicall(multicall, caller("/a"), 0)
+    api.run_multicall(multicall, caller("/a"), 0, expired=never_expires)
     assert multicall.done
 
 
@@ -197,7 +197,7 @@ def test_expensive_methods_exist(api: MasterApi) -> None:
 
 
 def test_a_multicall_at_the_limit_is_answered(api: MasterApi) -> None:
-    """What fits into a call of setParam fits into its answer."""
+    """A value that fits into a call of setParam fits into its answer."""
     calls = [
         element("setParam", "/a", f"/a/robot/with/a/name/parameter{number}", 1)
         for number in range(MULTICALL_LIMIT - 500)

@@ -1,4 +1,4 @@
-"""What a revoked identity is still told."""
+"""The calls that a revoked identity may still make."""
 
 import pytest
 
@@ -15,7 +15,7 @@ from rossec.master.api.statement_calls import PROOF_LIMIT
 from tests.rossec.master.fakes import FakeStatements
 
 
-class Told(FakeStatements):
+class TreeInForce(FakeStatements):
     """Statements with a tree in force."""
 
     def current(self, now: int) -> tuple[bytes, bytes]:
@@ -33,12 +33,14 @@ class Told(FakeStatements):
 def test_the_whole_list_is_sent_without_a_timestamp(
     method: str, params: tuple[object, ...]
 ) -> None:
-    assert answer_revoked(Told(), 7, method, params) == [1, "revocations", [b"list", b""]]
+    assert answer_revoked(TreeInForce(), 7, method, params) == [1, "revocations", [b"list", b""]]
 
 
 def test_proofs_are_limited_as_for_other_callers() -> None:
-    asked: list[object] = [bytes(32), "no entry", *[bytes(32)] * PROOF_LIMIT]
-    [code, status, proofs] = answer_revoked(Told(), 7, "rossec.revocationProofs", ("/eve", asked))
+    entries: list[object] = [bytes(32), "no entry", *[bytes(32)] * PROOF_LIMIT]
+    [code, status, proofs] = answer_revoked(
+        TreeInForce(), 7, "rossec.revocationProofs", ("/eve", entries)
+    )
     assert (code, status) == (1, "proofs")
     assert proofs == [b"proof"] * (PROOF_LIMIT - 1)
 
@@ -53,24 +55,24 @@ def test_proofs_are_limited_as_for_other_callers() -> None:
 )  # fmt: skip
 def test_any_other_call_ends_the_connection(method: str, params: tuple[object, ...]) -> None:
     with pytest.raises(HangUp, match="the identity is revoked"):
-        answer_revoked(Told(), 7, method, params)
+        answer_revoked(TreeInForce(), 7, method, params)
 
 
 def test_connections_are_limited_for_each_identity_and_each_intermediate() -> None:
-    hearers, one = RevokedConnections(), (b"one", b"above")
-    assert [hearers.admit(one) for _ in range(MAX_CONNECTIONS + 1)] == [True] * MAX_CONNECTIONS + [
-        False
-    ]
+    connections, one = RevokedConnections(), (b"one", b"above")
+    assert [connections.admit(one) for _ in range(MAX_CONNECTIONS + 1)] == [
+        True
+    ] * MAX_CONNECTIONS + [False]
     others = [(b"%d" % number, b"above") for number in range(MAX_BELOW_INTERMEDIATE)]
-    assert sum(map(hearers.admit, others)) == MAX_BELOW_INTERMEDIATE - MAX_CONNECTIONS
-    assert hearers.admit((b"elsewhere",))
-    hearers.release(one)
-    assert hearers.admit(one)
-    assert not hearers.admit(others[-1])
+    assert sum(map(connections.admit, others)) == MAX_BELOW_INTERMEDIATE - MAX_CONNECTIONS
+    assert connections.admit((b"elsewhere",))
+    connections.release(one)
+    assert connections.admit(one)
+    assert not connections.admit(others[-1])
 
 
 def test_calls_on_one_connection_are_limited() -> None:
-    calls = RevokedCalls(Told(), lambda: 7)
+    calls = RevokedCalls(TreeInForce(), lambda: 7)
     for _ in range(MAX_CALLS):
         assert calls.answer("rossec.revocations", ("/eve",), None)[2] == [b"list", b""]
     with pytest.raises(HangUp, match="has been sent the list"):

@@ -1,4 +1,4 @@
-"""Turns end by the clock that is given, and work goes on where it was left."""
+"""Turns end by the given clock, and work resumes where it was suspended."""
 
 import pytest
 
@@ -8,9 +8,8 @@ from rossec.master.api.turns import (
     Turns,
     Work,
     advance,
-    never_expires,
-    run_to_end,
 )
+from tests.rossec.master.fakes import never_expires, run_to_end
 
 
 def work(steps: int) -> Work:

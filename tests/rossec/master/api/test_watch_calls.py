@@ -1,4 +1,4 @@
-"""Following the graph: whole, then differences, and never more than may be seen."""
+"""Watching the graph: the whole state, then changes, and only visible facts."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import Registry
 from rossec.participant.graph_view import GraphView
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T = "std_msgs/String"
 ALL_GRAPH = {"/master": Right.GRAPH, "**": Right.GRAPH}
@@ -36,9 +36,9 @@ class Watcher:
         self.answer: Any = None
 
     def look(self) -> tuple[list[str], list[str], bool]:
-        """What was added, removed, and whether it was told as a whole."""
+        """The facts added and removed, and whether the answer is the whole state."""
         params = [self.who.name, *self.view.next_params]
-        self.answer = self.api.call(WATCH, params, self.who, 0).answer
+        self.answer = call_api(self.api, WATCH, params, self.who, 0).answer
         assert self.answer[0] == 1, self.answer
         change = self.view.take(self.answer[2])
         words = [[" ".join(fact) for fact in facts] for facts in change[:2]]
@@ -46,7 +46,7 @@ class Watcher:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, [who.name, *params], who, 0).answer
+    return call_api(api, method, [who.name, *params], who, 0).answer
 
 
 def do(api: MasterApi, name: str, method: str, *params: object) -> None:
@@ -78,7 +78,7 @@ def test_the_whole_state_is_sent_first_then_changes(api: MasterApi) -> None:
         [], ["provider /reset rosrpc://l:2", "service /reset /laser", "subscriber /scan /map"],
         False,
     )  # fmt: skip
-    assert watcher.view.version == 8  # each change of the state counts, types and URIs too
+    assert watcher.view.version == 8  # every change of state counts, also of types and URIs
 
 
 def test_a_change_undone_between_two_calls_is_not_sent(api: MasterApi) -> None:
@@ -117,7 +117,7 @@ def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
     watcher.look()
     watcher.api = master("second")
     do(watcher.api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
-    assert watcher.look() == ([], [], True)  # it is all as it was
+    assert watcher.look() == ([], [], True)  # the state is as before
     assert watcher.view.instance == "second"
     assert watcher.look() == ([], [], False)
 
@@ -146,7 +146,7 @@ def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> N
     assert [watcher.look()[2] for watcher in watchers] == [False] * MAX_VIEWS
     Watcher(api).look()
     assert watchers[-1].look() == ([], [], False)
-    assert watchers[0].look()[2]  # it was the first to be forgotten
+    assert watchers[0].look()[2]  # the oldest view was discarded
     assert sum(map(len, api.watch_calls._views.values())) <= MAX_VIEWS
 
 
@@ -161,5 +161,5 @@ def test_views_of_disconnected_keys_are_discarded(api: MasterApi) -> None:
 
 @pytest.mark.parametrize("params", [("", "1"), (1, 1), ("", -1), ("", True), ("",), ("", 0, 0)])
 def test_a_malformed_call_is_refused(api: MasterApi, params: tuple[object, ...]) -> None:
-    answer: Any = api.call(WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
+    answer: Any = call_api(api, WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
     assert (answer[0], answer[2]) == (-1, {})

@@ -1,4 +1,4 @@
-"""The administrator's port: for this user alone, one question, one answer."""
+"""The administrator's port: for this user alone, one request, one answer."""
 
 import asyncio
 import contextlib
@@ -57,7 +57,7 @@ async def test_another_user_gets_no_answer(
     assert "refused at the administrator's port: user 7" in caplog.text
 
 
-def hear(path: Path, data: bytes) -> bytes:
+def exchange(path: Path, data: bytes) -> bytes:
     with socket.socket(socket.AF_UNIX) as sock:
         sock.connect(str(path))
         sock.sendall(data)
@@ -70,7 +70,7 @@ def hear(path: Path, data: bytes) -> bytes:
 )
 async def test_garbage_ends_the_connection(path: Path, data: bytes) -> None:
     with contextlib.suppress(ConnectionError):
-        assert await asyncio.to_thread(hear, path, data) == b""
+        assert await asyncio.to_thread(exchange, path, data) == b""
     assert await asyncio.to_thread(ask, path, "status") == {"calls": 5}
 
 

@@ -1,4 +1,4 @@
-"""How an audit begins: with a line only the master can write."""
+"""The first line of an audit file, which only the master can sign."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The configuration file: closed, and every error with its line."""
+"""The configuration file: unknown keys are errors, and every error names its line."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def test_an_empty_file_is_the_default(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("port: 1\nprot: 2", "m.yaml:2: there is no setting 'prot'"),
         ("port: 70000", "m.yaml:1: port cannot"),
@@ -53,7 +53,7 @@ def test_an_empty_file_is_the_default(text: str) -> None:
         ("limits:\n  body: 1.5", "m.yaml:2: body must be"),
         ("limits:\n  body: true", "m.yaml:2: body must be"),
         ("- port", "m.yaml: not a map"),
-        ("port: 1\nport: 2", "m.yaml:2: 'port' again"),
+        ("port: 1\nport: 2", "m.yaml:2: duplicate key 'port'"),
         ("port: [", "m.yaml:1: not YAML"),
         ("\0", "m.yaml:1: not YAML"),
         ("port: &a 1\nmetrics: *a", "m.yaml:1: anchors and aliases"),
@@ -70,10 +70,10 @@ def test_an_empty_file_is_the_default(text: str) -> None:
         ("[" * 5000, "m.yaml:1: nested deeper than 4"),
     ],
 )
-def test_errors_name_their_line(text: str, said: str) -> None:
+def test_errors_name_their_line(text: str, message: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse(text, "m.yaml")
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(message)
 
 
 @pytest.mark.parametrize(

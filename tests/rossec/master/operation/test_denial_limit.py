@@ -1,4 +1,4 @@
-"""Who causes many lines loses some of its own, nobody else's."""
+"""A node that causes many lines uses up its own limit, not that of others."""
 
 import logging
 from collections.abc import Mapping
@@ -6,17 +6,17 @@ from collections.abc import Mapping
 import pytest
 
 from rossec.master.operation.audit import LEFT_OUT
-from rossec.master.operation.denial_limit import DENIALS, MOST_NODES, DenialRateLimit
+from rossec.master.operation.denial_limit import DENIALS, MAX_NODES, DenialRateLimit
 
 
 class Lines:
     def __init__(self) -> None:
         self.now = 1000.0
-        self.throttle = DenialRateLimit(lambda: self.now)
+        self.limit = DenialRateLimit(lambda: self.now)
 
     def __call__(self, node: object) -> bool:
         self.last = logging.makeLogRecord({"msg": "%s may not", "args": (node,)})
-        return self.throttle.filter(self.last)
+        return self.limit.filter(self.last)
 
     @property
     def left_out(self) -> int:
@@ -36,8 +36,8 @@ def test_each_node_has_its_own_limit(lines: Lines) -> None:
     assert sum(lines("/eve") for _ in range(50)) == 10
     lines.now += 0.1
     assert lines("/eve")
-    assert lines.left_out == 40  # since the last that said so
-    lines.now -= 5000  # a clock set back neither gives nor takes
+    assert lines.left_out == 40  # since the last line with this number
+    lines.now -= 5000  # a clock set back changes nothing
     assert not lines("/eve")
     lines.now += 6000
     assert sum(lines("/eve") for _ in range(500)) == 200
@@ -65,9 +65,9 @@ def test_the_next_line_records_how_many_were_left_out(lines: Lines) -> None:
 
 
 def test_the_number_of_nodes_is_bounded(lines: Lines) -> None:
-    for number in range(MOST_NODES + 10):
+    for number in range(MAX_NODES + 10):
         lines(f"/n{number}")
-    assert len(lines.throttle._nodes) == MOST_NODES
+    assert len(lines.limit._nodes) == MAX_NODES
 
 
 @pytest.mark.parametrize("args", [(), {"a": 1}])
@@ -75,7 +75,7 @@ def test_lines_without_a_node_are_limited(
     lines: Lines, args: tuple[()] | Mapping[str, object]
 ) -> None:
     record = logging.makeLogRecord({"msg": "x", "args": args})
-    assert sum(lines.throttle.filter(record) for _ in range(500)) == 200
+    assert sum(lines.limit.filter(record) for _ in range(500)) == 200
 
 
 def test_the_logger_is_a_child_of_the_audits() -> None:

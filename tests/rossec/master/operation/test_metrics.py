@@ -1,4 +1,4 @@
-"""Figures for Prometheus, scraped as it does."""
+"""Metrics, scraped as by Prometheus."""
 
 import asyncio
 import contextlib
@@ -32,7 +32,7 @@ def test_metrics_are_served_on_loopback() -> None:
 
 
 def test_silent_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Anybody on the host can connect: each one was a thread and a descriptor for ever."""
+    """Any user of the host can connect; without a limit each takes a thread and a descriptor."""
     monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
     exporter = MetricsExporter(lambda: STATUS, 0)
     silent: list[socket.socket] = []
@@ -41,7 +41,7 @@ def test_silent_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None
         before = threading.active_count()
         silent.extend(socket.create_connection(slot, 10) for _ in range(100))
         assert threading.active_count() - before <= 16
-        while True:  # those that have a place give it back
+        while True:  # a closed connection frees its slot
             with contextlib.suppress(OSError):
                 uri = f"http://127.0.0.1:{exporter.port}/metrics"
                 with urllib.request.urlopen(uri, timeout=10) as page:

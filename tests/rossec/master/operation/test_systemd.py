@@ -1,4 +1,4 @@
-"""The service manager's datagrams."""
+"""Notifications to the service manager."""
 
 import socket
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The master renews what the authority lets it, and nothing else."""
+"""The master renews grants within the authority's delegation only."""
 
 import pytest
 

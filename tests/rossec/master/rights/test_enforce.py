@@ -1,4 +1,4 @@
-"""What a lost right takes with it."""
+"""Registrations are removed when no right covers them."""
 
 import pytest
 
@@ -11,7 +11,7 @@ from tests.rossec.master.fakes import FakeStatements, caller
 A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
 
-def judge(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
+def enforce_all(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
     return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
 
 
@@ -41,7 +41,7 @@ BOTH = {
 
 def test_nothing_is_removed_while_grants_are_valid() -> None:
     state = registry()
-    assert judge(state, FakeStatements(dict(BOTH))) == []
+    assert enforce_all(state, FakeStatements(dict(BOTH))) == []
     assert len(list(state.nodes())) == 2
     assert state.registered_nodes(Kind.PARAMETER, "/p/") == (A,)
 
@@ -49,7 +49,7 @@ def test_nothing_is_removed_while_grants_are_valid() -> None:
 def test_only_uncovered_registrations_are_removed() -> None:
     state = registry()
     callers = {**BOTH, "/a": caller("/a", {"/u": Right.PUBLISH, "/t": Right.SUBSCRIBE})}
-    assert judge(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
+    assert enforce_all(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
     assert state.keys_of("/a", Kind.PUBLISHER) == ("/u",)
     assert state.service_uri("/s") is None
     assert state.registered_nodes(Kind.PARAMETER, "/p/") == ()
@@ -60,7 +60,7 @@ def test_each_registration_needs_its_own_right(right: Right) -> None:
     state = registry()
     state.register_subscriber("/x", "*", A)
     rights = dict.fromkeys(("/t", "/u", "/s", "/p/one", "/x"), right)
-    judge(state, FakeStatements({**BOTH, "/a": caller("/a", rights)}))
+    enforce_all(state, FakeStatements({**BOTH, "/a": caller("/a", rights)}))
     left = {kind for kind in Kind if state.keys_of("/a", kind)}
     own = {
         Right.PUBLISH: Kind.PUBLISHER, Right.SUBSCRIBE: Kind.SUBSCRIBER,
@@ -71,7 +71,7 @@ def test_each_registration_needs_its_own_right(right: Right) -> None:
 
 def test_a_revoked_node_is_removed_with_its_registrations() -> None:
     state = registry()
-    events = judge(state, FakeStatements({"/b": BOTH["/b"]}))
+    events = enforce_all(state, FakeStatements({"/b": BOTH["/b"]}))
     assert PublishersChanged("/t", (B,), ()) in events
     assert [node.name for node in state.nodes()] == ["/b"]
     assert state.registered_nodes(Kind.PARAMETER, "/p/") == ()
@@ -83,9 +83,12 @@ def test_a_step_is_small_and_uses_the_current_state() -> None:
         state.register_publisher(f"/t{n}", "*", A)
     first, second = steps(state)
     assert (len(first.keys), len(second.keys)) == (BATCH, 1)
-    nobody = FakeStatements()
+    without_callers = FakeStatements()
     assert (
-        enforce(state, nobody, EnforcementStep(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
+        enforce(
+            state, without_callers, EnforcementStep(A._replace(uri="http://h:9/"), *first[1:]), 0
+        )
+        == []
     )
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
     nothing = FakeStatements({"/a": caller("/a")})

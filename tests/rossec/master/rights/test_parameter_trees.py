@@ -1,4 +1,4 @@
-"""Trees of parameters: the judgement is that on every leaf, with less looking."""
+"""Rights on trees: the result equals that of checking every leaf, with fewer checks."""
 
 from collections.abc import Iterator
 
@@ -72,19 +72,19 @@ def test_no_items_are_not_covered() -> None:
 
 
 class Counted(FakeAccess):
-    asked = 0
+    checks = 0
 
     def covers(self, right: Right, name: str) -> bool:
-        Counted.asked += 1
+        Counted.checks += 1
         return super().covers(right, name)
 
 
 def test_the_check_ends_at_the_first_uncovered_name() -> None:
     many = {f"p{number}": 1 for number in range(1000)}
     for held in ({}, {"/p1": GET}, {"/far/away": GET}):
-        Counted.asked = 0
+        Counted.checks = 0
         assert not has_right_on_all(Caller("/a", b"a", Counted(held)), GET, [("/", many)])
-        assert Counted.asked < 10
+        assert Counted.checks < 10
     opened, *one = [decision.covered for decision in decisions(holder("/p7"), GET, ("/", many))]
     assert (opened, len(one), one.count(True), one.count(False)) == (None, 1000, 1, 999)
     assert [*decisions(holder("/**"), GET, ("/", many))] == [(("/", many), True)]
@@ -103,7 +103,7 @@ def test_a_tree_of_too_many_names_is_refused(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_namespaces_and_patterns_count_too() -> None:
-    """What is looked at is bounded by what it costs, also where it is deep or much is held."""
+    """The number of checks is limited, also for deep trees and many patterns."""
     deep: object = {"x": 1}
     for _ in range(30):
         deep = {"a": deep}

@@ -1,4 +1,4 @@
-"""Grants presented and revocations held: real statements of a real authority."""
+"""Presented grants and revocations, with statements signed by an authority."""
 
 import dataclasses
 
@@ -76,13 +76,13 @@ def test_a_refusal_names_what_is_missing(world: World) -> None:
 
 
 def test_refused_grants_do_not_affect_valid_ones(world: World) -> None:
-    stranger = Site()
+    other = Site()
     world.site.domain = "office"  # the same authority serves two domains
     elsewhere = world.site.grant(world.node, {"/t": Right.PUBLISH})
     world.site.domain = "home"
     held, refused = world.present(
         world.site.grant(world.master, {"/t": Right.PUBLISH}),
-        stranger.grant(world.node, {"/t": Right.PUBLISH}),
+        other.grant(world.node, {"/t": Right.PUBLISH}),
         world.site.grant(world.node, {"/t": Right.PUBLISH}, start=-2 * DAY),
         b"garbage",
         elsewhere,
@@ -300,7 +300,7 @@ def test_a_caller_has_the_names_of_its_certificate(world: World) -> None:
     assert world.trust.caller(rviz, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
     registered = world.trust.caller_of(rviz, world.now)
     assert registered is not None
-    assert not registered.wildcard  # a name in the registry is that name alone
+    assert not registered.wildcard  # a name in the registry has no wildcard
 
 
 def test_the_recorded_lists_are_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -353,11 +353,11 @@ def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
 
 
 def test_entries_are_not_read_before_the_tree_is_verified(world: World) -> None:
-    """Whoever is enrolled could have the master hash a megabyte again and again."""
+    """Else any enrolled node could make the master hash a megabyte again and again."""
     tree, _ = tree_of(world)
     with pytest.raises(RevocationRefused, match="signature"):
         world.trust.update_tree(tree[:-1] + bytes([tree[-1] ^ 1]), b"no listing", world.now)
-    with pytest.raises(RevocationRefused, match="not a listing"):
+    with pytest.raises(RevocationRefused, match="not the entries of"):
         world.trust.update_tree(tree, b"no listing", world.now)
 
 
@@ -377,13 +377,13 @@ def test_a_tree_replaces_the_list(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
     assert world.trust.current(world.now)[0] == tree
     signed = open_tree(tree, world.site.anchor.public_key)
-    asked = [grant_id(data), b"x" * 16]
-    shown = zip(asked, world.trust.proofs(asked), strict=True)
+    queried = [grant_id(data), b"x" * 16]
+    shown = zip(queried, world.trust.proofs(queried), strict=True)
     assert [is_revoked(signed, entry, proof) for entry, proof in shown] == [True, False]
 
 
 def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
-    """A master that dies between the two finds entries for no tree: a tree alone knows nothing."""
+    """A master that crashes between the two must not find a tree without entries."""
     order: list[bytes] = []
     world.trust = TrustState(
         world.site.anchor, world.master.credentials.signer, world.site.revocations(),

@@ -1,4 +1,4 @@
-"""RFC 9770 queries: full, differences, cursors, and their ends."""
+"""RFC 9770 queries: full, diff, with cursors, and their limits."""
 
 from typing import Any
 
@@ -70,7 +70,7 @@ def test_batches_until_there_is_no_more(requester: Requester) -> None:
         requester.add(n.to_bytes(16))
     first = requester.ask(diff=0)
     assert (len(first[1]), first[3]) == (MAX_DIFF_BATCH, True)
-    assert first[1][-1] == [[], [bytes(16)]]  # the eldest come first, so that none is lost
+    assert first[1][-1] == [[], [bytes(16)]]  # the oldest come first, so that none is missed
     rest = requester.ask(diff=0, cursor=first[2])
     assert (len(rest[1]), rest[3]) == (2, False)
 
@@ -89,7 +89,7 @@ def test_a_cursor_too_old_asks_for_a_full_query(requester: Requester) -> None:
     assert requester.ask(diff=0, cursor=5) == begin
     for n in range(MAX_N + 2):
         requester.add(n.to_bytes(16))
-    for cursor in (0, FIRST, FIRST - 1):  # of another run of the master, and fallen off
+    for cursor in (0, FIRST, FIRST - 1):  # of an earlier run of the master, and discarded
         assert requester.ask(diff=0, cursor=cursor) == {1: [], 2: None, 3: True}
     assert requester.ask(diff=0, cursor=FIRST + 1)[3]
 
@@ -106,7 +106,7 @@ def test_requesters_have_series_of_their_own(monkeypatch: pytest.MonkeyPatch) ->
     assert ask(b"one", A)[2] == FIRST
     assert ask(b"two", B)[1] == [[[], [B]]]
     ask(b"three")
-    assert ask(b"one", A) == {1: [], 2: None, 3: False}  # it asked longest ago
+    assert ask(b"one", A) == {1: [], 2: None, 3: False}  # the least recently used requester
 
 
 @pytest.mark.parametrize(

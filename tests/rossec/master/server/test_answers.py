@@ -1,4 +1,4 @@
-"""Calls that take many turns, over real connections: every look at the clock ends one here."""
+"""Calls that take many turns, over real connections; here every reading of the clock ends one."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -18,7 +18,7 @@ TOPICS = 20 * NAMES_PER_YIELD
 
 @pytest.fixture
 async def slow() -> AsyncIterator[World]:
-    """A master each of whose turns is one step."""
+    """A master whose turns are one step long."""
     async with AsyncExitStack() as exit_stack:
         world, ticks = World(exit_stack), count()
         await world.start(Turns(lambda: next(ticks)))
@@ -26,7 +26,7 @@ async def slow() -> AsyncIterator[World]:
 
 
 async def crowd(world: World) -> None:
-    """So many topics that no query is done in one turn."""
+    """Enough topics that a query takes more than one turn."""
     for number in range(TOPICS // 1000 + 1):
         node = await world.node(f"/n{number}")
         calls = [
@@ -36,23 +36,23 @@ async def crowd(world: World) -> None:
         await node.client.call("system.multicall", calls)
 
 
-async def while_asked(world: World, asker: SlaveNode, method: str, *params: object) -> Any:
-    """The answer, with how many calls of another were answered before it came."""
+async def while_pending(world: World, caller: SlaveNode, method: str, *params: object) -> Any:
+    """The answer, and the number of other calls that were answered before it."""
     other = await world.node("/other")
-    asked, answered = asyncio.ensure_future(asker.ask(method, *params)), 0
-    while not asked.done():
+    pending, answered = asyncio.ensure_future(caller.ask(method, *params)), 0
+    while not pending.done():
         await other.ask("getPid")
         answered += 1
-    return answered, await asked
+    return answered, await pending
 
 
 async def test_other_calls_are_answered_during_a_query(slow: World) -> None:
     await crowd(slow)
-    asker = await slow.node("/asker")
-    answered, topics = await while_asked(slow, asker, "getPublishedTopics", "")
+    caller = await slow.node("/asker")
+    answered, topics = await while_pending(slow, caller, "getPublishedTopics", "")
     assert len(topics) == TOPICS
     assert answered >= 5
-    whole = await asker.ask("rossec.watchGraph", "", 0)
+    whole = await caller.ask("rossec.watchGraph", "", 0)
     assert whole["more"]
 
 
@@ -60,12 +60,12 @@ async def test_a_watcher_waits_for_changes_in_turns(
     slow: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
-    asker = await slow.node("/asker")
+    caller = await slow.node("/asker")
     for number in range(2 * NAMES_PER_YIELD):
-        await asker.ask("registerPublisher", f"/t{number}", T, asker.uri)
-    whole = await asker.ask("rossec.watchGraph", "", 0)
-    quiet = await asker.ask("rossec.watchGraph", whole["instance"], whole["cursor"])
-    assert (quiet["added"], quiet["removed"], quiet["whole"]) == ([], [], False)
+        await caller.ask("registerPublisher", f"/t{number}", T, caller.uri)
+    whole = await caller.ask("rossec.watchGraph", "", 0)
+    unchanged = await caller.ask("rossec.watchGraph", whole["instance"], whole["cursor"])
+    assert (unchanged["added"], unchanged["removed"], unchanged["whole"]) == ([], [], False)
 
 
 PUBLISHED = {"methodName": "getPublishedTopics", "params": ["/asker", ""]}
@@ -74,24 +74,24 @@ LONG = [("getPublishedTopics", "/asker", ""), ("system.multicall", [PUBLISHED])]
 
 @pytest.mark.parametrize("question", LONG, ids=["alone", "in a multicall"])
 async def test_a_query_begins_again_when_rights_are_revoked(slow: World, question: Any) -> None:
-    """What is answered was judged by the list that is in force."""
+    """The answer was authorized by the list in force."""
     await crowd(slow)
-    asker, other = await slow.node("/asker"), await slow.node("/other")
-    asked = asyncio.ensure_future(asker.client.call(*question))
+    caller, other = await slow.node("/asker"), await slow.node("/other")
+    pending = asyncio.ensure_future(caller.client.call(*question))
     await other.ask("getPid")
-    await other.ask("rossec.updateRevocations", slow.site.revoke(grant_id(asker.grant)))
-    assert not asked.done()
-    answer: Any = await asked
+    await other.ask("rossec.updateRevocations", slow.site.revoke(grant_id(caller.grant)))
+    assert not pending.done()
+    answer: Any = await pending
     assert (answer[0][0] if len(question) == 2 else answer) == [1, "current topics", []]
 
 
 @pytest.mark.parametrize("question", LONG, ids=["alone", "in a multicall"])
 async def test_a_caller_revoked_during_a_query_is_not_answered(slow: World, question: Any) -> None:
     await crowd(slow)
-    asker, other = await slow.node("/asker"), await slow.node("/other")
-    asked = asyncio.ensure_future(asker.client.call(*question))
+    caller, other = await slow.node("/asker"), await slow.node("/other")
+    pending = asyncio.ensure_future(caller.client.call(*question))
     await other.ask("getPid")
-    await other.ask("rossec.updateRevocations", slow.site.revoke(asker.member.thumbprint))
-    await ends(asked)
-    await ends(asker.ask("getPid"))
+    await other.ask("rossec.updateRevocations", slow.site.revoke(caller.member.thumbprint))
+    await ends(pending)
+    await ends(caller.ask("getPid"))
     await other.ask("getPid")

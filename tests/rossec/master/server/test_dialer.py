@@ -1,4 +1,4 @@
-"""Whoever answers at a slave API must be the node that registered it."""
+"""The peer at a slave API must be the node that registered it."""
 
 import asyncio
 import socket
@@ -11,7 +11,7 @@ from tests.rossec.master.world import EVERYTHING, SlaveNode, T, World, until
 
 
 async def test_the_peer_must_be_the_registered_node(world: World) -> None:
-    """Attack M8: the master never tells a node's news to somebody else."""
+    """Attack M8: the master sends updates of a node to no other peer."""
     liar, victim = await world.node("/liar"), await world.node("/victim")
     await liar.ask("registerSubscriber", "/t", T, victim.uri)
     await victim.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
@@ -30,7 +30,7 @@ async def test_a_node_that_registers_the_address_of_another_is_removed(
     await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
     await squatter.ask("registerPublisher", "/t", T, victim.uri)
     await squatter.ask("registerSubscriber", "/t", T, victim.uri)
-    await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
+    await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is notified
     await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
     assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
     assert world.server._updates.nodes == (
@@ -43,7 +43,7 @@ async def test_a_node_that_registers_the_address_of_another_is_removed(
 async def test_a_node_at_the_port_of_a_dead_one_can_register(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The address is another's by the registry; whoever answers there, by its key, has it."""
+    """The address is registered by another node, but the peer there proves its own key."""
     gone, heir = await world.node("/gone"), await world.node("/heir")
     await gone.ask("registerPublisher", "/t", T, heir.uri)
     assert await heir.ask("registerSubscriber", "/t", T, heir.uri) == []
@@ -66,14 +66,14 @@ async def test_a_node_is_probed_once_at_a_time(
         uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
         slow, eve, bob = [await world.node(name) for name in ("/slow", "/eve", "/bob")]
         await slow.ask("registerPublisher", "/t", T, uri)
-        asked = asyncio.ensure_future(eve.ask("registerPublisher", "/t", T, uri))
+        pending = asyncio.ensure_future(eve.ask("registerPublisher", "/t", T, uri))
         connected, _ = await loop.sock_accept(silent)
         with connected:
             with pytest.raises(AnswerRefused, match="registered by another node"):
                 await bob.ask("registerPublisher", "/t", T, uri)
-            assert not asked.done()
+            assert not pending.done()
             with pytest.raises(AnswerRefused, match="registered by another node"):
-                await asked
+                await pending
         assert world.server._dialer.probed == set()
         assert await bob.ask("lookupNode", "/slow") == uri
 

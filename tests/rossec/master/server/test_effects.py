@@ -1,4 +1,4 @@
-"""What nodes are told and what is written down after a call, over real connections."""
+"""Updates to nodes and lines of the log after a call, over real connections."""
 
 import asyncio
 import contextlib
@@ -92,7 +92,7 @@ async def test_line_breaks_do_not_reach_the_log(
     eve.answer = [-1, forged, 0]
     await eve.ask("registerSubscriber", "/eve/t", T, eve.uri)
     robot = await world.node("/robot", {"/eve/t": Right.PUBLISH})
-    await robot.ask("registerPublisher", "/eve/t", T, robot.uri)  # eve is told at once
+    await robot.ask("registerPublisher", "/eve/t", T, robot.uri)  # eve is notified at once
     await until(lambda: "/eve answers" in caplog.text)
     await eve.ask("shutdown", forged)
     messages = [record.getMessage() for record in caplog.records]

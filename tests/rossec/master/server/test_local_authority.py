@@ -1,4 +1,4 @@
-"""A list nobody carried: taken when it is there, and whatever is wrong ends nothing."""
+"""Lists of an authority on the same host: accepted when newer; failures are only logged."""
 
 import pytest
 

@@ -92,7 +92,7 @@ async def test_a_watcher_is_notified_of_a_revoked_node(world: World) -> None:
 async def test_an_exception_does_not_end_freshness(
     world: World, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Timestamps go on, and rights are enforced, whatever one round of it met."""
+    """Timestamps are sent and rights enforced after a round that failed."""
     node = await world.node("/node")
     await node.ask("registerSubscriber", "/t", T, node.uri)
     received = world.trust.revocations_for
@@ -111,16 +111,16 @@ async def test_an_exception_does_not_end_freshness(
 async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(
     world: World,
 ) -> None:
-    """Also within one multicall: before the list it is there, then it is not."""
+    """Also within one multicall: it is listed before the revocation list, and not after."""
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     await camera.ask("registerService", "/reset", "rosrpc://127.0.0.1:9", camera.uri)
     revoked = world.site.revoke(camera.member)
-    asked = [
+    elements = [
         ("getSystemState",), ("rossec.updateRevocations", revoked), ("getSystemState",),
         ("lookupNode", "/camera"), ("lookupService", "/reset"),
     ]  # fmt: skip
-    calls = [{"methodName": name, "params": ["/viewer", *params]} for name, *params in asked]
+    calls = [{"methodName": name, "params": ["/viewer", *params]} for name, *params in elements]
     answers: Any = await viewer.client.call("system.multicall", calls)
     before, taken, after, node, service = (answer[0] for answer in answers)
     assert (before[2][0], taken[2]) == ([["/image", ["/camera"]]], 1)

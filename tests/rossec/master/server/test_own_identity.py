@@ -1,4 +1,4 @@
-"""The master's own identity: taken up from the disk, renewed, or complained about in time."""
+"""The master's own identity: reloaded, renewed, or a warning logged in time."""
 
 import time
 from functools import partial
@@ -27,7 +27,7 @@ class World:
         self.before = self.own.credentials.certificate
 
     def check(self, now: int) -> bool:
-        """Whether another certificate is shown since the last look."""
+        """Whether the certificate has changed since the last call."""
         self.now = now
         self.own.check(now)
         shown, self.before = self.own.credentials.certificate != self.before, self.shown
@@ -78,16 +78,16 @@ def test_the_identity_is_renewed_with_an_intermediate(world: World) -> None:
 
 
 def test_a_failed_renewal_is_tried_again(world: World, caplog: pytest.LogCaptureFixture) -> None:
-    asked = []
+    attempts = []
 
     def fails(request: bytes, now: int) -> bytes:
-        asked.append(now)
+        attempts.append(now)
         raise RenewalRefused("not today", "ask tomorrow")
 
     world.own.renew = fails
     for second in (0, 10, 599, 600):
         world.check(NOW + 25 * DAY + second)
-    assert asked == [NOW + 25 * DAY, NOW + 25 * DAY + 600]
+    assert attempts == [NOW + 25 * DAY, NOW + 25 * DAY + 600]
     assert "not today (ask tomorrow)" in caplog.text
     world.own.renew = lambda *_: b"garbage"
     world.check(NOW + 26 * DAY)

@@ -1,4 +1,4 @@
-"""The file that outlives the master."""
+"""The journal file of parameters."""
 
 import os
 import stat
@@ -100,7 +100,7 @@ def test_a_change_lost_to_a_full_disk_is_written_later(
         change(parameter_file, "/a", 1)
     with monkeypatch.context() as patch:
         patch.setattr("rossec.files.replace", lambda *_: os.fsync(1 << 20))
-        parameter_file.sync()  # there is still none
+        parameter_file.sync()  # still no space
     assert decode(path.read_bytes())[0] == []
     parameter_file.sync()
     assert opened(path).parameters.get("/") == {"a": 1}
@@ -121,7 +121,7 @@ def test_the_file_is_compacted_at_once_when_it_grows_too_fast(
 def test_a_full_disk_is_logged_and_the_file_is_unchanged(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kept, said = opened(path), "they are in force, and saved as soon as there is room"
+    kept, reason = opened(path), "they are in force, and saved as soon as there is room"
     before = path.read_bytes()
     with no_room():
         change(kept, "/a", 1)
@@ -129,8 +129,8 @@ def test_a_full_disk_is_logged_and_the_file_is_unchanged(
         assert path.read_bytes() == before
         with pytest.raises(NotWritten, match=r"parameters\.journal was not written"):
             ParameterFile(path).open()
-    assert [said in message for message in caplog.messages] == [True, True]
-    kept.close()  # now there is
+    assert [reason in message for message in caplog.messages] == [True, True]
+    kept.close()  # now there is space
     again = opened(path)
     assert again.parameters.get("/a") == 1
     again.close()

@@ -1,4 +1,4 @@
-"""A list is in force although the disk is full, and is written when there is room."""
+"""A list is in force although the disk is full, and is saved later."""
 
 from pathlib import Path
 
@@ -16,21 +16,21 @@ def test_a_list_that_cannot_be_saved_is_saved_later(
 ) -> None:
     site = Site(tmp_path / "site")
     home = site.enroll(MASTER)
-    kept, first, second = ListFile(home), site.revoke(b"1" * 32), site.revoke(b"2" * 32)
+    file, first, second = ListFile(home), site.revoke(b"1" * 32), site.revoke(b"2" * 32)
     with no_room():
-        kept.save_entries(b"entries")
-        kept.save(first)
-        kept.save(second)
-        kept.retry()
+        file.save_entries(b"entries")
+        file.save(first)
+        file.save(second)
+        file.retry()
     assert home.load_revocations() is home.load_entries() is None
     assert len(caplog.messages) == 1
     assert "the revocation list is in force, but not saved: revocations.ent" in caplog.text
     assert "make room" in caplog.text
-    kept.retry()
+    file.retry()
     assert home.load_revocations() == second
     assert home.load_entries() == b"entries"
     assert caplog.messages[1:] == ["the revocation list is saved now"]
-    kept.retry()
+    file.retry()
     assert len(caplog.messages) == 2
 
 

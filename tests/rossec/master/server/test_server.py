@@ -41,10 +41,10 @@ async def test_a_watcher_waits_for_a_change(world: World, monkeypatch: pytest.Mo
     assert (find_revocations["whole"], find_revocations["instance"]) == (False, whole["instance"])
     assert find_revocations["version"] > whole["version"]
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
-    quiet = await watcher.ask(
+    unchanged = await watcher.ask(
         "rossec.watchGraph", find_revocations["instance"], find_revocations["cursor"]
     )
-    assert (quiet["added"], quiet["removed"], quiet["cursor"]) == (
+    assert (unchanged["added"], unchanged["removed"], unchanged["cursor"]) == (
         [],
         [],
         find_revocations["cursor"],
@@ -68,17 +68,17 @@ async def test_m8_a_node_on_another_host_cannot_register_loopback(
 
 
 async def test_a_long_multicall_does_not_delay_others(world: World) -> None:
-    """What a node may do is looked at anew, too, whenever others had their turn."""
+    """The rights of the caller are also checked again in every turn."""
     eve, other = await world.node("/eve"), await world.node("/other")
     calls = [
         {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
     ]
-    asked = asyncio.ensure_future(eve.client.call("system.multicall", calls))
+    pending = asyncio.ensure_future(eve.client.call("system.multicall", calls))
     await until(lambda: int(world.server.status()["calls"]) > 2)
     assert isinstance(await other.ask("getPid"), int)
-    assert not asked.done()
+    assert not pending.done()
     await other.ask("rossec.updateRevocations", world.site.revoke(eve.grant))
-    answers: Any = await asked
+    answers: Any = await pending
     codes = [answer[0][0] for answer in answers]
     made = codes.count(1)
     assert 0 < made < 3000
@@ -92,10 +92,10 @@ async def test_a_revoked_identity_does_not_end_its_multicall(world: World) -> No
     calls = [
         {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
     ]
-    asked = asyncio.ensure_future(eve.client.call("system.multicall", calls))
+    pending = asyncio.ensure_future(eve.client.call("system.multicall", calls))
     await until(lambda: int(world.server.status()["calls"]) > 2)
     await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
-    await ends(asked)
+    await ends(pending)
     assert not await other.ask("hasParam", "/p2999")
 
 

@@ -1,4 +1,4 @@
-"""Making a master from its home: what survives a restart, what is bound and what is told."""
+"""Creating a master from its home: state after a restart, bound and advertised addresses."""
 
 import socket
 from pathlib import Path
@@ -72,18 +72,18 @@ async def test_a_newer_list_of_a_local_authority_is_accepted_and_saved(tmp_path:
 async def test_the_master_renews_itself_with_the_intermediate(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
-    asked: list[tuple[bytes, int]] = []
+    renewals: list[tuple[bytes, int]] = []
 
     def renewer(request: bytes, now: int, check: RevocationCheck) -> bytes:
-        asked.append((request, now))
+        renewals.append((request, now))
         check(home.identity(site.now).thumbprint, site.now)
         raise RenewalRefused("seen")
 
     server = master_of(home, host=None, port=0, newest=site.revoke(), now=site.now, renewer=renewer)
     server._maintenance._checks[0](site.now)
-    assert asked == []
+    assert renewals == []
     server._maintenance._checks[0](site.now + 29 * 86400)
-    [(_, now)] = asked
+    [(_, now)] = renewals
     assert now == site.now + 29 * 86400
 
 

@@ -1,4 +1,4 @@
-"""Telling nodes: coalescing, retries, and that none delays another. Slave APIs are in memory."""
+"""Updates to nodes: coalescing, retries, and that none delays another. Slave APIs are in memory."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
@@ -18,7 +18,7 @@ KEY = ("publisherUpdate", "/t")
 
 
 class Nodes:
-    """Slave APIs that record their calls; what a node does is chosen by its name."""
+    """Slave APIs that record their calls; the name of a node selects its behaviour."""
 
     def __init__(self) -> None:
         self.tasks = TaskSet()
@@ -33,7 +33,7 @@ class Nodes:
             await asyncio.sleep(60)
         if self.failures > 0:
             self.failures -= 1
-            raise PeerUnreachable("nobody there")
+            raise PeerUnreachable("no node there")
         is_local, far = stream_pair("/master", node.name)
 
         async def dispatch(method: str, params: tuple[object, ...], peer: object) -> object:
@@ -96,7 +96,7 @@ async def test_only_the_newest_update_is_sent(nodes: Nodes, updates: Updates) ->
 
 
 async def test_an_update_posted_twice_is_sent_twice(nodes: Nodes, updates: Updates) -> None:
-    """The second may say the same and still be news: the first was overtaken by another."""
+    """The second must be sent even if equal: another may have come between."""
     updates.post(ref("/live"), KEY, 1)
     await nodes.until(lambda: len(nodes.received_calls("/live")) == 1)
     updates.post(ref("/live"), KEY, 1)

@@ -1,4 +1,4 @@
-"""Where a node can be, in how many spellings, and what is the master's own host."""
+"""Hosts in URIs: valid ones, equal spellings, and loopback."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Parameter changes on paper: back the same, and never more than was written whole."""
+"""The journal: changes are read as written, and only complete records."""
 
 import pytest
 from hypothesis import given

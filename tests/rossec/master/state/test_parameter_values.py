@@ -1,4 +1,4 @@
-"""What can be the value of a parameter, and how much room a value takes."""
+"""Which values are valid parameters, and their approximate size."""
 
 from datetime import datetime
 from decimal import Decimal
@@ -40,7 +40,7 @@ def test_accepted_values_can_be_encoded(value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         (2**31, "the number 2147483648"),
         (-(2**31) - 1, "the number -2147483649"),
@@ -49,9 +49,11 @@ def test_accepted_values_can_be_encoded(value: Any) -> None:
         (Decimal("1.5"), "a Decimal"),
     ],
 )
-def test_values_that_cannot_be_encoded_are_refused_at_any_depth(value: object, said: str) -> None:
+def test_values_that_cannot_be_encoded_are_refused_at_any_depth(
+    value: object, message: str
+) -> None:
     for spoilt in (value, [1, value], {"a": {"b": [value]}}):
-        with pytest.raises(ValueError, match=f"XML-RPC cannot carry {said}"):
+        with pytest.raises(ValueError, match=f"XML-RPC cannot carry {message}"):
             check(spoilt)
 
 
@@ -79,6 +81,6 @@ def test_the_size_of_encoded_text_is_its_length() -> None:
 
 
 def test_a_number_is_not_a_valid_name() -> None:
-    """XML-RPC's structs can have one in the place of a member's name."""
+    """XML-RPC's structs can have a number as a member's name."""
     with pytest.raises(ValueError, match="1 cannot be the name of a parameter"):
         check({1: 2})

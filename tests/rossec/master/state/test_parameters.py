@@ -1,4 +1,4 @@
-"""The parameter tree alone: reach, updates, limits. Stock's answers are in test_differential."""
+"""The parameter tree: items affected, updates, limits. Answers: see test_differential."""
 
 import contextlib
 from copy import deepcopy
@@ -46,7 +46,7 @@ def test_an_illegal_name_in_a_tree_is_named(name: str) -> None:
             check_names("/ns", value)
         assert repr(name[:80]) in str(refused.value)
     for fine in ({"a": {"b_1": [{name: 1}]}}, [{name: 2}]):
-        check_names("/", fine)  # inside a list nothing is asked for by its name
+        check_names("/", fine)  # a name inside a list is never a key
 
 
 def test_a_name_too_long_together_with_its_key_is_refused() -> None:

@@ -220,14 +220,14 @@ topics = st.sampled_from(["/t", "/u"])
 
 
 class Machine(RuleBasedStateMachine):
-    """Whatever is called, subscribers know the publishers and the indices agree."""
+    """After any calls, subscribers know the publishers and the indices agree."""
 
     def __init__(self) -> None:
         super().__init__()
         self.registry = Registry()
         self.known: dict[tuple[str, str], tuple[str, ...]] = {}
 
-    def hear(self, events: object) -> None:
+    def deliver(self, events: object) -> None:
         assert isinstance(events, list)
         for event in events:
             if isinstance(event, PublishersChanged):
@@ -236,16 +236,16 @@ class Machine(RuleBasedStateMachine):
 
     @rule(topic=topics, ref=refs)
     def publish(self, topic: str, ref: NodeRef) -> None:
-        self.hear(self.registry.register_publisher(topic, TYPE, ref))
+        self.deliver(self.registry.register_publisher(topic, TYPE, ref))
 
     @rule(topic=topics, ref=refs)
     def subscribe(self, topic: str, ref: NodeRef) -> None:
-        self.hear(self.registry.register_subscriber(topic, TYPE, ref))
+        self.deliver(self.registry.register_subscriber(topic, TYPE, ref))
         self.known[topic, ref.uri] = tuple(self.registry.uris(Kind.PUBLISHER, topic))
 
     @rule(topic=topics, ref=refs)
     def provide(self, topic: str, ref: NodeRef) -> None:
-        self.hear(self.registry.register_service(topic, f"rosrpc://{ref.name}", ref))
+        self.deliver(self.registry.register_service(topic, f"rosrpc://{ref.name}", ref))
 
     @rule(kind=st.sampled_from(list(Kind)), topic=topics, ref=refs)
     def unregister(self, kind: Kind, topic: str, ref: NodeRef) -> None:
@@ -254,11 +254,11 @@ class Machine(RuleBasedStateMachine):
                 topic, ref.name, f"rosrpc://{ref.name}", ref.thumbprint
             )
         else:
-            self.hear(self.registry.unregister(kind, topic, ref)[1])
+            self.deliver(self.registry.unregister(kind, topic, ref)[1])
 
     @rule(ref=refs)
     def remove(self, ref: NodeRef) -> None:
-        self.hear(self.registry.remove_node(ref.name))
+        self.deliver(self.registry.remove_node(ref.name))
         assert ref.name not in {
             name for kind in Kind for _, names in self.registry.entries(kind) for name in names
         }

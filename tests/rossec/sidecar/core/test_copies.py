@@ -1,4 +1,4 @@
-"""One message, sent by a program to each connection of a key."""
+"""Copies of one message for the connections of a key."""
 
 from contextlib import ExitStack
 
@@ -19,7 +19,7 @@ def make_guard(memory: Memory | None, *conditions: str) -> Guard:
 
 
 class Connections:
-    """Those of one key."""
+    """The connections of one key."""
 
     def __init__(self, stack: ExitStack, *, latching: bool = False) -> None:
         self.stack = stack
@@ -34,7 +34,7 @@ class Connections:
         return guard, initial
 
 
-def test_where_nothing_is_remembered_there_is_nothing_to_share() -> None:
+def test_a_guard_without_memory_is_not_shared() -> None:
     with CopyTracker().share(None, NOW, latching=False) as found:
         assert found == (None, [])
     alone = make_guard(None)
@@ -56,10 +56,10 @@ def test_a_copy_passes_once_on_each_connection_that_was_open() -> None:
         late, initial = connections.open()
         assert initial == []
         assert late.apply(b"a", NOW) is None
-        assert three.apply(b"a", NOW + 2) is None, "it may be another one by now"
+        assert three.apply(b"a", NOW + 2) is None, "it may be a new message by now"
 
 
-def test_a_latching_programs_newcomer() -> None:
+def test_a_new_connection_to_a_latching_program_gets_the_last_message() -> None:
     with ExitStack() as stack:
         connections = Connections(stack, latching=True)
         first, initial = connections.open()
@@ -73,7 +73,7 @@ def test_a_latching_programs_newcomer() -> None:
         assert third.apply(b"b", NOW + 10) == [b"b"]
 
 
-def test_what_nobody_will_be_shown_is_not_kept() -> None:
+def test_the_last_message_is_kept_only_if_latching() -> None:
     for latching, kept in ((True, [b"a"]), (False, [])):
         with ExitStack() as stack:
             connections = Connections(stack, latching=latching)

@@ -23,7 +23,7 @@ PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
         (7, WireProtocol.HTTP, None),
     ],
 )
-def test_uris(uri: object, protocol: WireProtocol, found: Endpoint | None) -> None:
+def test_uris_are_parsed(uri: object, protocol: WireProtocol, found: Endpoint | None) -> None:
     assert parse_endpoint(uri, protocol) == found
 
 
@@ -32,7 +32,7 @@ def test_endpoints_are_written_as_in_ros() -> None:
     assert Endpoint(WireProtocol.TCPROS, "fd99::2", 6000).uri == "rosrpc://[fd99::2]:6000"
 
 
-def test_doors_lead_both_ways() -> None:
+def test_endpoints_are_mapped_both_ways() -> None:
     endpoints = EndpointMap("robot.local")
     outside = endpoints.add_ingress(SLAVE, 7000)
     assert outside.uri == "http://robot.local:7000/"
@@ -49,14 +49,14 @@ def test_doors_lead_both_ways() -> None:
     assert endpoints.peer_at(egress) is None
 
 
-def test_a_program_gets_its_uri_back_as_it_wrote_it() -> None:
+def test_a_program_gets_its_own_uri_as_it_wrote_it() -> None:
     endpoints = EndpointMap("robot.local")
     assert endpoints.own_uri(SLAVE) == SLAVE.uri
     endpoints.set_own_uri(SLAVE, "http://localhost:5000")
     assert endpoints.own_uri(SLAVE) == "http://localhost:5000"
 
 
-def test_programs_are_told_loopback_by_the_name_they_reach_it_by() -> None:
+def test_programs_get_the_loopback_host_name() -> None:
     endpoints = EndpointMap("fd99::1", "localhost")
     assert endpoints.add_egress(PEER, 8000).uri == "rosrpc://localhost:8000"
     assert endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, 8000)) == PEER

@@ -1,7 +1,6 @@
-"""What programs ask their master, and what the secured one is asked instead."""
+"""Master API calls of programs, and the rewritten calls to the secured master."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -9,15 +8,11 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
-from rossec.participant.publisher_grace import GRACE
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.core.commands import (
     CallMaster,
-    CallProgram,
     OpenEgress,
     OpenIngress,
-    Probe,
-    Suspend,
 )
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
 from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened, RawResponse
@@ -25,50 +20,38 @@ from rossec.sidecar.core.layers import UnexpectedEvent
 from rossec.sidecar.core.master_calls import (
     MULTICALL_LIMIT,
     RULES,
-    drop_overdue_publishers,
     handle_call,
-    restore,
-    resubscribe,
 )
 from tests.rossec.master.fakes import FakeStatements
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
-from tests.support.site import Site
-
-OWN = "http://localhost:5000"  # as a program may spell it
-SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-OUTSIDE = f"http://{HOST}:7000/"
-SERVICE = local_endpoint(WireProtocol.TCPROS, 5001)
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
-OK = Answered([1, "done", 0])
-ALIVE = (Probe(SLAVE), CommandDone())
-
-
-def register(setup: AgentSetup, *uris: str) -> object:
-    egress = [(OpenEgress(PEER), Opened(8000)) for uri in uris if uri == PEER.uri]
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
-    return run_layer(
-        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (CallMaster("registerSubscriber", params), Answered([1, "ok", list(uris)])),
-        *egress,
-    )
+from tests.rossec.sidecar.core.registering import (
+    INGRESS_URI,
+    OK,
+    OWN_URI,
+    PEER,
+    SERVICE,
+    SLAVE,
+    register,
+)
 
 
-def test_a_program_registers_with_its_door_and_gets_doors(setup: AgentSetup) -> None:
+def test_a_registration_is_rewritten_in_both_directions(setup: AgentSetup) -> None:
     assert register(setup, PEER.uri) == [1, "ok", ["http://127.0.0.1:8000/"]]
 
 
-def test_its_own_uri_comes_back_byte_for_byte(setup: AgentSetup) -> None:
-    assert register(setup, OUTSIDE, "no uri") == [1, "ok", [OWN]]
+def test_the_programs_own_uri_is_returned_byte_for_byte(setup: AgentSetup) -> None:
+    assert register(setup, INGRESS_URI, "no uri") == [1, "ok", [OWN_URI]]
 
 
-def test_another_program_of_the_same_identity_is_met_through_the_channel(setup: AgentSetup) -> None:
-    """Its messages must pass the guard like everybody's."""
+def test_another_program_of_the_same_identity_is_reached_through_the_channel(
+    setup: AgentSetup,
+) -> None:
+    """Its messages must pass the guard too."""
     setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.HTTP, 5555), 7777)
     other = Endpoint(WireProtocol.HTTP, HOST, 7777)
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     answer = run_layer(
-        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
+        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN_URI)),
         (OpenIngress(SLAVE), Opened(7000)),
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
         (OpenEgress(other), Opened(8000)),
@@ -76,162 +59,32 @@ def test_another_program_of_the_same_identity_is_met_through_the_channel(setup: 
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]
 
 
-def test_a_service_is_exported_with_the_slave_api(setup: AgentSetup) -> None:
+def test_a_service_is_registered_with_the_slave_api(setup: AgentSetup) -> None:
     answer = run_layer(
         handle_call(
-            setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)
+            setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN_URI)
         ),
         (OpenIngress(SLAVE), Opened(7000)),
         (OpenIngress(SERVICE), Opened(7001)),
-        (CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", OUTSIDE)), OK),
+        (
+            CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", INGRESS_URI)),
+            OK,
+        ),
     )
     assert answer == [1, "done", 0]
 
 
-def test_what_was_registered_is_unregistered_and_forgotten(setup: AgentSetup) -> None:
-    register(setup)
-    run_layer(
-        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", OWN)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (CallMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
-    )
-    assert run_layer(restore(setup.agent), ALIVE) is None
-
-
-def test_a_successor_keeps_its_registration(setup: AgentSetup) -> None:
-    """The old instance that the master ends says goodbye after the new one has registered."""
-    register(setup)
-    elsewhere = local_endpoint(WireProtocol.HTTP, 5999)
-    run_layer(
-        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", elsewhere.uri)),
-        (OpenIngress(elsewhere), Opened(7999)),
-        (CallMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
-    )
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
-    request = CallMaster("registerSubscriber", params)
-    assert run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "", []]))) is None
-
-
-def test_a_service_is_forgotten_by_its_own_address(setup: AgentSetup) -> None:
-    outside = f"rosrpc://{HOST}:7001"
-    params = ("/robot", "/say", outside, OUTSIDE)
-    run_layer(
-        handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (OpenIngress(SERVICE), Opened(7001)),
-        (CallMaster("registerService", params), OK),
-    )
-    other = local_endpoint(WireProtocol.TCPROS, 5002)
-    run_layer(
-        handle_call(setup.agent, "unregisterService", ("/robot", "/say", other.uri)),
-        (OpenIngress(other), Opened(7002)),
-        (CallMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
-    )
-    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerService", params), OK))
-    run_layer(
-        handle_call(setup.agent, "unregisterService", ("/robot", "/say", SERVICE.uri)),
-        (OpenIngress(SERVICE), Opened(7001)),
-        (CallMaster("unregisterService", params[:3]), OK),
-    )
-    assert run_layer(restore(setup.agent), ALIVE) is None
-
-
-def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: Path) -> None:
-    setup = AgentSetup(Site(tmp_path / "site"), wildcard=True)
-    register(setup)
-    params = ("/robot_2", "/word", "pkg/Type", OUTSIDE)
-    run_layer(
-        handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (CallMaster("registerPublisher", params), OK),
-    )
-    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerPublisher", params), OK))
-
-
-def test_a_restarted_master_hears_of_everything_again(setup: AgentSetup) -> None:
-    register(setup)
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
-    update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
-    run_layer(
-        restore(setup.agent),
-        ALIVE,
-        (CallMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
-        (OpenEgress(PEER), Opened(8000)),
-        (CallProgram(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
-        (Suspend(SLAVE), CommandDone()),
-    )
-    assert run_layer(restore(setup.agent)) is None
-
-
-def test_a_dead_program_is_left_out(setup: AgentSetup) -> None:
-    register(setup)
-    gone = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
-    assert run_layer(restore(setup.agent), *gone) is None
-    assert run_layer(restore(setup.agent)) is None
-
-
-def test_restoring_ends_with_the_connection_and_bears_refusals(setup: AgentSetup) -> None:
-    register(setup)
-    request = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
-    run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "no right", []])))
-    with pytest.raises(HangUp):
-        run_layer(restore(setup.agent), ALIVE, (request, NoAnswer("cut")))
-
-
-def test_a_lost_topic_has_its_publishers_named_again(setup: AgentSetup) -> None:
-    register(setup)
-    run_layer(
-        resubscribe(setup.agent, "/scan"),
-        (
-            CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE)),
-            Answered([1, "ok", [PEER.uri]]),
-        ),
-        (OpenEgress(PEER), Opened(8000)),
-        (
-            CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
-            Answered([1, "", 0]),
-        ),
-    )
-    assert run_layer(resubscribe(setup.agent, "/unknown")) is None
-
-
-def named(*uris: str) -> tuple[CallProgram, Answered]:
-    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered(
-        [1, "", 0]
-    )
-
-
-def test_a_publisher_that_a_new_master_does_not_name_yet_is_named_for_a_while(
-    setup: AgentSetup,
-) -> None:
-    register(setup, PEER.uri)
-    inside_uri = "http://127.0.0.1:8000/"
-    again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
-    setup.agent.publisher_grace.session_opened()
-    run_layer(
-        restore(setup.agent),
-        ALIVE,
-        (again, Answered([1, "ok", []])),
-        (OpenEgress(PEER), Opened(8000)),
-        named(inside_uri),
-    )
-    assert run_layer(drop_overdue_publishers(setup.agent)) is None
-    setup.time += GRACE
-    run_layer(drop_overdue_publishers(setup.agent), named())
-    assert run_layer(drop_overdue_publishers(setup.agent)) is None
-
-
 def test_a_program_may_not_register_under_another_name(setup: AgentSetup) -> None:
     answer = run_layer(
-        handle_call(setup.agent, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN))
+        handle_call(setup.agent, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN_URI))
     )
     assert isinstance(answer, list)
     assert answer[0] == -1
     assert "calls itself /victim: start it with __name:=robot" in answer[1]
 
 
-def test_a_door_cannot_be_registered_as_ones_own(setup: AgentSetup) -> None:
-    """Or the sidecar would carry a peer's calls to another peer (L7)."""
+def test_an_egress_port_cannot_be_registered(setup: AgentSetup) -> None:
+    """Or the sidecar would forward a peer's calls to another peer (L7)."""
     setup.agent.endpoints.add_egress(PEER, 8000)
     uri = "http://127.0.0.1:8000/"
     answer = run_layer(
@@ -240,8 +93,8 @@ def test_a_door_cannot_be_registered_as_ones_own(setup: AgentSetup) -> None:
     assert answer == [-1, "rossec: this address is not the program's own", 0]
 
 
-def test_cleanup_gives_back_what_lookups_answered(setup: AgentSetup) -> None:
-    """`rosnode cleanup` speaks for the dead node; the master decides whether it may."""
+def test_cleanup_may_name_the_uris_of_lookups(setup: AgentSetup) -> None:
+    """`rosnode cleanup` unregisters dead nodes; the master authorizes it."""
     setup.agent.endpoints.add_egress(PEER, 8000)
     run_layer(
         handle_call(setup.agent, "unregisterPublisher", ("/dead", "/x", "http://127.0.0.1:8000/")),
@@ -249,7 +102,7 @@ def test_cleanup_gives_back_what_lookups_answered(setup: AgentSetup) -> None:
     )
 
 
-def test_tools_speak_under_a_certified_name_with_names_resolved(setup: AgentSetup) -> None:
+def test_calls_of_tools_have_a_certified_caller_id_and_resolved_names(setup: AgentSetup) -> None:
     run_layer(
         handle_call(setup.agent, "setParam", ("/there/tool", "speed", 7)),
         (CallMaster("setParam", ("/robot", "/there/speed", 7)), OK),
@@ -260,7 +113,7 @@ def test_tools_speak_under_a_certified_name_with_names_resolved(setup: AgentSetu
     )
 
 
-def test_lookups(setup: AgentSetup) -> None:
+def test_lookups_return_egress_uris(setup: AgentSetup) -> None:
     agent = setup.agent
     answer = run_layer(
         handle_call(agent, "lookupNode", ("/robot", "/viewer")),
@@ -282,16 +135,16 @@ def test_lookups(setup: AgentSetup) -> None:
         )
 
 
-def test_a_node_of_the_same_identity_is_met_directly(setup: AgentSetup) -> None:
+def test_a_node_of_the_same_identity_is_reached_directly(setup: AgentSetup) -> None:
     register(setup)
     answer = run_layer(
         handle_call(setup.agent, "lookupNode", ("/robot", "/robot")),
-        (CallMaster("lookupNode", ("/robot", "/robot")), Answered([1, "node api", OUTSIDE])),
+        (CallMaster("lookupNode", ("/robot", "/robot")), Answered([1, "node api", INGRESS_URI])),
     )
-    assert answer == [1, "node api", OWN]
+    assert answer == [1, "node api", OWN_URI]
 
 
-def test_the_masters_own_address_is_the_loopback_one(setup: AgentSetup) -> None:
+def test_the_uri_of_the_master_is_the_loopback_one(setup: AgentSetup) -> None:
     request = CallMaster("getUri", ("/robot",))
     answer = run_layer(
         handle_call(setup.agent, "getUri", ("/robot",)), (request, Answered([1, "", "http://m/"]))
@@ -299,7 +152,7 @@ def test_the_masters_own_address_is_the_loopback_one(setup: AgentSetup) -> None:
     assert answer == [1, "", MASTER_URI]
 
 
-def test_elements_of_a_multicall_are_calls_of_their_own(setup: AgentSetup) -> None:
+def test_elements_of_a_multicall_are_handled_as_calls(setup: AgentSetup) -> None:
     elements: list[object] = [
         {"methodName": "setParam", "params": ["/robot", "/a", 1]},
         {"methodName": "rossec.updateRevocations", "params": ["/robot", b""]},
@@ -324,13 +177,13 @@ def test_a_multicall_is_one_bounded_list(setup: AgentSetup, params: tuple[object
 
 
 @pytest.mark.parametrize("method", ["rossec.presentGrants", "launch", "__init__", ""])
-def test_what_is_no_call_of_a_program_is_not_passed_on(setup: AgentSetup, method: str) -> None:
+def test_unknown_methods_are_not_forwarded(setup: AgentSetup, method: str) -> None:
     assert method not in RULES
     with pytest.raises(Fault, match="is not supported"):
         run_layer(handle_call(setup.agent, method, ("/robot",)))
 
 
-def test_odd_parameters_are_left_to_the_master(setup: AgentSetup) -> None:
+def test_invalid_parameters_are_left_to_the_master(setup: AgentSetup) -> None:
     agent = setup.agent
     assert run_layer(handle_call(agent, "getPid", ())) == [
         -1,
@@ -349,8 +202,8 @@ def test_odd_parameters_are_left_to_the_master(setup: AgentSetup) -> None:
     )
 
 
-def test_refusals_have_the_masters_values() -> None:
-    """The sidecar answers itself where a call names nobody, and must say what the master says."""
+def test_refusals_have_the_default_values_of_the_master() -> None:
+    """The sidecar itself answers calls without caller_id, with the values of the master."""
     api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=1)
     assert {name: rule.default for name, rule in RULES.items()} == {
         name: api.methods[name].default for name in RULES
@@ -361,38 +214,38 @@ FOUND = [1, "Found", "x"]
 NOT_FOUND = Answered([-1, "Cannot find parameter [x] in an upwards search", ""])
 
 
-def test_a_search_begins_where_the_asker_is(setup: AgentSetup) -> None:
+def test_a_search_starts_in_the_callers_namespace(setup: AgentSetup) -> None:
     """Under the certified name the master would search from another namespace."""
 
-    def looks(place: str) -> CallMaster:
-        return CallMaster("searchParam", ("/robot", place))
+    def search(key: str) -> CallMaster:
+        return CallMaster("searchParam", ("/robot", key))
 
-    for key, rest in (("x", ""), ("x/y", "/y")):
-        layer = handle_call(setup.agent, "searchParam", ("/ns/rosparam-17", key))
+    for name, rest in (("x", ""), ("x/y", "/y")):
+        layer = handle_call(setup.agent, "searchParam", ("/ns/rosparam-17", name))
         answer = run_layer(
             layer,
-            (looks("/ns/rosparam-17/x"), NOT_FOUND),
-            (looks("/ns/x"), Answered([1, "Found [/ns/x]", "/ns/x"])),
+            (search("/ns/rosparam-17/x"), NOT_FOUND),
+            (search("/ns/x"), Answered([1, "Found [/ns/x]", "/ns/x"])),
         )
         assert answer == [1, f"Found [/ns/x{rest}]", f"/ns/x{rest}"]
     layer = handle_call(setup.agent, "searchParam", ("/tool", "x"))
-    nowhere = run_layer(layer, (looks("/tool/x"), NOT_FOUND), (looks("/x"), NOT_FOUND))
+    nowhere = run_layer(layer, (search("/tool/x"), NOT_FOUND), (search("/x"), NOT_FOUND))
     assert nowhere == [-1, "Cannot find parameter [x] in an upwards search", ""]
     layer = handle_call(setup.agent, "searchParam", ("/tool", "x"))
     refused = [-1, "rossec: revoked", 0]
-    assert run_layer(layer, (looks("/tool/x"), Answered(refused))) == refused
+    assert run_layer(layer, (search("/tool/x"), Answered(refused))) == refused
 
 
-def test_a_search_under_ones_own_name_is_the_masters(setup: AgentSetup) -> None:
+def test_a_search_under_the_certified_name_is_forwarded(setup: AgentSetup) -> None:
     for params in (("/robot", "x"), ("/tool", "/x"), ("/tool", "~x")):
-        asked = CallMaster("searchParam", ("/robot", params[1]))
+        request = CallMaster("searchParam", ("/robot", params[1]))
         assert (
-            run_layer(handle_call(setup.agent, "searchParam", params), (asked, Answered(FOUND)))
+            run_layer(handle_call(setup.agent, "searchParam", params), (request, Answered(FOUND)))
             == FOUND
         )
 
 
-def test_a_master_out_of_reach_or_out_of_its_mind_ends_the_connection(setup: AgentSetup) -> None:
+def test_no_answer_or_an_invalid_one_of_the_master_closes_the_connection(setup: AgentSetup) -> None:
     request = CallMaster("getPid", ("/robot",))
     for event in (NoAnswer("no answer"), Answered(7), Answered([1, "short"])):
         with pytest.raises(HangUp):
@@ -401,17 +254,17 @@ def test_a_master_out_of_reach_or_out_of_its_mind_ends_the_connection(setup: Age
         run_layer(handle_call(setup.agent, "getPid", ("/robot",)), (request, RawResponse(b"")))
     with pytest.raises(UnexpectedEvent):
         run_layer(
-            handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN)),
+            handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN_URI)),
             (OpenIngress(SLAVE), CommandDone()),
         )
 
 
 def test_an_anonymous_program_uses_the_wildcard(setup: AgentSetup) -> None:
     anonymous = AgentSetup(setup.site, "/rviz", wildcard=True)
-    params = ("/rviz_12_34", "/x", "pkg/Type", OWN)
+    params = ("/rviz_12_34", "/x", "pkg/Type", OWN_URI)
     run_layer(
         handle_call(anonymous.agent, "registerPublisher", params),
         (OpenIngress(SLAVE), Opened(7000)),
-        (CallMaster("registerPublisher", (*params[:3], OUTSIDE)), Answered([1, "", []])),
+        (CallMaster("registerPublisher", (*params[:3], INGRESS_URI)), Answered([1, "", []])),
     )
     assert replace(anonymous.agent).name_for("/rvizx") == "/rviz"

@@ -5,7 +5,7 @@ def always(_: str) -> bool:
     return True
 
 
-def test_a_lost_topic_is_tried_again_once_after_a_pause() -> None:
+def test_a_topic_is_due_once_after_a_delay() -> None:
     queue = ResubscribeQueue()
     queue.add("/a", 0, 100)
     assert queue.take_due(100, always) == []
@@ -13,14 +13,14 @@ def test_a_lost_topic_is_tried_again_once_after_a_pause() -> None:
     assert queue.take_due(200, always) == []
 
 
-def test_without_a_right_it_waits_for_one() -> None:
+def test_a_topic_without_a_grant_waits_for_one() -> None:
     queue = ResubscribeQueue()
     queue.add("/a", 0, 100)
     assert queue.take_due(500, lambda topic: topic == "/b") == []
     assert queue.take_due(501, always) == ["/a"]
 
 
-def test_what_soon_ends_again_is_waited_for_longer() -> None:
+def test_the_delay_doubles_while_connections_end_soon() -> None:
     queue = ResubscribeQueue()
     delays = []
     for _ in range(8):

@@ -1,4 +1,4 @@
-"""What peers ask programs, and programs peers."""
+"""Slave API calls of peers to programs, and of programs to peers."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_l
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
-DOOR = "http://127.0.0.1:8000/"
+EGRESS_URI = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
 
 
@@ -44,7 +44,7 @@ def peer_call(
     )
 
 
-def test_the_master_steers(setup: AgentSetup) -> None:
+def test_updates_of_the_master_are_forwarded(setup: AgentSetup) -> None:
     params = ("/master", "/scan", [PEER.uri, "nonsense"])
     answer = run_layer(
         peer_call(setup, "publisherUpdate", *params[1:], peer="/master"),
@@ -58,21 +58,21 @@ def test_the_master_steers(setup: AgentSetup) -> None:
 
 
 @pytest.mark.parametrize("method", ["publisherUpdate", "paramUpdate"])
-def test_nobody_else_steers(setup: AgentSetup, method: str) -> None:
+def test_updates_of_other_peers_are_refused(setup: AgentSetup, method: str) -> None:
     """Attacks N2 and N3."""
     with pytest.raises(CallRefused, match="for the master alone"):
         run_layer(peer_call(setup, method, "/scan", []))
 
 
 @pytest.mark.parametrize("method", ["launch", "system.multicall", "rossec.revocations", ""])
-def test_no_other_method_gets_through(setup: AgentSetup, method: str) -> None:
-    """L1: a roslaunch child would run what it is sent; not even the master may ask for that."""
+def test_unknown_methods_are_refused(setup: AgentSetup, method: str) -> None:
+    """L1: a roslaunch child would execute what it is sent; not even the master is allowed to."""
     for peer in ("/viewer", "/master"):
         with pytest.raises(CallRefused, match="no such method"):
             run_layer(peer_call(setup, method, peer=peer))
 
 
-def test_questions_need_the_right_to_see_the_graph(setup: AgentSetup) -> None:
+def test_slave_calls_need_the_graph_right(setup: AgentSetup) -> None:
     """N4."""
     with pytest.raises(GrantMissing):
         run_layer(peer_call(setup, "getPid"))
@@ -87,7 +87,7 @@ def test_questions_need_the_right_to_see_the_graph(setup: AgentSetup) -> None:
         run_layer(peer_call(setup, "shutdown", "because", grants=grants))
 
 
-def test_an_administrator_may_end_a_program(setup: AgentSetup) -> None:
+def test_the_admin_right_allows_shutdown(setup: AgentSetup) -> None:
     """N1."""
     setup.site.grant("/viewer", Right.ADMIN, "/robot")
     grants = setup.access("/viewer").present(Right.ADMIN, "/robot", setup.site.now())
@@ -98,8 +98,8 @@ def test_an_administrator_may_end_a_program(setup: AgentSetup) -> None:
 
 
 @pytest.mark.parametrize("topic", ["/scan", "/nothing", "no name"])
-def test_the_same_door_is_offered_for_every_topic(setup: AgentSetup, topic: object) -> None:
-    """N5: the program is not asked, so nothing in the answer can depend on it."""
+def test_the_same_port_is_offered_for_every_topic(setup: AgentSetup, topic: object) -> None:
+    """N5: the program is not called, so the answer cannot depend on it."""
     answer = run_layer(
         peer_call(setup, "requestTopic", topic, [UDP, ["TCPROS"]]),
         (Probe(SLAVE), CommandDone()),
@@ -109,24 +109,24 @@ def test_the_same_door_is_offered_for_every_topic(setup: AgentSetup, topic: obje
 
 
 @pytest.mark.parametrize("offers", [[UDP], [], 7, ["TCPROS"]])
-def test_udp_is_never_asked_for(setup: AgentSetup, offers: object) -> None:
-    """N10, both ways."""
+def test_udpros_is_never_requested(setup: AgentSetup, offers: object) -> None:
+    """N10, in both directions."""
     refused = [-1, NO_TRANSPORT, []]
     assert run_layer(peer_call(setup, "requestTopic", "/scan", offers)) == refused
-    mine = handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan", offers))
-    assert run_layer(mine) == refused
+    request = handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan", offers))
+    assert run_layer(request) == refused
 
 
 @pytest.mark.parametrize("offer", [UDP, [], ["TCPROS", "h", 0], ["TCPROS", "h", 1 << 16], 0])
-def test_udp_is_never_offered(setup: AgentSetup, offer: object) -> None:
+def test_udpros_is_never_offered(setup: AgentSetup, offer: object) -> None:
     params = ("/viewer", "/scan", [["TCPROS"]])
-    mine = CallPeer(PEER, "requestTopic", ("/robot", *params[1:]), None)
+    request = CallPeer(PEER, "requestTopic", ("/robot", *params[1:]), None)
     layer = handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", *params[1:]))
-    assert run_layer(layer, (mine, Answered([1, "", offer]))) == [-1, NO_TRANSPORT, []]
+    assert run_layer(layer, (request, Answered([1, "", offer]))) == [-1, NO_TRANSPORT, []]
 
 
-def test_no_peer_sends_a_program_to_its_own_door(setup: AgentSetup) -> None:
-    """A program may reach itself, where it was told of itself: not as another's topic."""
+def test_a_peer_cannot_redirect_a_program_to_itself(setup: AgentSetup) -> None:
+    """A program may connect to itself, but not by the answer of another node."""
     setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.TCPROS, 5000), 4001)
     params = ("/robot", "/scan", [["TCPROS"]])
     request = CallPeer(PEER, "requestTopic", params, None)
@@ -136,7 +136,7 @@ def test_no_peer_sends_a_program_to_its_own_door(setup: AgentSetup) -> None:
         assert run_layer(layer, (request, answer)) == [-1, NO_TRANSPORT, []]
 
 
-def test_what_a_program_says_of_itself_names_doors(setup: AgentSetup) -> None:
+def test_answers_of_a_program_name_ingress_endpoints(setup: AgentSetup) -> None:
     setup.agent.endpoints.add_egress(PEER, 8000)
     info = [
         [1, "http://127.0.0.1:8000/", "i", "TCPROS", "/scan", True],
@@ -145,12 +145,12 @@ def test_what_a_program_says_of_itself_names_doors(setup: AgentSetup) -> None:
         [4, SLAVE.uri, "i", "INTRAPROCESS", "/loop", True],
         [5, 7, "i"],
     ]
-    door = ((OpenIngress(SLAVE), Opened(7000)),)
+    ingress = ((OpenIngress(SLAVE), Opened(7000)),)
     own = f"http://{HOST}:7000/"
     seen = [[1, PEER.uri, *info[0][2:]], *info[1:3], [4, own, *info[3][2:]], info[4]]
     for method, value, script, expected in (
-        ("getBusInfo", info, door, seen),
-        ("getUri", SLAVE.uri, door, own),
+        ("getBusInfo", info, ingress, seen),
+        ("getUri", SLAVE.uri, ingress, own),
         ("getMasterUri", MASTER_URI, (), ""),
     ):
         request = CallProgram(SLAVE, method, ("/master",))
@@ -179,8 +179,8 @@ def test_a_dead_program_answers_like_a_dead_node(setup: AgentSetup) -> None:
         run_layer(peer_call(setup, "getPid", peer="/master"), (request, CommandDone()))
 
 
-def test_a_revoked_peer_does_not_even_knock(setup: AgentSetup) -> None:
-    """Nor one of which nobody knows: whether a program lives is told to those who hold."""
+def test_a_program_is_not_probed_for_a_revoked_peer(setup: AgentSetup) -> None:
+    """Nor for one of unknown status: only valid peers learn whether a program is alive."""
     viewer, params = setup.identity("/viewer"), ("/viewer", b"")
 
     def refused(now: int, error: type[CAError]) -> None:
@@ -194,12 +194,12 @@ def test_a_revoked_peer_does_not_even_knock(setup: AgentSetup) -> None:
     refused(setup.site.now(), Revoked)
 
 
-def test_a_call_needs_a_caller(setup: AgentSetup) -> None:
+def test_a_call_needs_a_caller_id(setup: AgentSetup) -> None:
     master, now = setup.identity("/master"), setup.site.now()
     missing, odd = "missing required caller_id parameter", "caller_id must be a string"
     for method, default in (("getPid", -1), ("getBusInfo", []), ("getName", "")):
-        for params, said in (((), missing), ((7,), odd)):
-            answer = [-1, said, default]
+        for params, status in (((), missing), ((7,), odd)):
+            answer = [-1, status, default]
             assert run_layer(handle_program_call(setup.agent, PEER, method, params)) == answer
             layer = handle_peer_call(setup.agent, SLAVE, master, method, params, None, now)
             assert run_layer(layer) == answer
@@ -214,7 +214,7 @@ def test_a_call_needs_a_caller(setup: AgentSetup) -> None:
         assert run_layer(peer_call(setup, "requestTopic", topic, [["TCPROS"]])) == nameless
 
 
-def test_a_program_asks_under_its_certified_name_and_with_its_grants(setup: AgentSetup) -> None:
+def test_calls_of_a_program_have_a_certified_caller_id_and_its_grants(setup: AgentSetup) -> None:
     for method, right in (("getPid", Right.GRAPH), ("shutdown", Right.ADMIN)):
         request = CallPeer(PEER, method, ("/robot",), right)
         layer = handle_program_call(setup.agent, PEER, method, ("/rosnode",))
@@ -226,7 +226,7 @@ def test_a_program_asks_under_its_certified_name_and_with_its_grants(setup: Agen
         run_layer(handle_program_call(setup.agent, PEER, "launch", ("/robot", "<launch/>")))
 
 
-def test_a_peers_topics_are_met_at_a_door(setup: AgentSetup) -> None:
+def test_the_topics_of_a_peer_get_an_egress_port(setup: AgentSetup) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
     remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
@@ -251,11 +251,11 @@ def test_a_peers_topics_are_met_at_a_door(setup: AgentSetup) -> None:
             "getBusInfo",
             [[1, PEER.uri, "i", "TCPROS"], [2, PEER.uri, "i", "TCPROS"], [3, "odd", "i"]],
             [(OpenEgress(PEER), Opened(8000))],
-            [[1, DOOR, "i", "TCPROS"], [2, DOOR, "i", "TCPROS"], [3, "odd", "i"]],
+            [[1, EGRESS_URI, "i", "TCPROS"], [2, EGRESS_URI, "i", "TCPROS"], [3, "odd", "i"]],
         ),
     ],
 )
-def test_what_a_peer_says_names_doors(
+def test_answers_of_a_peer_name_egress_ports(
     setup: AgentSetup,
     method: str,
     value: object,
@@ -267,7 +267,7 @@ def test_what_a_peer_says_names_doors(
     assert run_layer(layer, (request, Answered([1, "", value])), *script) == [1, "", expected]
 
 
-def test_what_a_peer_hears_from_this_identity_is_named_as_lookup_names_it(
+def test_bus_info_of_a_peer_names_this_identity_as_lookups_do(
     setup: AgentSetup,
 ) -> None:
     outside = setup.agent.endpoints.add_ingress(SLAVE, 7000)
@@ -277,20 +277,22 @@ def test_what_a_peer_hears_from_this_identity_is_named_as_lookup_names_it(
     assert answer == [1, "", [[1, SLAVE.uri, "i"]]]
 
 
-def test_a_peer_cannot_have_any_number_of_doors_opened(setup: AgentSetup) -> None:
+def test_a_peer_cannot_open_any_number_of_ports(setup: AgentSetup) -> None:
     uris = [f"http://10.0.0.7:{port}/" for port in range(1, 100)]
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
-    doors = [
+    egress = [
         (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
         for port in range(1, 65)
     ]
-    answer = run_layer(layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *doors)
+    answer = run_layer(
+        layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress
+    )
     assert isinstance(answer, list)
     assert [entry[1] for entry in answer[2]][63:65] == ["http://127.0.0.1:8064/", uris[64]]
 
 
-def test_a_peer_that_refuses_or_is_gone(setup: AgentSetup) -> None:
+def test_refusals_of_a_peer_are_forwarded_and_no_answer_hangs_up(setup: AgentSetup) -> None:
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     assert run_layer(layer, (request, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
@@ -314,19 +316,21 @@ ODD = [
 
 
 @pytest.mark.parametrize(("answer", "expected"), ODD)
-def test_no_address_hides_in_an_answer(setup: AgentSetup, answer: object, expected: object) -> None:
-    """The program would connect to it in clear."""
+def test_an_unsuccessful_answer_carries_no_address(
+    setup: AgentSetup, answer: object, expected: object
+) -> None:
+    """The program would connect to it in plaintext."""
     params = ("/robot", "/scan", [["TCPROS"]])
     request = CallPeer(PEER, "requestTopic", params, None)
     layer = handle_program_call(setup.agent, PEER, "requestTopic", params)
     assert run_layer(layer, (request, Answered(answer))) == expected
-    mine = CallProgram(SLAVE, "getPid", ("/master",))
+    call = CallProgram(SLAVE, "getPid", ("/master",))
     layer = peer_call(setup, "getPid", peer="/master")
-    assert run_layer(layer, (mine, Answered(answer))) == expected
+    assert run_layer(layer, (call, Answered(answer))) == expected
 
 
 @pytest.mark.parametrize("method", ["requestTopic", "getPid"])
-def test_an_answer_that_nobody_parsed_goes_no_further(setup: AgentSetup, method: str) -> None:
+def test_an_unparsed_answer_is_not_forwarded(setup: AgentSetup, method: str) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
     for layer in (
         handle_program_call(setup.agent, PEER, method, params),

@@ -1,0 +1,77 @@
+"""The stored registrations of programs, made again, and publisher updates for them. Pure layers.
+
+For a restarted master, for topics whose connection ended, and for publishers that the master did
+not name again within their grace period.
+"""
+
+from typing import Final
+
+from rossec.errors import HangUp
+from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
+from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar.core.events import Answered, Event, NoAnswer
+from rossec.sidecar.core.layers import AgentState, Layer
+from rossec.sidecar.core.master_calls import SUBSCRIBE
+
+_MASTER: Final = "/master"
+
+
+def restore(agent: AgentState) -> Layer[None]:
+    """Make every registration again with a restarted master, except those of dead programs.
+
+    A dead program could replace a new one of the same name, which the master would shut down.
+    """
+    for own_api, program in tuple(agent.programs.items()):
+        if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+            continue
+        for (method, key), params in tuple(program.registrations.items()):
+            yield from _register_again(agent, own_api, method, key, params)
+
+
+def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
+    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
+    for own_api, program in tuple(agent.programs.items()):
+        params = program.registrations.get((SUBSCRIBE, topic))
+        if params is not None:
+            yield from _register_again(agent, own_api, SUBSCRIBE, topic, params)
+
+
+def _register_again(
+    agent: AgentState, own_api: Endpoint, method: str, key: str, params: tuple[object, ...]
+) -> Layer[None]:
+    event = yield CallMaster(method, params)
+    match event:
+        case Answered(value=[1, _, value]) if method == SUBSCRIBE:
+            publishers = agent.followed_publishers(key, value)
+            yield from _update_publishers(agent, own_api, key, publishers)
+        case NoAnswer(reason=reason):
+            raise HangUp(reason)
+        case _:
+            pass
+
+
+def drop_expired_publishers(agent: AgentState) -> Layer[None]:
+    """Update the subscribers of topics whose publishers the master did not name again in time."""
+    for topic in agent.publisher_grace.expired_topics():
+        for own_api, program in tuple(agent.programs.items()):
+            if (SUBSCRIBE, topic) in program.registrations:
+                publishers = agent.publisher_grace.to_follow(topic)
+                yield from _update_publishers(agent, own_api, topic, publishers)
+
+
+def _update_publishers(
+    agent: AgentState, own_api: Endpoint, topic: str, publishers: list[str]
+) -> Layer[None]:
+    """Send a publisherUpdate to a program that may have ended."""
+    uris = yield from agent.egress_uris(publishers, own_api)
+    yield from _is_gone(
+        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (_MASTER, topic, uris)))
+    )
+
+
+def _is_gone(agent: AgentState, own_api: Endpoint, event: Event) -> Layer[bool]:
+    if isinstance(event, NoAnswer) and event.dead:
+        agent.forget(own_api)
+        yield Suspend(own_api)
+        return True
+    return False

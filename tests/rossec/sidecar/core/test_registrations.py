@@ -1,0 +1,167 @@
+"""Stored registrations: made again, removed, and updated."""
+
+from pathlib import Path
+
+import pytest
+
+from rossec.channel.opening import WireProtocol
+from rossec.errors import HangUp
+from rossec.participant.publisher_grace import GRACE
+from rossec.sidecar.core.commands import (
+    CallMaster,
+    CallProgram,
+    OpenEgress,
+    OpenIngress,
+    Probe,
+    Suspend,
+)
+from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
+from rossec.sidecar.core.master_calls import handle_call
+from rossec.sidecar.core.registrations import drop_expired_publishers, restore, resubscribe
+from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
+from tests.rossec.sidecar.core.registering import (
+    INGRESS_URI,
+    OK,
+    OWN_URI,
+    PEER,
+    SERVICE,
+    SLAVE,
+    register,
+)
+from tests.support.site import Site
+
+ALIVE = (Probe(SLAVE), CommandDone())
+
+
+def test_an_unregistered_topic_is_not_restored(setup: AgentSetup) -> None:
+    register(setup)
+    run_layer(
+        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (CallMaster("unregisterSubscriber", ("/robot", "/scan", INGRESS_URI)), OK),
+    )
+    assert run_layer(restore(setup.agent), ALIVE) is None
+
+
+def test_a_new_program_of_the_same_name_keeps_its_registration(setup: AgentSetup) -> None:
+    """The old instance that the master shuts down unregisters after the new one has registered."""
+    register(setup)
+    other_api = local_endpoint(WireProtocol.HTTP, 5999)
+    run_layer(
+        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", other_api.uri)),
+        (OpenIngress(other_api), Opened(7999)),
+        (CallMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
+    )
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
+    request = CallMaster("registerSubscriber", params)
+    assert run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "", []]))) is None
+
+
+def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None:
+    outside = f"rosrpc://{HOST}:7001"
+    params = ("/robot", "/say", outside, INGRESS_URI)
+    run_layer(
+        handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SERVICE), Opened(7001)),
+        (CallMaster("registerService", params), OK),
+    )
+    other = local_endpoint(WireProtocol.TCPROS, 5002)
+    run_layer(
+        handle_call(setup.agent, "unregisterService", ("/robot", "/say", other.uri)),
+        (OpenIngress(other), Opened(7002)),
+        (CallMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
+    )
+    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerService", params), OK))
+    run_layer(
+        handle_call(setup.agent, "unregisterService", ("/robot", "/say", SERVICE.uri)),
+        (OpenIngress(SERVICE), Opened(7001)),
+        (CallMaster("unregisterService", params[:3]), OK),
+    )
+    assert run_layer(restore(setup.agent), ALIVE) is None
+
+
+def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: Path) -> None:
+    setup = AgentSetup(Site(tmp_path / "site"), wildcard=True)
+    register(setup)
+    params = ("/robot_2", "/word", "pkg/Type", INGRESS_URI)
+    run_layer(
+        handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (CallMaster("registerPublisher", params), OK),
+    )
+    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerPublisher", params), OK))
+
+
+def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup) -> None:
+    register(setup)
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
+    update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
+    run_layer(
+        restore(setup.agent),
+        ALIVE,
+        (CallMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
+        (OpenEgress(PEER), Opened(8000)),
+        (CallProgram(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
+        (Suspend(SLAVE), CommandDone()),
+    )
+    assert run_layer(restore(setup.agent)) is None
+
+
+def test_a_dead_program_is_not_restored(setup: AgentSetup) -> None:
+    register(setup)
+    ended = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
+    assert run_layer(restore(setup.agent), *ended) is None
+    assert run_layer(restore(setup.agent)) is None
+
+
+def test_restoring_continues_after_refusals_and_stops_without_answer(setup: AgentSetup) -> None:
+    register(setup)
+    request = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
+    run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "no right", []])))
+    with pytest.raises(HangUp):
+        run_layer(restore(setup.agent), ALIVE, (request, NoAnswer("closed")))
+
+
+def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
+    register(setup)
+    run_layer(
+        resubscribe(setup.agent, "/scan"),
+        (
+            CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI)),
+            Answered([1, "ok", [PEER.uri]]),
+        ),
+        (OpenEgress(PEER), Opened(8000)),
+        (
+            CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
+            Answered([1, "", 0]),
+        ),
+    )
+    assert run_layer(resubscribe(setup.agent, "/unknown")) is None
+
+
+def publisher_update(*uris: str) -> tuple[CallProgram, Answered]:
+    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered(
+        [1, "", 0]
+    )
+
+
+def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
+    setup: AgentSetup,
+) -> None:
+    register(setup, PEER.uri)
+    inside_uri = "http://127.0.0.1:8000/"
+    register_again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
+    setup.agent.publisher_grace.session_opened()
+    run_layer(
+        restore(setup.agent),
+        ALIVE,
+        (register_again, Answered([1, "ok", []])),
+        (OpenEgress(PEER), Opened(8000)),
+        publisher_update(inside_uri),
+    )
+    assert run_layer(drop_expired_publishers(setup.agent)) is None
+    setup.time += GRACE
+    run_layer(drop_expired_publishers(setup.agent), publisher_update())
+    assert run_layer(drop_expired_publishers(setup.agent)) is None
