@@ -143,7 +143,7 @@ async def test_a_swapped_authority_without_the_code_is_refused() -> None:
             await enrolled_through(robot, swap)
         assert robot.core.state is NodeState.SHOWING
     assert robot.trusted == []
-    assert "has not seen the code" in robot.complaints[0]
+    assert "has not read the code" in robot.complaints[0]
 
 
 @pytest.mark.attack("enrollment-middle")
@@ -227,7 +227,7 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         assert length(await reader.readexactly(4)) > 0  # the node has answered the thief
         core = scanned(robot)
         await authority.fetch(core, robot._host, robot.port, clock)
-        with pytest.raises(ConflictingOffer, match="somebody else has its code"):
+        with pytest.raises(ConflictingOffer, match="another party has its code"):
             await authority.deliver(
                 core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
             )
