@@ -1,6 +1,6 @@
 """Attacks on a sidecar: from the network, from another user of the host, from a program inside.
 
-Those on calls and headers are in the playbooks of `tests/rossec/sidecar`; here are the ones that
+Those on calls and headers are tested in `tests/rossec/sidecar/core`; here are the ones that
 need real sockets and real users.
 """
 

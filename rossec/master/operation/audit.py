@@ -52,7 +52,9 @@ def encode(entry: Entry) -> str:
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
-def salvage(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
+def read_entries(
+    lines: Iterable[str], max_damaged: int | None = None
+) -> tuple[list[Entry], list[int]]:
     """The valid entries, and the numbers of the damaged lines.
 
     Reading ends after `max_damaged` damaged lines.
@@ -196,5 +198,5 @@ class AuditFile(logging.Handler):
         if torn:
             os.ftruncate(self._file, size - torn)
         lines = tail[: len(tail) - torn].decode(errors="replace").splitlines()
-        entries, _ = salvage(lines)  # the first may be incomplete
+        entries, _ = read_entries(lines)  # the first may be incomplete
         return (entries[-1]["hash"] if entries else FIRST), torn

@@ -206,7 +206,7 @@ async def test_a_silent_caller_is_not_waited_for() -> None:
         assert await silent.is_left()
 
 
-async def test_who_was_answered_is_waited_for() -> None:
+async def test_an_answered_caller_stays_connected() -> None:
     async with waiting() as stage:
         _, offer, answered = await stage.offered()
         first = await answered.hears()
@@ -249,7 +249,7 @@ async def test_time_is_over() -> None:
     assert left == [WINDOW]
 
 
-async def test_what_cannot_be_written_is_not_trusted() -> None:
+async def test_an_identity_that_cannot_be_written_is_not_trusted() -> None:
     async with waiting() as stage:
         authority, _, caller = await stage.offered()
         await caller.answers(authority)
@@ -266,7 +266,7 @@ async def test_what_cannot_be_written_is_not_trusted() -> None:
             await stage.ends(NodeState.ENROLLED)
 
 
-async def test_who_is_gone_before_being_seen() -> None:
+async def test_a_caller_that_closed_before_it_was_accepted() -> None:
     async with waiting() as stage:
         (server,) = stage.node._servers
 
@@ -286,7 +286,7 @@ async def test_who_is_gone_before_being_seen() -> None:
         assert server.is_serving()
 
 
-async def test_who_asks_and_does_not_read_is_not_written_to_for_ever() -> None:
+async def test_a_caller_that_does_not_read_is_disconnected() -> None:
     async with waiting(patience=0.5) as stage:
         caller = await stage.caller()
         caller.writer.transport.pause_reading()  # type: ignore[attr-defined]
