@@ -103,7 +103,7 @@ def test_a_request_is_taken_once(place: Place) -> None:
     data = place.request(LIFT)
     desk = place.desk()
     desk.add_request(data)
-    with pytest.raises(StoreError, match="before"):
+    with pytest.raises(StoreError, match="already recorded"):
         desk.add_request(data)
 
 
@@ -150,7 +150,7 @@ def test_two_people_at_the_desk_give_one_answer(place: Place) -> None:
     (question,) = here.pending()
     there.deny(there.pending()[0], "no")
     before = place.authority.store.grants()
-    with pytest.raises(StoreError, match="asked or answered before"):
+    with pytest.raises(StoreError, match="already recorded or answered"):
         here.sign(place.authority, [question], lambda verdict: verdict, "yes")
     assert place.authority.store.grants() == before
 

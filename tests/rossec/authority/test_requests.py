@@ -51,9 +51,9 @@ def test_once(path: Path) -> None:
     box.add(ASKED, DATA, NOW)
     (first, _) = box.unanswered()
     box.answer(first, "denied", "", NOW)
-    with pytest.raises(StoreError, match="asked or answered before"):
+    with pytest.raises(StoreError, match="already recorded or answered"):
         box.answer(first, "granted", "", NOW)
-    with pytest.raises(StoreError, match="asked or answered before"):
+    with pytest.raises(StoreError, match="already recorded or answered"):
         box.add(ASKED, DATA, NOW)
 
 
