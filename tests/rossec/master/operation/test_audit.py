@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.operation.audit import LEFT_OUT, AuditFile, Entry, chained, read_entries, verify
+from rossec.master.operation.audit import (
+    LEFT_OUT,
+    AuditFile,
+    Entry,
+    read_entries,
+    verify,
+    with_hash,
+)
 from rossec.master.operation.audit_mark import FIRST, check_beginning
 from tests.support.pki import new_signer
 
@@ -60,7 +67,7 @@ def test_every_change_is_detected(book: Book) -> None:
     with pytest.raises(ConfigurationError, match=r"before line 2 .* missing"):
         verify([one, three])
     with pytest.raises(ConfigurationError, match="missing"):
-        verify([one, chained({"before": "x", "text": "in between"}, "x"), two])
+        verify([one, with_hash({"before": "x", "text": "in between"}, "x"), two])
     with pytest.raises(ConfigurationError, match="before line 1"):
         verify([two, three], FIRST)
     with pytest.raises(ConfigurationError, match="missing"):
