@@ -65,7 +65,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
     return Played(path / "kept", done.returncode, done.stdout, done.stderr, seconds, recording)
 
 
-def test_the_demo_does_what_it_says(played: Played) -> None:
+def test_the_demo_succeeds_with_its_claims(played: Played) -> None:
     assert played.code == 0, played.said + played.complaints
     assert played.complaints == ""
     assert played.seconds < LIMIT
@@ -153,7 +153,7 @@ def slices(file: Path) -> set[bytes]:
 # --- going on
 
 
-def test_what_it_leaves_behind_can_be_gone_on_with(played: Played) -> None:
+def test_the_kept_home_of_the_demo_works(played: Played) -> None:
     """The commands it prints, as it prints them, in a shell that knows nothing of the venv."""
     lines = [line.strip() for line in played.said.splitlines()]
     export = next(line for line in lines if line.startswith("export "))
@@ -235,7 +235,7 @@ def test_a_step_that_fails_ends_the_demo_with_its_reason(tmp_path: Path) -> None
         assert "Traceback" not in complaints
 
 
-def test_a_disk_that_takes_no_files_is_named(tmp_path: Path) -> None:
+def test_a_disk_without_space_is_reported(tmp_path: Path) -> None:
     line = f"ulimit -f 0; exec {shlex.quote(ROSSEC)} demo --keep {shlex.quote(str(tmp_path / 'k'))}"
     done = shell(line, environment())
     assert done.returncode == 1

@@ -82,7 +82,7 @@ def said(process: subprocess.Popen[str], pattern: str) -> str:
 @pytest.mark.parametrize(
     ("address", "at_a_terminal"), [("127.0.0.1", True), ("::1", False)], ids=["IPv4", "IPv6"]
 )
-def test_from_the_picture_on_the_terminal(
+def test_a_node_is_enrolled_from_the_picture_on_the_terminal(
     office: Host,
     tmp_path: Path,
     started: list[subprocess.Popen[str]],

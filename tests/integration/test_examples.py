@@ -57,7 +57,7 @@ def test_every_example_is_short_and_run_here() -> None:
         assert len((EXAMPLES / name).read_text().splitlines()) <= 60
 
 
-def test_talker_and_listener(enrolled: dict[str, str]) -> None:
+def test_the_listener_receives_the_talker(enrolled: dict[str, str]) -> None:
     talker = subprocess.Popen([sys.executable, EXAMPLES / "1_talker.py"], env=enrolled)
     try:
         heard = run("2_listener.py", enrolled)
@@ -71,20 +71,20 @@ def test_talker_and_listener(enrolled: dict[str, str]) -> None:
     assert lines == [f"hello {number}" for number in range(first, first + 3)]
 
 
-def test_the_room_but_not_the_position(enrolled: dict[str, str]) -> None:
+def test_the_viewer_gets_the_room_but_not_the_position(enrolled: dict[str, str]) -> None:
     done = run("3_room_not_position.sh", enrolled)
     assert done.returncode == 0, done.stderr
     assert "    x: 4.0\n    y: 0.0\n" in done.stdout
     assert "frame_id: \n" in done.stdout
 
 
-def test_a_service_and_a_parameter(enrolled: dict[str, str]) -> None:
+def test_a_service_and_a_parameter_are_used(enrolled: dict[str, str]) -> None:
     done = run("4_service.py", enrolled)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "quiet\nthe rate is now 5\n"
 
 
-def test_what_was_given_is_taken_back(enrolled: dict[str, str]) -> None:
+def test_a_revoked_grant_ends_the_example(enrolled: dict[str, str]) -> None:
     done = run("5_revoke.sh", enrolled)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("the master has the new list") == 2

@@ -1,7 +1,7 @@
-"""A beginner's path through the command line: README's commands, and every slip beside them.
+"""Wrong first steps at the command line.
 
-A slip ends with an exit code, an error and a hint; it never shows a traceback and never loses or
-changes what was there.
+A wrong command ends with an exit code, an error and a hint; it never shows a traceback and never
+loses or changes what was there.
 """
 
 import contextlib
@@ -22,13 +22,19 @@ import pytest
 from rossec.cli.main import run
 
 BIN: Final = Path(sys.executable).parent
+
+
 ROOT: Final = Path(__file__).parents[2]
+
+
 SECRET: Final = "four random words here"
+
+
 POSE: Final = "geometry_msgs/PoseStamped"
 
 
 class Home:
-    """A ROSSEC_HOME and a person who types commands."""
+    """A ROSSEC_HOME, and commands in it."""
 
     def __init__(self, path: Path, capsys: pytest.CaptureFixture[str] | None) -> None:
         self.path = path
@@ -62,8 +68,8 @@ class Home:
         self.done("node", "install", str(directory / "node.pem"), "--yes")
         return directory
 
-    def slips(self, code: int, error: str, hint: str, *words: str) -> None:
-        """The command ends with `code`, says both (patterns), and changes no file."""
+    def refuses(self, code: int, error: str, hint: str, *words: str) -> None:
+        """The command ends with `code`, prints both (patterns), and changes no file."""
         before = contents(self.path)
         ended, _, err = self(*words)
         assert re.fullmatch(
@@ -75,7 +81,7 @@ class Home:
 
 
 def contents(path: Path) -> Mapping[str, bytes]:
-    """Every file; of the authority's database what is in it, as SQLite moves its pages about."""
+    """Every file; of the authority's database its content, as SQLite moves its pages."""
     files = (file for file in path.rglob("*") if file.is_file() and "ca.db-" not in file.name)
     return {
         str(file): dumped(file) if file.suffix == ".db" else file.read_bytes() for file in files
@@ -112,63 +118,13 @@ def home(tmp_path: Path, template: Path, capsys: pytest.CaptureFixture[str]) -> 
     return Home(tmp_path / "home", capsys)
 
 
-# --- README, to the letter
-
-
-def quickstart() -> str:
-    """The commands of README as printed."""
-    text = (ROOT / "README.md").read_text()
-    return text.partition("<!-- quickstart -->\n```\n")[2].partition("```")[0]
-
-
-ANSWERS: Final = (
-    *(SECRET, SECRET),  # ca init, twice
-    *("y", SECRET),  # ca sign
-    *("y", "y", "y"),  # node install
-    *(SECRET, SECRET),  # grant sign
-    *(SECRET, SECRET),  # grant revoke, ca revoke
-)
-
-
-def test_the_commands_of_the_readme_work_as_printed(tmp_path: Path) -> None:
-    """Typed into one shell at a terminal, where a person answers; `rossec` is not installed."""
-    port = free_port()
-    printed = quickstart()
-    # The only thing added: a person sees the master's first line before going on.
-    started = "rossec master &"
-    assert printed.count(f"\n{started} ") == 1
-    script = tmp_path / "quickstart.sh"
-    waits = re.sub(rf"(?m)^{started}.*$", rf"\g<0>\n{READY}", printed)
-    script.write_text(f"set -e\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{waits}")
-    env = {
-        "HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "PORT": str(port), "TERM": "dumb",
-        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
-    }  # fmt: skip
-    typed = [sys.executable, "-m", "tests.support.terminal", *ANSWERS, "--"]
-    done = subprocess.run(
-        [*typed, "/bin/bash", str(script)],
-        env=env, cwd=ROOT, text=True, capture_output=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "Traceback" not in done.stdout + done.stderr
-    assert done.stdout.count("x: 4.0") == 2
-    assert done.stdout.count("frame_id: \n") == 2
-    assert done.stdout.count("the master has the new list") == 2
-
-
-READY: Final = "until (: >/dev/tcp/127.0.0.1/$PORT) 2>/dev/null; do sleep 0.05; done"
-
-
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port: int = server.getsockname()[1]
         return port
 
 
-# --- slips
-
-
-def test_there_is_no_authority_yet(bare: Home, tmp_path: Path) -> None:
+def test_commands_without_an_authority_are_refused(bare: Home, tmp_path: Path) -> None:
     (tmp_path / "request").write_bytes(b"x")
     for words in (
         ("ca", "show"),
@@ -178,101 +134,103 @@ def test_there_is_no_authority_yet(bare: Home, tmp_path: Path) -> None:
         ("grant", "sign", "/robot", "--publish", "/x"),
         ("grant", "revoke", "00"),
     ):
-        bare.slips(1, "there is no authority in ", "rossec ca init DOMAIN", *words)
+        bare.refuses(1, "there is no authority in ", "rossec ca init DOMAIN", *words)
 
 
-def test_a_passphrase_too_short(bare: Home) -> None:
+def test_a_short_passphrase_is_refused(bare: Home) -> None:
     bare.passphrase.write_text("short")
     words = bare.secret("ca", "init", "home")
-    bare.slips(1, "a passphrase of 5 characters", "at least 12", *words)
+    bare.refuses(1, "a passphrase of 5 characters", "at least 12", *words)
     assert not bare.path.exists()
 
 
-def test_a_passphrase_file_that_is_empty_or_open_to_others(home: Home) -> None:
+def test_a_passphrase_file_that_is_empty_or_open_to_others_is_refused(home: Home) -> None:
     words = home.secret("grant", "sign", "/robot", "--publish", "/x")
     home.passphrase.chmod(0o644)
-    home.slips(1, "can be read by others", f"chmod 600 {home.passphrase}", *words)
+    home.refuses(1, "can be read by others", f"chmod 600 {home.passphrase}", *words)
     home.passphrase.chmod(0o600)
     home.passphrase.write_text("")
-    home.slips(1, "is empty", "first line", *words)
+    home.refuses(1, "is empty", "first line", *words)
 
 
-def test_a_wrong_passphrase(home: Home) -> None:
+def test_a_wrong_passphrase_is_refused(home: Home) -> None:
     home.passphrase.write_text("four other words here")
     for words in (
         ("grant", "sign", "/robot", "--publish", "/x"),
         ("ca", "sign", str(home.path / "nodes/robot/node.csr"), "--yes"),
     ):
-        home.slips(1, "passphrase", "", *home.secret(*words))
+        home.refuses(1, "passphrase", "", *home.secret(*words))
 
 
-def test_an_authority_where_there_is_one(home: Home) -> None:
-    home.slips(1, "there is an authority in", "ROSSEC_HOME", *home.secret("ca", "init", "home"))
+def test_a_second_authority_is_refused(home: Home) -> None:
+    home.refuses(1, "there is an authority in", "ROSSEC_HOME", *home.secret("ca", "init", "home"))
 
 
-def test_a_domain_or_a_name_that_is_none(bare: Home) -> None:
-    bare.slips(1, "My Home", "", *bare.secret("ca", "init", "My Home"))
+def test_an_invalid_domain_or_name_is_refused(bare: Home) -> None:
+    bare.refuses(1, "My Home", "", *bare.secret("ca", "init", "My Home"))
     for name in ("robot", "/", "/a b", "/../x", "/a//b"):
-        bare.slips(1, "", "", "node", "request", name)
+        bare.refuses(1, "", "", "node", "request", name)
     assert not bare.path.exists()
 
 
-def test_signing_what_is_missing_or_no_request(home: Home, tmp_path: Path) -> None:
+def test_a_missing_or_invalid_request_is_not_signed(home: Home, tmp_path: Path) -> None:
     missing = tmp_path / "node.csr"
-    home.slips(2, "does not exist", "ca sign --help", *home.secret("ca", "sign", str(missing)))
+    home.refuses(2, "does not exist", "ca sign --help", *home.secret("ca", "sign", str(missing)))
     missing.write_bytes(b"no request")
-    home.slips(1, "", "", *home.secret("ca", "sign", str(missing), "--yes"))
+    home.refuses(1, "", "", *home.secret("ca", "sign", str(missing), "--yes"))
 
 
-def test_not_saying_yes(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_yes_nothing_is_done(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("click.confirm", lambda *_args, **_options: False)
     pem = home.path / "nodes/robot/node.pem"
-    home.slips(1, "nothing was done", "--yes", "node", "install", str(pem))
+    home.refuses(1, "nothing was done", "--yes", "node", "install", str(pem))
 
 
-def test_requesting_twice(home: Home) -> None:
-    home.slips(1, "", "", "node", "request", "/robot")
+def test_a_second_request_is_refused(home: Home) -> None:
+    home.refuses(1, "", "", "node", "request", "/robot")
 
 
-def test_the_code_of_another_request(home: Home) -> None:
+def test_the_code_of_another_request_is_refused(home: Home) -> None:
     home.done("node", "request", "/door")
     text = home.done("node", "code", "/robot", "--text").strip()
     request = home.path / "nodes/door/node.csr"
     words = home.secret("ca", "sign", str(request), "--code", text, "--yes")
-    home.slips(1, "does not fit the codes", "scan the code again", *words)
+    home.refuses(1, "does not fit the codes", "scan the code again", *words)
     words = home.secret("ca", "sign", str(request), "--code", text[:-3], "--yes")
-    home.slips(1, "", "", *words)
+    home.refuses(1, "", "", *words)
 
 
-def test_installing_before_signing(home: Home) -> None:
+def test_an_identity_that_is_not_signed_is_not_installed(home: Home) -> None:
     home.done("node", "request", "/door")
     pem = home.path / "nodes/door/node.pem"
-    home.slips(2, "does not exist", "node install --help", "node", "install", str(pem))
-    home.slips(1, "/door has no ca.pem", "rossec ca sign .*node.csr", "node", "show", "/door")
+    home.refuses(2, "does not exist", "node install --help", "node", "install", str(pem))
+    home.refuses(1, "/door has no ca.pem", "rossec ca sign .*node.csr", "node", "show", "/door")
 
 
-def test_installing_the_identity_of_another_node(home: Home, tmp_path: Path) -> None:
+def test_the_identity_of_another_node_is_not_installed(home: Home, tmp_path: Path) -> None:
     """On the door's machine, with the file that was meant for the robot."""
     elsewhere = Home(tmp_path / "elsewhere", home.capsys)
     elsewhere.done("node", "request", "/robot")
     pem = home.path / "nodes/robot/node.pem"
     words = ("node", "install", str(pem), "--yes")
-    elsewhere.slips(1, "with another key", "sign the request in", *words)
+    elsewhere.refuses(1, "with another key", "sign the request in", *words)
     nobody = Home(tmp_path / "nobody", home.capsys)
-    nobody.slips(1, "", "", *words)
+    nobody.refuses(1, "", "", *words)
 
 
-def test_installing_an_identity_of_another_authority(home: Home, tmp_path: Path) -> None:
+def test_the_identity_of_another_authority_is_not_installed(home: Home, tmp_path: Path) -> None:
     other = Home(tmp_path / "other", home.capsys)
     other.done(*other.secret("ca", "init", "home"))
     request = tmp_path / "door.csr"
     shutil.copy(home.path / "nodes/robot/node.csr", request)
     other.done(*other.secret("ca", "sign", str(request), "--yes"))
     words = ("node", "install", str(tmp_path / "door.pem"), "--yes")
-    home.slips(1, "/robot trusts another authority already", "enroll the node anew", *words)
+    home.refuses(1, "/robot trusts another authority already", "enroll the node anew", *words)
 
 
 SIGN: Final = ("grant", "sign", "/robot")
+
+
 SUBSCRIBE: Final = (*SIGN, "--subscribe", "/robot/pose")
 
 
@@ -296,23 +254,25 @@ SUBSCRIBE: Final = (*SIGN, "--subscribe", "/robot/pose")
         ("/rbot has no", "node request /rbot", ("grant", "sign", "/rbot", "--publish", "/x")),
     ],
 )  # fmt: skip
-def test_a_grant_with_a_slip(home: Home, error: str, hint: str, words: tuple[str, ...]) -> None:
-    home.slips(1, error, hint, *home.secret(*words))
+def test_a_grant_with_a_mistake_is_not_signed(
+    home: Home, error: str, hint: str, words: tuple[str, ...]
+) -> None:
+    home.refuses(1, error, hint, *home.secret(*words))
 
 
 @pytest.mark.parametrize("text", ["7", "7days", "d", "-1d", "0d", "1.5h", "1y"])
-def test_a_duration_that_is_none(home: Home, text: str) -> None:
+def test_an_invalid_duration_is_refused(home: Home, text: str) -> None:
     words = home.secret(*SIGN, "--publish", "/x", "--for", text)
-    home.slips(2, "is not a duration", "grant sign --help", *words)
+    home.refuses(2, "is not a duration", "grant sign --help", *words)
 
 
 @pytest.mark.parametrize("beginning", ["", "zz", "00"])
-def test_revoking_what_is_not_known(home: Home, beginning: str) -> None:
+def test_an_unknown_grant_is_not_revoked(home: Home, beginning: str) -> None:
     words = home.secret("grant", "revoke", beginning)
-    home.slips(1, "no grant begins with", "rossec grant list", *words)
+    home.refuses(1, "no grant begins with", "rossec grant list", *words)
 
 
-def test_revoking_while_the_master_is_away_keeps_the_revocation(home: Home) -> None:
+def test_a_revocation_is_kept_while_the_master_is_down(home: Home) -> None:
     told = home.done(*home.secret(*SIGN, "--publish", "/x"))
     home.variables["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}/"
     code, out, err = home(*home.secret("grant", "revoke", told.split()[1]))
@@ -324,46 +284,46 @@ def test_revoking_while_the_master_is_away_keeps_the_revocation(home: Home) -> N
     assert (code, "hint: " in err) == (3, True)
 
 
-def test_a_node_whose_master_is_not_running(home: Home) -> None:
+def test_a_node_without_a_running_master_is_refused(home: Home) -> None:
     home.variables["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}/"
     words = ("topic", "echo", "/robot/pose", POSE, "--as", "/robot")
-    home.slips(1, "cannot connect to 127.0.0.1 port", "is the peer running", *words)
+    home.refuses(1, "cannot connect to 127.0.0.1 port", "is the peer running", *words)
 
 
 @pytest.mark.parametrize("uri", ["localhost:11311", "http://localhost", "http://", "11311", ""])
 @pytest.mark.parametrize(
     "words", [("topic", "echo", "/x", POSE, "--as", "/robot"), ("ca", "publish"), ("master",)]
 )
-def test_a_master_uri_that_is_none(home: Home, uri: str, words: tuple[str, ...]) -> None:
+def test_an_invalid_master_uri_is_refused(home: Home, uri: str, words: tuple[str, ...]) -> None:
     home.variables["ROS_MASTER_URI"] = uri
-    home.slips(1, "", "", *words)
+    home.refuses(1, "", "", *words)
 
 
-def test_a_home_that_is_no_absolute_path(home: Home) -> None:
+def test_a_relative_home_is_refused(home: Home) -> None:
     home.variables["ROSSEC_HOME"] = "home"
     code, _, err = home("ca", "show")
     assert (code, err.count("\n")) == (1, 2)
     assert "absolute path" in err
 
 
-def test_a_node_that_is_not_enrolled(home: Home) -> None:
+def test_a_node_that_is_not_enrolled_is_refused(home: Home) -> None:
     words = ("topic", "echo", "/robot/pose", POSE, "--as", "/nobody")
-    home.slips(1, "/nobody has no ", "rossec node request /nobody", *words)
+    home.refuses(1, "/nobody has no ", "rossec node request /nobody", *words)
     shutil.rmtree(home.path / "nodes/master")
-    home.slips(1, "/master has no ", "rossec node request /master", "master", "--port", "0")
+    home.refuses(1, "/master has no ", "rossec node request /master", "master", "--port", "0")
 
 
-def test_a_message_that_does_not_fit(home: Home) -> None:
+def test_an_invalid_message_is_refused(home: Home) -> None:
     publish = ("topic", "pub", "/x", "std_msgs/String", "--as", "/robot")
     for content in ("{dat: hello}", "{data: [}", "hello", "[1]"):
-        home.slips(1, "", "", *publish[:4], content, *publish[4:])
+        home.refuses(1, "", "", *publish[:4], content, *publish[4:])
 
 
 @pytest.mark.parametrize(
     "words", [("grnt",), ("grant", "sing"), ("ca", "init"), (*SIGN, "--publish", "/x", "--oops")]
 )  # fmt: skip
-def test_a_command_that_is_none(home: Home, words: tuple[str, ...]) -> None:
-    home.slips(2, "", "--help", *words)
+def test_an_unknown_command_is_refused(home: Home, words: tuple[str, ...]) -> None:
+    home.refuses(2, "", "--help", *words)
 
 
 def test_an_interrupted_prompt_loses_nothing(home: Home) -> None:

@@ -69,7 +69,7 @@ def dice() -> np.random.Generator:
     return np.random.default_rng(20)
 
 
-async def test_poses_on_a_grid_without_their_frame(
+async def test_a_genpy_subscriber_gets_rounded_poses_without_frame(
     tmp_path: Path, dice: np.random.Generator
 ) -> None:
     from geometry_msgs.msg import PoseStamped
@@ -101,7 +101,7 @@ async def test_poses_on_a_grid_without_their_frame(
     assert got != sent
 
 
-async def test_scans_in_steps_without_their_intensities(
+async def test_a_genpy_subscriber_gets_rounded_scans_without_intensities(
     tmp_path: Path, dice: np.random.Generator
 ) -> None:
     from sensor_msgs.msg import LaserScan
@@ -133,7 +133,7 @@ async def test_scans_in_steps_without_their_intensities(
 
 
 @pytest.mark.parametrize("pixels", [True, False], ids=["pixels kept", "pixels cleared"])
-async def test_images_without_their_frame(
+async def test_a_genpy_subscriber_gets_images_without_frame(
     tmp_path: Path, dice: np.random.Generator, pixels: bool
 ) -> None:
     from sensor_msgs.msg import Image

@@ -39,7 +39,7 @@ CALLS: list[tuple[str, dict[str, object], dict[str, object]]] = [
 
 
 @pytest.mark.parametrize(("name", "asked", "answered"), CALLS, ids=[c[0] for c in CALLS])
-async def test_calls_over_a_real_master(
+async def test_genpy_services_are_called_over_a_real_master(
     tmp_path: Path, name: str, asked: dict[str, object], answered: dict[str, object]
 ) -> None:
     """The request the handler gets and the response the caller gets, against genpy's bytes."""

@@ -45,7 +45,7 @@ def command(
     return code, out, err
 
 
-async def test_a_day_of_a_master(
+async def test_a_master_is_started_asked_and_stopped(
     master: tuple[MasterProcess, socket.socket], capsys: pytest.CaptureFixture[str]
 ) -> None:
     service, manager = master
@@ -95,7 +95,7 @@ async def test_a_day_of_a_master(
     assert (code, "there is no /nowhere" in err) == (1, True)
 
 
-async def test_a_signal_ends_it_in_order(tmp_path: Path) -> None:
+async def test_a_signal_ends_the_master_in_order(tmp_path: Path) -> None:
     async with master_process(tmp_path / "site") as master:
         await master.start()
         assert await master.terminate() == 0

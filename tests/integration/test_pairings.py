@@ -88,12 +88,12 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
 
 
 @pairs
-def test_messages_arrive(cast: Cast, source: str, sink: str) -> None:
+def test_messages_arrive_at_every_kind_of_subscriber(cast: Cast, source: str, sink: str) -> None:
     cast.hearers[sink].wait_for(f"HEARD {source} words {source} ")
 
 
 @pairs
-def test_a_late_subscriber_hears_what_is_latched(cast: Cast, source: str, sink: str) -> None:
+def test_a_late_subscriber_gets_the_latched_message(cast: Cast, source: str, sink: str) -> None:
     cast.hearers[sink].wait_for(f"HEARD {source} latched {source} kept")
 
 
@@ -108,12 +108,12 @@ def test_publishers_filter_and_withhold(cast: Cast, source: str, sink: str) -> N
 
 
 @pairs
-def test_services_answer(cast: Cast, source: str, sink: str) -> None:
+def test_services_answer_every_kind_of_client(cast: Cast, source: str, sink: str) -> None:
     cast.hearers[sink].wait_for(f"CALLED {source} {source} answers")
 
 
 @pairs
-def test_persistent_services_answer_again_and_again(cast: Cast, source: str, sink: str) -> None:
+def test_persistent_services_answer_every_call(cast: Cast, source: str, sink: str) -> None:
     hearer = cast.hearers[sink]
     wait(lambda: hearer.said.count(f"KEPT {source} {source} answers") >= 3)
     assert "NOT KEPT" not in hearer.said
@@ -135,7 +135,7 @@ def test_every_kind_follows_the_end_of_a_grant(cast: Cast) -> None:
     _is_silent(cast, "brief")
 
 
-def test_a_revoked_right_to_subscribe_is_cut_at_both_ends(cast: Cast) -> None:
+def test_a_revoked_right_to_subscribe_closes_the_connection_at_both_ends(cast: Cast) -> None:
     before = {running: len(running.lines) for running in cast.everybody}
     cast.revoke(cast.words)
     for speaker in cast.speakers.values():
@@ -146,7 +146,7 @@ def test_a_revoked_right_to_subscribe_is_cut_at_both_ends(cast: Cast) -> None:
     _nobody_spins(before)
 
 
-def test_a_new_grant_brings_the_messages_back(cast: Cast) -> None:
+def test_a_new_grant_resumes_the_messages(cast: Cast) -> None:
     """Also to a program that itself gives up what has ended, as stock rospy does."""
     heard = _from_now(cast)
     for kind in KINDS:
@@ -155,7 +155,7 @@ def test_a_new_grant_brings_the_messages_back(cast: Cast) -> None:
         wait(lambda source=source, sink=sink: f"HEARD {source} words" in heard(sink))  # type: ignore[misc]
 
 
-def test_a_revoked_right_to_call_ends_kept_connections_too(cast: Cast) -> None:
+def test_a_revoked_right_to_call_closes_persistent_connections(cast: Cast) -> None:
     before = {running: len(running.lines) for running in cast.everybody}
     cast.revoke(cast.calls)
     for source, sink in PAIRS:

@@ -88,19 +88,19 @@ def test_every_example_is_short_and_run_here() -> None:
         assert len((EXAMPLES / name).read_text().splitlines()) <= 60
 
 
-def test_publisher_and_subscriber(site: dict[str, str]) -> None:
+def test_a_publisher_and_a_subscriber_exchange_messages(site: dict[str, str]) -> None:
     with running(site, sys.executable, EXAMPLES / "1_publisher.py"):
         lines = example(site, "2_subscriber.py")
     assert len(lines) == 3
     assert all(re.fullmatch(r"hello \d+", line) for line in lines)
 
 
-def test_service(site: dict[str, str]) -> None:
+def test_a_service_is_called(site: dict[str, str]) -> None:
     with running(site, sys.executable, EXAMPLES / "3_service.py"):
         assert example(site, "4_client.py") == ["on off"]
 
 
-def test_parameters(site: dict[str, str]) -> None:
+def test_parameters_are_set_and_read(site: dict[str, str]) -> None:
     done = run(site, sys.executable, EXAMPLES / "5_parameters.py")
     said = done.stdout + done.stderr
     assert "speed 0.5\n" in said
@@ -136,7 +136,7 @@ def script(directory: Path) -> str:
     return "\n".join(lines)
 
 
-def test_the_five_minutes(five_minutes: subprocess.Popen[str]) -> None:
+def test_the_five_minute_example_runs(five_minutes: subprocess.Popen[str]) -> None:
     said, _ = five_minutes.communicate(timeout=120)
     assert five_minutes.returncode == 0, said
     assert len(re.findall(r"^hello \d+$", said, re.MULTILINE)) == 3

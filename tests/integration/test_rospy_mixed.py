@@ -94,7 +94,7 @@ async def plain(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple
         stock.rosmaster(directory) as uri,
         program(stock.environment(uri, directory), PLAIN_NODE) as node,
     ):
-        _, api, port = (await node.hears("AT ")).split()
+        _, api, port = (await node.read_until("AT ")).split()
         yield uri, api, int(port)
 
 
@@ -113,7 +113,7 @@ async def introduce(site: Site, api: str, port: int) -> None:
         assert answer[0] == 1, answer
 
 
-async def test_a_secured_program_says_that_a_peer_is_plain(
+async def test_a_secured_program_reports_a_plain_peer(
     victim: Victim, plain: tuple[str, str, int], tmp_path: Path
 ) -> None:
     _, api, port = plain
@@ -121,7 +121,7 @@ async def test_a_secured_program_says_that_a_peer_is_plain(
     entitle(site, "/client", {Right.SUBSCRIBE: ("/plain/words",), Right.CALL: ("/plain/work",)})
     await introduce(site, api, port)
     async with program(environment(site, tmp_path), SECURED_CLIENT) as client:
-        await client.hears("WAITED")
+        await client.read_until("WAITED")
         said = client.said
     is_plain = "the peer is a plain ROS node and says: no topic or service name detected"
     assert "FAILED unable to connect to service: rossec: " + is_plain in said
@@ -143,7 +143,7 @@ def without_time(said: str) -> str:
     )
 
 
-async def test_a_stock_subscriber_hears_why(victim: Victim, tmp_path: Path) -> None:
+async def test_a_stock_subscriber_gets_the_reason(victim: Victim, tmp_path: Path) -> None:
     async with stock.rosmaster(tmp_path) as uri:
         with false_slave(victim.port) as slave:
             with xmlrpc.client.ServerProxy(uri) as master:
@@ -157,7 +157,7 @@ async def test_a_stock_subscriber_hears_why(victim: Victim, tmp_path: Path) -> N
     await victim.goes_on()
 
 
-async def test_a_stock_caller_of_the_api_hears_why(victim: Victim) -> None:
+async def test_a_stock_caller_of_the_api_gets_the_reason(victim: Victim) -> None:
     with xmlrpc.client.ServerProxy(victim.uri) as robot:
         for method, *params in (("requestTopic", STATE, [["TCPROS"]]), ("shutdown", "x")):
             answer = await asyncio.to_thread(getattr(robot, str(method)), "/x", *params)
@@ -165,7 +165,7 @@ async def test_a_stock_caller_of_the_api_hears_why(victim: Victim) -> None:
     await victim.goes_on()
 
 
-async def test_a_stock_client_of_a_service_hears_why(victim: Victim, tmp_path: Path) -> None:
+async def test_a_stock_client_of_a_service_gets_the_reason(victim: Victim, tmp_path: Path) -> None:
     async with stock.rosmaster(tmp_path) as uri:
         with xmlrpc.client.ServerProxy(uri) as master:
             where = f"rosrpc://127.0.0.1:{victim.port}"
@@ -175,7 +175,7 @@ async def test_a_stock_client_of_a_service_hears_why(victim: Victim, tmp_path: P
     await victim.goes_on()
 
 
-async def test_stock_parameters_and_services_at_a_secured_master(
+async def test_stock_parameters_and_services_are_refused_by_a_secured_master(
     victim: Victim, tmp_path: Path
 ) -> None:
     assert victim.site.master is not None
@@ -187,13 +187,13 @@ async def test_stock_parameters_and_services_at_a_secured_master(
     assert REFUSAL in said
 
 
-async def test_a_secured_program_says_that_the_master_is_plain(
+async def test_a_secured_program_reports_a_plain_master(
     victim: Victim, plain: tuple[str, str, int], tmp_path: Path
 ) -> None:
     env = environment(victim.site, tmp_path, ROS_MASTER_URI=plain[0], ROSSEC_NODE="/client")
     victim.site.enroll("/client")
     async with program(env, SECURED_LOST) as lost:
-        line = await lost.hears("no answer from the master")
+        line = await lost.read_until("no answer from the master")
         assert "the peer is a plain HTTP server and says: HTTP/1.1 501" in line
-        failed = await lost.hears("FAILED")
+        failed = await lost.read_until("FAILED")
         assert "rossec: " in failed

@@ -55,24 +55,24 @@ def only(part: str, *conditions: str, **rules: str) -> Restriction:
 async def answers(site: Site, directory: Path, name: str) -> list[str]:
     """What a caller of that name prints: three calls anew, three over a kept connection."""
     async with program(environment(site, directory / name), CALLER, name) as caller:
-        await caller.hears("DONE")
+        await caller.read_until("DONE")
         lines = caller.said.splitlines()
     assert "Traceback" not in caller.said
     return [line for line in lines if line.startswith(("ANSWER", "FAILED"))]
 
 
-async def test_a_caller_asks_and_hears_what_its_grant_allows(tmp_path: Path) -> None:
+async def test_a_caller_sends_and_gets_what_its_grant_allows(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         entitle(site, "/lamp", {Right.PROVIDE: (LAMP,)})
         site.grant("/off", Right.CALL, LAMP, restriction=only("Request", "!msg.data"))
         site.grant("/dull", Right.CALL, LAMP, restriction=only("Response", message="clear"))
         async with program(environment(site, tmp_path / "lamp"), PROVIDER) as lamp:
-            await lamp.hears("READY")
+            await lamp.read_until("READY")
             off = await answers(site, tmp_path, "off")
             dull = await answers(site, tmp_path, "dull")
-            await lamp.hears("refused /off")
+            await lamp.read_until("refused /off")
             while lamp.said.count("SWITCHED") < 4 + 6:
-                await lamp.hears("SWITCHED")
+                await lamp.read_until("SWITCHED")
     assert [line.split()[:3] for line in off] == 2 * [
         ["ANSWER", "False", "True"], ["FAILED", "True", "service"], ["ANSWER", "False", "True"],
     ]  # fmt: skip
@@ -81,12 +81,12 @@ async def test_a_caller_asks_and_hears_what_its_grant_allows(tmp_path: Path) -> 
     assert lamp.said.count("SWITCHED True") == 2, "what is refused does not reach the program"
 
 
-async def test_a_provider_is_held_to_its_grant_by_its_caller(tmp_path: Path) -> None:
+async def test_a_caller_enforces_the_grant_of_its_provider(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("Request", "!msg.data"))
         entitle(site, "/boss", {Right.CALL: (LAMP,)})
         async with program(environment(site, tmp_path / "lamp"), PROVIDER) as lamp:
-            await lamp.hears("READY")
+            await lamp.read_until("READY")
             boss = await answers(site, tmp_path, "boss")
     assert [line.split()[:2] for line in boss] == 2 * [
         ["ANSWER", "False"], ["FAILED", "True"], ["ANSWER", "False"],

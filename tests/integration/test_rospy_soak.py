@@ -87,7 +87,7 @@ def descriptors(running: Program) -> int:
 async def report(listener: Program) -> tuple[int, int, int]:
     """Messages received, gaps among them, threads."""
     await listener.tell("now")
-    _, count, gaps, threads = (await listener.hears("REPORT")).split()
+    _, count, gaps, threads = (await listener.read_until("REPORT")).split()
     return int(count), int(gaps), int(threads)
 
 
@@ -98,7 +98,7 @@ async def change_the_list(site: Site) -> None:
     await call(site.master.uri, carrier, "rossec.updateRevocations", "/carrier", data)
 
 
-async def test_a_day_passes_and_nothing_is_lost_but_where_it_is_said(tmp_path: Path) -> None:
+async def test_a_day_passes_without_unreported_losses(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.delegate(LIFETIME + SKEW)
     async with site.running():
@@ -109,8 +109,8 @@ async def test_a_day_passes_and_nothing_is_lost_but_where_it_is_said(tmp_path: P
             program(env, TALKER, told=True) as talker,
             program(env, LISTENER, told=True) as listener,
         ):
-            await talker.hears("READY")
-            await listener.hears("READY")
+            await talker.read_until("READY")
+            await listener.read_until("READY")
             begin, step = time.monotonic(), 0
             early, fds = (0, 0), (0, 0)
             while time.monotonic() < begin + SECONDS:

@@ -47,13 +47,15 @@ def talker(world: World, probe: str) -> Iterator[Running]:
         yield running
 
 
-def test_a_roscpp_listener_hears_a_roscpp_talker(world: World, talker: Running, probe: str) -> None:
+def test_a_roscpp_listener_receives_a_roscpp_talker(
+    world: World, talker: Running, probe: str
+) -> None:
     done = world.run(world.hosts.far, probe, "listener", "/chatter", "5")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("HEARD hello") == 5
 
 
-def test_rostopic(world: World, talker: Running) -> None:
+def test_rostopic_works(world: World, talker: Running) -> None:
     assert "/chatter" in world.tool("rostopic", "list")
     assert 'data: "hello' in world.tool("rostopic", "echo", "-n", "2", "/chatter")
     assert world.tool("rostopic", "type", "/chatter") == "std_msgs/String\n"
@@ -61,7 +63,7 @@ def test_rostopic(world: World, talker: Running) -> None:
     assert "/talker (http://127.0.0.1:" in about
 
 
-def test_rosnode(world: World, talker: Running) -> None:
+def test_rosnode_works(world: World, talker: Running) -> None:
     assert "/talker" in world.tool("rosnode", "list")
     assert "xmlrpc reply from" in world.tool("rosnode", "ping", "-c", "2", "/talker")
     about = world.tool("rosnode", "info", "/talker")
@@ -69,7 +71,7 @@ def test_rosnode(world: World, talker: Running) -> None:
     assert "/chatter [std_msgs/String]" in about
 
 
-def test_rosservice(world: World, talker: Running) -> None:
+def test_rosservice_works(world: World, talker: Running) -> None:
     assert "/talker/say" in world.tool("rosservice", "list")
     assert world.tool("rosservice", "type", "/talker/say") == "roscpp/SetLoggerLevel\n"
     world.tool("rosservice", "call", "/talker/say", "one", "two")
@@ -82,7 +84,7 @@ def test_parameters_arrive_while_the_program_runs(world: World, talker: Running)
     wait(lambda: "changed" in world.tool("rostopic", "echo", "-n", "1", "/chatter"))
 
 
-def test_exit_codes_and_signals_pass(world: World, probe: str) -> None:
+def test_exit_codes_and_signals_are_passed_on(world: World, probe: str) -> None:
     near = world.hosts.near
     assert world.run(near, "sh", "-c", "exit 7").returncode == 7
     assert world.run(near, "sh", "-c", "kill -KILL $$").returncode == 128 + 9
@@ -96,7 +98,7 @@ def test_exit_codes_and_signals_pass(world: World, probe: str) -> None:
         assert "caught" in running.said
 
 
-def test_rosnode_kill_and_cleanup(world: World, probe: str) -> None:
+def test_rosnode_kill_and_cleanup_need_the_right_to_administer(world: World, probe: str) -> None:
     """A node is ended by who may administer it, and by nobody else; a dead one is cleaned away."""
     victim = (probe, "talker", "/victim/topic", "__name:=victim")
     world.enroll("/victim", publish="/victim/topic", provide="/victim/say")
@@ -135,7 +137,7 @@ def test_a_bag_is_recorded_and_played(world: World, talker: Running, probe: str)
         assert hearer.process.wait(20) == 0
 
 
-def test_relay_rostopic_pub_and_hz(world: World, talker: Running) -> None:
+def test_relay_rostopic_pub_and_hz_work(world: World, talker: Running) -> None:
     world.enroll("/chatter_relay", wildcard=True, subscribe="/chatter", publish="/far")
     far, near = world.hosts.far, world.hosts.near
     with world.secured(far, RELAY, "/chatter", "/far"):
@@ -149,14 +151,14 @@ def test_relay_rostopic_pub_and_hz(world: World, talker: Running) -> None:
         assert 'data: "one"' in done.stdout
 
 
-def test_a_node_hears_itself_directly(world: World, probe: str) -> None:
+def test_a_node_receives_its_own_topic_directly(world: World, probe: str) -> None:
     world.enroll("/both", publish="/loop", subscribe="/loop", provide="/both/say")
     done = world.run(world.hosts.far, probe, "both", "/loop", "3", "__name:=both")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("HEARD hello") == 3
 
 
-def test_rosout_and_roslaunch_with_four_nodes(world: World, probe: str) -> None:
+def test_rosout_and_roslaunch_work_with_four_nodes(world: World, probe: str) -> None:
     """Each node of the launch file uses its own identity; /rosout hears all of them."""
     world.enroll("/rosout", subscribe="/rosout", publish="/rosout_agg")
     world.enroll(
@@ -216,7 +218,7 @@ def test_only_ciphertext_crosses_the_link(world: World, talker: Running, probe: 
     assert recording.flows.keys() <= callers | answers
 
 
-def test_the_same_over_ipv6(world: World, probe: str) -> None:
+def test_a_listener_receives_a_talker_over_ipv6(world: World, probe: str) -> None:
     if not world.hosts.real:
         pytest.skip("NOT RUN: network namespaces are not permitted here")
     six = replace(world, port=11366, ipv6=True, home=world.directory / "six")

@@ -62,7 +62,7 @@ async def stays_flat(
     assert resident() < before + GROWTH
 
 
-async def test_nothing_is_left_behind(tmp_path: Path) -> None:
+async def test_ended_programs_leave_nothing_in_the_sidecar(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.publish("/robot", "/word")
     site.subscribe("/ear", "/word")

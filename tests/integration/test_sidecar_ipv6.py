@@ -75,7 +75,7 @@ def talker(world: World) -> Iterator[Running]:
         yield running
 
 
-def test_there_is_no_ipv4(world: World) -> None:
+def test_the_hosts_have_no_ipv4(world: World) -> None:
     for host in (world.hosts.near, world.hosts.far):
         said = subprocess.run(
             host.at("ip", "-4", "-o", "addr"), check=True, capture_output=True, text=True
@@ -89,7 +89,7 @@ def test_rospy_reaches_rospy_on_another_host(world: World, talker: Running) -> N
     assert "/chatter" in world.tool("rostopic", "list")
 
 
-def test_services_and_parameters(world: World, talker: Running) -> None:
+def test_services_and_parameters_work_over_ipv6(world: World, talker: Running) -> None:
     service = "/talker/get_loggers"
     wait(lambda: service in world.tool("rosservice", "list"))
     assert "loggers" in world.tool("rosservice", "call", service)

@@ -91,7 +91,7 @@ def test_both_sides_limit_an_unmodified_publisher(world: World, aging: object, p
         assert all(re.fullmatch(r"HEARD hello \d\n", line) for line in guest.lines), guest.said
 
 
-def test_programs_that_share_an_identity(world: World, aging: object, probe: str) -> None:
+def test_programs_share_an_identity(world: World, aging: object, probe: str) -> None:
     """One sidecar, one certified name with a tail for each; they meet each other directly."""
     world.enroll("/fleet", wildcard=True, publish="/fleet", subscribe="/fleet", provide="/*/say")
     both = (

@@ -86,7 +86,7 @@ def test_nodelets_are_loaded_from_another_host(
         assert "/first/out" in world.tool("rostopic", "list")
 
 
-def test_tf2(world: World) -> None:
+def test_tf2_transforms_arrive(world: World) -> None:
     """A static transform is latched; who comes later gets it all the same."""
     world.enroll("/static_transform_publisher", wildcard=True, publish="/tf_static")
     frames = "/echo/tf2_frames"  # tf2's buffer provides it, and looks whether it is there already
@@ -126,7 +126,7 @@ def test_rviz_draws_what_another_host_publishes(world: World) -> None:
             assert rviz.process.poll() is None, rviz.said
 
 
-def test_what_rqt_asks(world: World, talker: Running, programs: Path) -> None:
+def test_the_calls_of_rqt_are_answered(world: World, talker: Running, programs: Path) -> None:
     world.enroll("/listener", subscribe="/chatter", provide="/listener/say")
     world.enroll("/drive", publish="/drive/*", provide="/drive/*", param_set="/drive/*")
     rqt = "/rqt_gui_py_node"

@@ -58,7 +58,7 @@ def said(world: World, source: str) -> Iterator[list[str]]:
     yield running.said.splitlines()
 
 
-def test_messages_services_and_parameters(world: World) -> None:
+def test_rospy_messages_services_and_parameters_work(world: World) -> None:
     source = rospyuse.BASICS_SERVER
     with world.secured(world.hosts.near, sys.executable, "-c", source):
         for lines in said(world, rospyuse.BASICS_CLIENT):
@@ -79,7 +79,7 @@ def test_an_action_reaches_its_goal_or_is_cancelled(world: World) -> None:
             ]  # fmt: skip
 
 
-def test_transforms_static_ones_latched(world: World) -> None:
+def test_static_transforms_are_latched(world: World) -> None:
     with serving(world, rospyuse.TF_BROADCASTER):
         for lines in said(world, rospyuse.TF_LISTENER):
             assert lines == ["CAMERA AT 2.5"]

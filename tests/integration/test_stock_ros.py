@@ -97,7 +97,7 @@ async def test_a_stock_subscriber_logs_why_it_is_refused(witness: Witness, tmp_p
     [("rostopic", "list"), ("rostopic", "echo", TOPIC), ("rosnode", "list")],
     ids=" ".join,
 )
-async def test_the_stock_tools_say_why_they_are_refused(
+async def test_the_stock_tools_print_why_they_are_refused(
     site: Site, witness: Witness, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     assert site.master is not None
@@ -108,7 +108,7 @@ async def test_the_stock_tools_say_why_they_are_refused(
 
 
 @pytest.mark.ros
-async def test_a_stock_node_says_why_it_cannot_register(
+async def test_a_stock_node_logs_why_it_cannot_register(
     site: Site, witness: Witness, tmp_path: Path
 ) -> None:
     assert site.master is not None
@@ -124,9 +124,7 @@ async def test_a_stock_node_says_why_it_cannot_register(
 
 
 @pytest.mark.parametrize("door", range(5))
-async def test_plain_http_hears_the_refusal_and_nothing_else(
-    site: Site, witness: Witness, door: int
-) -> None:
+async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, door: int) -> None:
     port = list(doors(site, witness).values())[door]
     calls = ("getSystemState", "getPublications", "requestTopic", "shutdown", "system.multicall")
     for method in calls:
@@ -208,7 +206,7 @@ GARBAGE: Final[dict[str, bytes]] = {
 }
 
 
-async def test_garbage_gets_nothing_it_can_use(site: Site, witness: Witness) -> None:
+async def test_invalid_bytes_get_no_useful_answer(site: Site, witness: Witness) -> None:
     for data in GARBAGE.values():
         for port in doors(site, witness).values():
             heard = await asyncio.to_thread(exchange, port, data)
@@ -225,7 +223,7 @@ def harmless(heard: bytes) -> bool:
     return len(rest) < 100 and not any(word in rest for word in PRIVATE)
 
 
-async def test_the_slow_and_the_silent_hold_nobody_up(site: Site, witness: Witness) -> None:
+async def test_slow_and_silent_peers_delay_no_other_peer(site: Site, witness: Witness) -> None:
     """A byte at a time, or none at all, at every port, while messages and newcomers get through."""
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
@@ -244,7 +242,7 @@ async def test_the_slow_and_the_silent_hold_nobody_up(site: Site, witness: Witne
         await newcomer(site, "/late")
 
 
-async def test_a_flood_of_half_open_connections_ends_with_it(site: Site, witness: Witness) -> None:
+async def test_a_flood_of_half_open_connections_leaves_none(site: Site, witness: Witness) -> None:
     """N8: more than one address may have half open; who is connected does not notice."""
     count = 2 * HalfOpen().per_address
     with contextlib.ExitStack() as stack:

@@ -33,7 +33,7 @@ def host() -> Host:
     return Host()
 
 
-def test_it_shows_what_the_host_shows(host: Host) -> None:
+def test_the_time_is_the_hosts(host: Host) -> None:
     assert host.clock.time() == BEGIN
     assert host.passes(60) == BEGIN + 60
     host.shows += 3600  # set ahead
@@ -41,7 +41,7 @@ def test_it_shows_what_the_host_shows(host: Host) -> None:
     assert host.clock.setbacks == 0
 
 
-def test_an_hour_back_is_time_that_goes_on(host: Host) -> None:
+def test_a_clock_set_back_keeps_running_forward(host: Host) -> None:
     host.passes(60)
     host.shows -= 3600
     assert host.clock.time() == BEGIN + 60
@@ -60,7 +60,7 @@ def test_many_small_steps_back_are_a_large_one(host: Host) -> None:
     assert host.clock.setbacks == 1
 
 
-def test_a_small_step_back_is_made_good_in_time(host: Host) -> None:
+def test_a_small_step_back_is_caught_up(host: Host) -> None:
     host.shows -= SKEW
     assert host.clock.time() == BEGIN
     assert host.passes(SKEW / DRIFT) == pytest.approx(host.shows)
@@ -78,7 +78,7 @@ def test_a_clock_that_is_put_right_counts_again(host: Host) -> None:
     assert host.clock.setbacks == 2
 
 
-def test_sleep_counts(host: Host) -> None:
+def test_time_in_suspend_counts(host: Host) -> None:
     """The host's clock does not go on while it sleeps, or is set back in its sleep."""
     host.up += 3600
     assert host.clock.time() == pytest.approx(BEGIN + 3600 - 3600 * DRIFT)
@@ -86,7 +86,7 @@ def test_sleep_counts(host: Host) -> None:
     assert counter()() == pytest.approx(time.clock_gettime(time.CLOCK_BOOTTIME), abs=1)
 
 
-def test_elsewhere_it_is_the_clock_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_boottime_the_monotonic_clock_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(time, "CLOCK_BOOTTIME")
     assert counter()() == pytest.approx(time.monotonic(), abs=1)
 
@@ -115,7 +115,9 @@ def test_another_clock_does_not_set_one_that_was_not_set_back(host: Host) -> Non
         assert host.clock.time() == BEGIN
 
 
-def test_each_part_of_a_process_is_told_once(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_part_of_a_process_sees_a_setback_once(
+    host: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(clock, "HOST", host.clock)
     one, other = Setbacks(), Setbacks()
     assert not one.any_new()
@@ -129,7 +131,7 @@ def test_each_part_of_a_process_is_told_once(host: Host, monkeypatch: pytest.Mon
 _MEASURES = {"story.py", "watcher.py"}  # of the demonstration: they show the time and judge nothing
 
 
-def test_nobody_else_asks_the_hosts_clock() -> None:
+def test_no_other_module_reads_the_hosts_clock() -> None:
     package = Path(rossec.__file__).parent
     asking = {
         path.name

@@ -6,7 +6,7 @@ from rossec.environment import rossec_home
 from rossec.errors import ConfigurationError
 
 
-def test_where_home_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rossec_home_and_its_default(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", "/home/user")
     assert rossec_home({}) == Path("/home/user/.local/share/rossec")
     assert rossec_home({"ROSSEC_HOME": "/srv/rossec"}) == Path("/srv/rossec")
@@ -20,7 +20,7 @@ def test_home_is_absolute(value: str) -> None:
     assert "absolute path" in caught.value.hint
 
 
-def test_a_home_nobody_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_home_directory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(text: Path) -> Path:
         raise RuntimeError(text)
 

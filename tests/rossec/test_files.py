@@ -110,7 +110,7 @@ def test_reading_is_bounded(tmp_path: Path) -> None:
         files.read(tmp_path / "y", 4, MISSING)
 
 
-def test_a_file_is_held_by_one_until_it_lets_go(tmp_path: Path) -> None:
+def test_a_lock_file_has_one_holder(tmp_path: Path) -> None:
     busy = ConfigurationError("busy")
     held = files.lock_file(tmp_path / "lock", busy)
     with pytest.raises(ConfigurationError, match="busy"):
@@ -123,7 +123,7 @@ def test_a_file_is_held_by_one_until_it_lets_go(tmp_path: Path) -> None:
         files.lock_file(tmp_path / "link", busy)
 
 
-def test_what_is_no_plain_file_is_not_replaced(tmp_path: Path) -> None:
+def test_only_plain_files_are_replaced(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     os.mkfifo(tmp_path / "pipe")
     for name in ("link", "pipe"):
@@ -132,7 +132,7 @@ def test_what_is_no_plain_file_is_not_replaced(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "pipe"]
 
 
-def test_a_file_that_is_believed(tmp_path: Path) -> None:
+def test_a_trusted_file_is_its_owners(tmp_path: Path) -> None:
     (tmp_path / "own").write_bytes(b"12345")
     assert files.read_own(tmp_path / "own", 5, MISSING) == b"12345"
     with pytest.raises(ConfigurationError, match="larger than 4"):
@@ -151,7 +151,7 @@ def test_lines_are_bounded(tmp_path: Path) -> None:
         assert list(files.lines(file, 4)) == ["ab\n", "xxxx", "xxxx", "x\n", "c"]
 
 
-def test_a_disk_without_room_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_old_content(tmp_path: Path) -> None:
     path = tmp_path / "revocations.cose"
     files.replace(path, b"old")
     with no_room(), pytest.raises(NotWritten, match=r"^revocations.cose was not written: ") as no:
@@ -163,7 +163,7 @@ def test_a_disk_without_room_leaves_what_was_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_is_no_fault_of_the_disk_stays_what_it_is(tmp_path: Path) -> None:
+def test_other_errors_are_not_disk_errors(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file") as caught:
         files.replace(tmp_path / "missing" / "file", b"x")
     assert caught.value.errno == errno.ENOENT

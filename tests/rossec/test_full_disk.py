@@ -26,7 +26,7 @@ def mounting() -> list[str]:
     reason="this host allows no mount namespaces; test_files and test_faults limit files instead",
 )
 @pytest.mark.timeout(180)
-def test_a_full_disk_is_said_and_changes_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_changes_nothing(tmp_path: Path) -> None:
     command = [*mounting(), sys.executable, "-m", "tests.support.fulldisk", str(tmp_path / "home")]
     done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=150)
     assert done.returncode == 0, done.stderr

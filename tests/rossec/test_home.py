@@ -95,7 +95,7 @@ def test_an_enrolled_node(tmp_path: Path) -> None:
     assert home.load_revocations() is None
 
 
-def test_a_key_that_does_not_fit_is_said(tmp_path: Path) -> None:
+def test_a_key_that_does_not_match_is_reported(tmp_path: Path) -> None:
     home, other = enrolled(tmp_path), enrolled(tmp_path / "other")
     (other.path / "node.key").replace(home.path / "node.key")
     with pytest.raises(ConfigurationError, match="do not belong together") as caught:
@@ -117,7 +117,7 @@ def test_renewal_replaces_the_certificate(tmp_path: Path) -> None:
     assert home.identity(NOW + 31 * DAY).not_after == NOW + 31 * DAY
 
 
-def test_what_is_not_installed_leaves_no_trace(tmp_path: Path) -> None:
+def test_a_refused_bundle_changes_nothing(tmp_path: Path) -> None:
     home = NodeHome.of(tmp_path, NAME)
     home.create_request("home")
     other = NodeHome.of(tmp_path / "other", NAME)
@@ -180,7 +180,7 @@ def test_revocations_are_replaced_in_one_step(tmp_path: Path) -> None:
     assert not [path for path in home.path.iterdir() if path.name.startswith(".")]
 
 
-def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     home = enrolled(tmp_path)
     home.save_revocations(bytes(256 * 1024 + 1))
     with pytest.raises(ConfigurationError, match=r"revocations\.cose is larger than") as caught:
@@ -222,7 +222,7 @@ def test_only_an_identity_for_anonymous_nodes_is_shared(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["/rviz_1234_1700000000000", "/rviz_17"])
-def test_an_anonymous_node_without_an_identity_is_told_how(tmp_path: Path, name: str) -> None:
+def test_the_hint_for_an_anonymous_node_without_an_identity(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         NodeHome.find(tmp_path, name).credentials()
     assert caught.value.hint == (

@@ -35,7 +35,7 @@ def test_a_flood_of_texts_is_bounded() -> None:
     assert quiet.filter(about("/n1", "later", 61)), "the oldest are forgotten"
 
 
-def test_nobody_silences_what_is_said_of_others() -> None:
+def test_one_subject_does_not_suppress_lines_about_others() -> None:
     quiet = LogRateLimit()
     assert sum(quiet.filter(about("/eve", str(number), 1)) for number in range(2000)) == 64
     for name in ("/a", "/b", "/c", "/d", "/e", "/f", "/g", "/h"):

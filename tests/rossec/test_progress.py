@@ -19,7 +19,7 @@ def lasts(unfinished: Progress, rate: int, most: int = 2 * MAX_SECONDS) -> int:
     return second
 
 
-def test_what_stands_still_ends_after_a_window() -> None:
+def test_a_stalled_message_is_refused_after_a_window() -> None:
     assert lasts(Progress(), 0) == WINDOW
     unfinished = Progress()
     for second in range(100):
@@ -30,13 +30,13 @@ def test_what_stands_still_ends_after_a_window() -> None:
         unfinished.check(NOW + 100 + WINDOW, 100 * 1024 * 1024)
 
 
-def test_what_is_slow_goes_on_and_ends_at_last() -> None:
+def test_a_slow_message_is_accepted_up_to_the_maximum() -> None:
     assert lasts(Progress(), MIN_BYTES // WINDOW - 1) == WINDOW
     assert lasts(Progress(), MIN_BYTES // WINDOW + 100) == MAX_SECONDS
     assert lasts(Progress(), 1024 * 1024) == MAX_SECONDS
 
 
-def test_what_is_whole_is_forgotten() -> None:
+def test_a_complete_message_resets_the_progress() -> None:
     unfinished = Progress()
     assert unfinished.deadline is None
     for number in range(3):

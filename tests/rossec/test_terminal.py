@@ -28,5 +28,5 @@ def test_errors_and_notes_go_to_stderr(capsys: pytest.CaptureFixture[str]) -> No
         ("caf\u00e9", "caf\u00e9"),
     ],
 )
-def test_names_of_strangers_cannot_steer_the_terminal(hostile: str, shown: str) -> None:
+def test_names_of_peers_cannot_control_the_terminal(hostile: str, shown: str) -> None:
     assert terminal.printable(hostile) == shown

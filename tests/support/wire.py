@@ -19,7 +19,7 @@ from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import Event, UnitReceived
+from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelError
 
 NOW = 1_800_000_000
@@ -69,6 +69,7 @@ def dice(seed: str) -> Callable[[int], bytes]:
 
 ALICE, BOB, STRANGER = node("/alice"), node("/bob"), node("/stranger")
 DEFAULTS = ChannelLimits()
+SMALL = ChannelLimits(records=4, octets=1 << 20, seconds=100, unit=1 << 20)
 
 
 def alice(
@@ -150,7 +151,7 @@ class End:
 
 @dataclass
 class Wire:
-    """Two ends; `pump` carries bytes until both are silent.
+    """Two ends; `pump` carries bytes until neither sends.
 
     `meddle(sender, flight)` may change a flight; flights are numbered by `sent` of the sender.
     """
@@ -161,7 +162,7 @@ class Wire:
     meddle: Callable[[End, bytes], bytes] = lambda end, data: data
 
     def pump(self) -> "Wire":
-        """Carry everything both ways until nothing moves."""
+        """Carry everything both ways until nothing is left."""
         moved = True
         while moved:
             moved = False
@@ -188,3 +189,8 @@ def wire(
 def joined(**options: object) -> Wire:
     """A wire whose handshake is done."""
     return wire(**options).pump()  # type: ignore[arg-type]  # options go through to `wire`
+
+
+def peers(end: End) -> list[str]:
+    """The names of the peers this end authenticated."""
+    return [event.identity.name for event in end.events if isinstance(event, Authenticated)]

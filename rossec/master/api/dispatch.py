@@ -6,7 +6,7 @@ What stock rosmaster refuses is answered with its texts and defaults; what only 
 """
 
 import xmlrpc.client
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
@@ -23,10 +23,10 @@ from rossec.master.api.methods import (
     Steps,
     StopMaster,
 )
-from rossec.master.api.multicall import MULTICALL, Multicall
+from rossec.master.api.multicall import Multicall
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
-from rossec.master.api.turns import CallOutcome, Work, never_expires, run_to_end
+from rossec.master.api.turns import CallOutcome, TurnExpired, Work
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
 from rossec.master.rights.interfaces import Statements
@@ -75,21 +75,6 @@ class MasterApi:
             **self._own_methods(),
         }
 
-    def call(
-        self,
-        method: str,
-        params: Sequence[object],
-        caller: Caller,
-        now: int,
-        *,
-        is_local: bool = True,
-    ) -> CallOutcome:
-        """Answer one call, to its end; arguments and errors as of `begin`."""
-        if method == MULTICALL:
-            return self._multicall(params, caller, now, is_local=is_local)
-        begun = self.begin(method, params, caller, now, is_local=is_local)
-        return begun if isinstance(begun, CallOutcome) else run_to_end(begun)
-
     def begin(
         self,
         method: str,
@@ -125,22 +110,13 @@ class MasterApi:
         now: int,
         *,
         is_local: bool = True,
-        expired: Callable[[], bool] = never_expires,
+        expired: TurnExpired,
     ) -> tuple[MasterEvent, ...]:
         """Process elements of a multicall for one turn; returns the events to deliver."""
         return multicall.step(
             lambda method, params: self.begin(method, params, caller, now, is_local=is_local),
             expired,
         )
-
-    def _multicall(
-        self, params: Sequence[object], caller: Caller, now: int, *, is_local: bool
-    ) -> CallOutcome:
-        """Answer a multicall, to its end."""
-        multicall, events = Multicall(params), list[MasterEvent]()
-        while not multicall.done:
-            events += self.run_multicall(multicall, caller, now, is_local=is_local)
-        return CallOutcome(multicall.answer, tuple(events))
 
     def _request(
         self,

@@ -39,11 +39,6 @@ class Turns:
         return lambda: self._clock() >= end
 
 
-def never_expires() -> bool:
-    """A turn without a limit."""
-    return False
-
-
 def advance(work: Work, expired: TurnExpired) -> CallOutcome | None:
     """Run `work` for one turn; None: it is not finished."""
     try:
@@ -54,10 +49,3 @@ def advance(work: Work, expired: TurnExpired) -> CallOutcome | None:
     except StopIteration as end:
         outcome: CallOutcome = end.value
         return outcome
-
-
-def run_to_end(work: Work) -> CallOutcome:
-    """Run `work` to its end."""
-    while (outcome := advance(work, never_expires)) is None:
-        pass
-    return outcome

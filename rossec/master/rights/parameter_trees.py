@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import Right
-from rossec.master.rights.access_rules import ASK_OPERATOR, Caller, Refused, label
+from rossec.master.rights.access_rules import ASK_OPERATOR, Caller, Refused
 from rossec.ros import names
 
 MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included
@@ -28,13 +28,13 @@ class TreeDecision(NamedTuple):
 
 
 def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
-    """Raise `Refused` unless `caller` has `right` on everything in `items`, which is not empty.
+    """Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty.
 
     The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
     nearly cover it, or the size of the tree would reveal which parameters exist.
     """
     if not items or not has_right_on_all(caller, right, items):
-        needs = f"{caller.display_name} needs the right {label(right)} on {key}"
+        needs = f"{caller.display_name} needs the right {right.label} on {key}"
         raise Refused(
             f"{needs}: no grant covers it and all below it ({ASK_OPERATOR})", (right, key)
         )

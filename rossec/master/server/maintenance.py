@@ -90,7 +90,7 @@ class Maintenance:
         self._close_revoked()
         await self._enforce()
         self._send_revocations()
-        self._forget_absent()
+        self._prune()
         for check in self._checks:
             check(self._state.now())
         if self._state.parameter_file is not None:
@@ -101,7 +101,7 @@ class Maintenance:
         for _ in self._enforcement():
             self._state.graph_changes.notify(self._state.registry.version)
             await asyncio.sleep(0)
-        self._state.graph_changes.notify()  # without a registration, too, a watcher may see less
+        self._state.graph_changes.notify()  # rights also narrow what watchers see
 
     def _enforcement(self) -> Iterator[None]:
         """Enforce rights on all registrations, some in each step."""
@@ -120,15 +120,13 @@ class Maintenance:
                 self._state.trust.caller(stream.peer, now)
             except HintedError as error:
                 _audit.warning("%s is disconnected: %s", stream.peer.name, printable(error))
-                self._state.streams.discard(
-                    stream
-                )  # its handler ends in a later iteration of the loop
+                self._state.streams.discard(stream)  # its handler ends in a later iteration
                 stream.abort(str(error))
         for node in self._state.updates.nodes:
             if self._state.trust.caller_of(node, now) is None:
                 self._state.updates.drop(node)
 
-    def _forget_absent(self) -> None:
+    def _prune(self) -> None:
         nodes = frozenset(self._state.registry.nodes())
         self._state.updates.prune(nodes)
         registered = {node.thumbprint for node in nodes}

@@ -103,7 +103,7 @@ def test_the_refusals_are_valid_in_their_own_protocol() -> None:
 # -- what the peer answers
 
 
-def test_a_frame_is_no_preamble() -> None:
+def test_a_frame_is_not_a_preamble() -> None:
     assert classify_answer(b"\x10\0\0", WireProtocol.TCPROS) is None
     assert classify_answer(b"\x10\0\x02\0", WireProtocol.TCPROS) == 0
     assert classify_answer(b"\x20\0\0\x05", WireProtocol.TCPROS) == 0

@@ -42,7 +42,7 @@ def named() -> Iterator[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("where", "command"), sorted(set(named())))
-def test_it_exists(where: str, command: str) -> None:
+def test_the_named_command_exists(where: str, command: str) -> None:
     known = commands()
     noun = command.split(maxsplit=1)[0]
     assert (

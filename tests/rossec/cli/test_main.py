@@ -45,7 +45,7 @@ def test_each_noun_exists_and_has_this_help_line() -> None:
     check_table(main.rossec)
 
 
-def test_version_and_help(empty: Shell) -> None:
+def test_version_and_help_are_printed(empty: Shell) -> None:
     assert empty("--version").out.startswith("rossec 0.")
     assert "Security and access grants for ROS 1" in empty("--help").out
     said = empty("ca")
@@ -63,7 +63,7 @@ def test_wrong_usage_says_where_help_is(empty: Shell) -> None:
     refused(empty("ca", "init", "home", "--nope"), "no such option", code=2)
 
 
-def test_a_policy_that_is_none_keeps_the_master_from_starting(empty: Shell) -> None:
+def test_an_invalid_post_quantum_policy_is_refused(empty: Shell) -> None:
     said = empty("master", "--post-quantum", "requre")
     refused(said, "the post-quantum policy is 'requre'", "did you mean require?")
 
@@ -74,7 +74,7 @@ def logged(message: str, *values: object, error: Exception | None = None) -> str
     return main.OneLine("rossec: %(levelname)s: %(message)s").format(record)
 
 
-def test_what_peers_say_cannot_forge_a_log_line() -> None:
+def test_text_of_peers_cannot_forge_a_log_line() -> None:
     hostile = "x\nrossec: WARNING: all is well\x1b[1A\u202e"
     escaped = r"x\u000arossec: WARNING: all is well\u001b[1A\u202e"
     assert logged("refused %s", hostile) == f"rossec: WARNING: refused {escaped}"
@@ -85,7 +85,7 @@ def test_what_peers_say_cannot_forge_a_log_line() -> None:
     assert all(line.startswith("    ") and line.isprintable() for line in lines[1:])
 
 
-def test_logs_leave_through_it(monkeypatch: pytest.MonkeyPatch, empty: Shell) -> None:
+def test_logs_are_formatted_on_one_line(monkeypatch: pytest.MonkeyPatch, empty: Shell) -> None:
     used: list[logging.Handler] = []
     monkeypatch.setattr(logging, "basicConfig", lambda level, handlers: used.extend(handlers))
     empty("grant", "--help")

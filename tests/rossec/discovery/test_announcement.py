@@ -30,14 +30,14 @@ def test_only_the_master_of_this_domain_counts(site: Site, elsewhere: Site, make
         open_announcement(make(), elsewhere.anchor, NOBODY, NOW)
 
 
-def test_the_certificate_of_another_signs_nothing(site: Site, credentials: Credentials) -> None:
+def test_a_copied_certificate_does_not_verify(site: Site, credentials: Credentials) -> None:
     thief = site.enroll("/robot").credentials()
     data = sign(thief.signer, credentials.chain, Announcement("h", 1, b"instance", 0, NOW))
     with pytest.raises(AnnouncementRefused, match="does not verify"):
         open_announcement(data, site.anchor, NOBODY, NOW)
 
 
-def test_a_revoked_master_is_not_heard(make: Make, site: Site) -> None:
+def test_a_revoked_master_is_refused(make: Make, site: Site) -> None:
     revoked = frozenset({site.identity("/master").thumbprint})
     with pytest.raises(AnnouncementRefused, match="revoked"):
         open_announcement(make(), site.anchor, revoked, NOW)

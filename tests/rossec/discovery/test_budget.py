@@ -34,7 +34,7 @@ def test_an_address_has_a_share_and_all_have_a_total() -> None:
     assert spend(budget, "a", 9, clock=2.0) == 5
 
 
-def test_who_proved_itself_is_bounded_by_its_share_alone() -> None:
+def test_a_verified_source_is_limited_by_its_own_bucket_alone() -> None:
     budget = Budget(share=5, total=12)
     assert spend(budget, "good", 1) == 1
     budget.note_verified("good")
@@ -43,7 +43,7 @@ def test_who_proved_itself_is_bounded_by_its_share_alone() -> None:
     assert spend(budget, "good", 9) == 4
 
 
-def test_so_many_addresses_and_no_more() -> None:
+def test_sources_are_bounded() -> None:
     budget = Budget(share=5, total=10_000)
     for number in range(MAX_SOURCES + 9):
         spend(budget, f"s{number}", 1)
@@ -53,6 +53,6 @@ def test_so_many_addresses_and_no_more() -> None:
     assert len(budget._verified) == MAX_VERIFIED
 
 
-def test_it_is_said() -> None:
+def test_the_refusal_has_a_message() -> None:
     with pytest.raises(AnnouncementRefused, match="more announcements than can be checked"):
         Budget(share=0).spend("a", 1, 1.0, known_chain=True)

@@ -47,7 +47,7 @@ def test_a_link_that_loses_much_is_worse_than_a_slow_one(
     assert candidates.best(NOW, 1.0) is far
 
 
-def test_who_falls_silent_is_forgotten(candidates: Candidates, make: Make) -> None:
+def test_a_silent_master_is_forgotten(candidates: Candidates, make: Make) -> None:
     candidates.probed(one := heard(candidates, make()), ("h", 1), 0.1)
     assert candidates.best(NOW + 15, 1.0) is one
     assert candidates.best(NOW + 16, 1.0) is None
@@ -80,7 +80,7 @@ def test_a_restarted_master_begins_anew(candidates: Candidates, make: Make) -> N
     assert candidates.ranked(NOW, 1.0) == [again]
 
 
-def test_what_is_no_announcement_costs_no_check(candidates: Candidates, make: Make) -> None:
+def test_a_malformed_announcement_costs_no_check(candidates: Candidates, make: Make) -> None:
     for data in (b"", b"x", bytes(2048), make(issued=NOW - 60), make(issued=NOW + 60)):
         for _ in range(500):
             with pytest.raises(AnnouncementRefused, match=r"no announcement of this|another time"):
@@ -109,7 +109,7 @@ def addresses(count: int) -> list[DatagramSource]:
     return [DatagramSource(f"fe80::{number:x}%near", NEAR.link) for number in range(count)]
 
 
-def test_one_address_spends_its_own_share(
+def test_one_address_uses_its_own_bucket(
     candidates: Candidates, make: Make, elsewhere: Site
 ) -> None:
     foreign = elsewhere.enroll("/master").credentials()
@@ -118,9 +118,7 @@ def test_one_address_spends_its_own_share(
     heard(candidates, make(1))
 
 
-def test_many_addresses_do_not_silence_one_that_was_heard(
-    candidates: Candidates, make: Make
-) -> None:
+def test_many_addresses_do_not_block_a_verified_one(candidates: Candidates, make: Make) -> None:
     forged = bytearray(make(7))
     forged[-1] ^= 1
     heard(candidates, make(1))
@@ -128,7 +126,7 @@ def test_many_addresses_do_not_silence_one_that_was_heard(
     heard(candidates, make(2))
 
 
-def test_chains_nobody_knows_do_not_silence_those_that_verified(
+def test_new_chains_do_not_block_verified_ones(
     candidates: Candidates, make: Make, elsewhere: Site
 ) -> None:
     heard(candidates, make(1))
@@ -154,7 +152,7 @@ def test_reasons_are_counted_and_bounded(candidates: Candidates) -> None:
     assert candidates.refused["other reasons"] == 3
 
 
-def test_so_many_are_remembered_and_no_more(candidates: Candidates, make: Make) -> None:
+def test_candidates_are_bounded(candidates: Candidates, make: Make) -> None:
     for number in range(MAX_CANDIDATES):
         source = DatagramSource(f"fe80::{number}%near", 100 + number)
         assert candidates.heard(make(), source, NOW, float(number)) is not None
@@ -191,6 +189,6 @@ def test_silence_is_loss(candidates: Candidates, make: Make) -> None:
     assert candidates.ranked(NOW, 6.5) == [alive, dead]
 
 
-def test_who_was_heard_once_is_not_called_lost_at_once(candidates: Candidates, make: Make) -> None:
+def test_a_single_announcement_is_not_lost_at_once(candidates: Candidates, make: Make) -> None:
     one = heard(candidates, make(0))
     assert [one.loss(at) for at in (1.0, 2.9, 4.1)] == [0.0, 0.0, 0.5]

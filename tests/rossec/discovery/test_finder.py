@@ -100,7 +100,7 @@ def test_another_domains_master_is_not_found(
     assert "Traceback" not in done.stderr
 
 
-def test_silence_is_said(hosts: Hosts, home: Site) -> None:
+def test_no_announcement_is_an_error(hosts: Hosts, home: Site) -> None:
     with two_hosts() as quiet:
         done = run(home, quiet.far, "discover", "--seconds", "0.3")
     assert done.returncode == 1
@@ -218,7 +218,7 @@ async def test_announcements_are_counted_and_survive_links_that_go_down(
         candidates.heard(said[0][:-1], DatagramSource("fe80::1", 1), now, 1.0)
 
 
-def test_who_came_over_a_router_is_not_heard() -> None:
+def test_a_routed_datagram_is_dropped() -> None:
     def ancillary(hops: int) -> list[tuple[int, int, bytes]]:
         value = hops.to_bytes(4, sys.byteorder)
         return [(socket.IPPROTO_IPV6, socket.IPV6_HOPLIMIT, value)]
@@ -244,7 +244,7 @@ def test_a_damaged_authority_is_named_by_its_file(tmp_path: Path) -> None:
         assert "anew" in refused.value.hint
 
 
-def test_whose_master_is_looked_for(home: Site, elsewhere: Site, tmp_path: Path) -> None:
+def test_the_trust_anchor_decides_the_master(home: Site, elsewhere: Site, tmp_path: Path) -> None:
     assert choose.trusted(home.root, None)[0].thumbprint == home.anchor.thumbprint
     assert choose.trusted(home.root, "/robot")[1] == frozenset()
     with pytest.raises(ConfigurationError, match="no node is enrolled"):
@@ -283,7 +283,7 @@ def test_a_tree_of_revocations_leaves_it_to_the_handshake(
     assert choose.trusted(elsewhere.root, "/robot")[1] == frozenset()
 
 
-def test_an_error_of_the_socket_ends_a_look() -> None:
+def test_an_error_of_the_socket_ends_receiving() -> None:
     group = multicast.MulticastSocket(listen=False)
     group.close()
     assert list(group.receive()) == []

@@ -30,7 +30,7 @@ def test_what_people_type(text: str, host: str, port: int) -> None:
      "[::1]9x", "[]:9", "robot:-1", "a..b", "a\x00b", "-x", "a b", "../x", "a" * 64,
      "[::1%\x1b]:1"],
 )  # fmt: skip
-def test_what_is_no_address(text: str) -> None:
+def test_invalid_addresses_are_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="is not an address of a node") as caught:
         address.split(text)
     assert "192.168.1.7:11317" in caught.value.hint

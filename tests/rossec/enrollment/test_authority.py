@@ -41,7 +41,7 @@ async def test_an_enrollment(host: str, label: bool) -> None:
     assert [pending.digits for pending in robot.trusted] == shown == [core.digits]
 
 
-async def test_nobody_there() -> None:
+async def test_no_node_at_the_address() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     core = AuthorityEnrollment(qr.parse(Robot().enrollment().code("x")), "home")
@@ -59,7 +59,7 @@ async def server(handler: Handler) -> AsyncIterator[int]:
         yield found.sockets[0].getsockname()[1]
 
 
-async def test_somebody_else_there() -> None:
+async def test_another_node_at_the_address() -> None:
     robot, swapped = Robot(), Robot()
 
     async def impostor(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -85,7 +85,7 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-async def test_a_node_that_hangs_up_is_called_again() -> None:
+async def test_a_broken_connection_is_made_again() -> None:
     """The same offer, to the letter; the answer comes at the third call, the end at the fifth."""
     robot = Robot()
     node = robot.enrollment(now=clock())
@@ -125,7 +125,7 @@ async def test_a_node_that_does_not_come_back() -> None:
     core.receive(write(Delivery(CSR)), clock())
     made = offer(core)
     async with server(gone) as port:
-        with pytest.raises(NotDelivered, match="has hung up") as caught:
+        with pytest.raises(NotDelivered, match="closed the connection before") as caught:
             await authority.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
     assert calls == 5
     assert "rossec node show /robot1/camera" in caught.value.hint

@@ -33,7 +33,7 @@ def deep(root: Path) -> Path:
     return directory
 
 
-async def test_a_question_is_answered(tmp_path: Path) -> None:
+async def test_a_request_is_answered(tmp_path: Path) -> None:
     directory = deep(tmp_path)
     async with serving(directory, lambda request: {"you said": request["do"]}):
         assert await ask(directory, {"do": "show"}) == {"you said": "show"}
@@ -65,7 +65,7 @@ async def test_only_one_waits(tmp_path: Path) -> None:
         assert await ask(tmp_path, {}) == {}
 
 
-async def test_a_socket_left_behind_is_in_nobodys_way(tmp_path: Path) -> None:
+async def test_a_stale_socket_is_replaced(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as left, control._socket_path(tmp_path) as path:
         left.bind(path)
     assert (tmp_path / "enrolling.sock").exists()
@@ -84,7 +84,7 @@ async def say(directory: Path, line: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("line", [b"garbage\n", b"[]\n", b"\n", b"x" * 5000 + b"\n"])
-async def test_nonsense_gets_no_answer(tmp_path: Path, line: bytes) -> None:
+async def test_a_malformed_request_gets_no_answer(tmp_path: Path, line: bytes) -> None:
     async with serving(tmp_path, lambda _: {}):
         assert await say(tmp_path, line) == b""
         assert await ask(tmp_path, {}) == {}

@@ -51,10 +51,10 @@ def test_not_exactly_one_code() -> None:
         assert "paste the text" in caught.value.hint
 
 
-def test_what_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_that_is_not_a_picture_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigurationError, match="not a picture that can be read") as caught:
         scan.code_in(b"text")
-    assert "take one of PNG" in caught.value.hint
+    assert "use one of PNG" in caught.value.hint
     monkeypatch.setattr(scan, "MAX_FILE", 100)
     with pytest.raises(ConfigurationError, match="more than 100 bytes"):
         scan.code_in(picture(qr.png(TEXT)))

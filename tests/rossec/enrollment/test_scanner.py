@@ -21,7 +21,7 @@ def test_the_codes_in_a_picture_each_once() -> None:
     assert scanner.texts(picture()) == []
 
 
-def test_what_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_that_is_not_a_picture_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     gif = io.BytesIO()
     Image.new("L", (9, 9)).save(gif, "GIF")
     whole = picture(qr.png(TEXT))

@@ -22,7 +22,7 @@ async def test_messages_one_after_the_other() -> None:
         await wire.receive(reader)
 
 
-async def test_a_length_nobody_waits_for() -> None:
+async def test_a_length_beyond_the_limit() -> None:
     with pytest.raises(EnrollmentMessageRefused, match="octets, which no side sends"):
         await wire.receive(fed(b"\xff\xff\xff\xff"))
 

@@ -21,7 +21,7 @@ from rossec.inprocess.sockets import RosSocket
 from rossec.net.halfopen import HalfOpen
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
-from tests.rossec.net.threads.test_secure_socket import background
+from tests.support.secure_sockets import background
 from tests.support.site import Site
 
 

@@ -5,6 +5,10 @@ from dataclasses import dataclass, field
 
 from grants.errors import GrantError
 from grants.model import Right
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.methods import MasterEvent
+from rossec.master.api.multicall import MULTICALL, Multicall
+from rossec.master.api.turns import CallOutcome, Work, advance
 from rossec.master.rights.access_rules import Caller, Peer
 from rossec.master.rights.interfaces import Presented, Renewed
 
@@ -57,6 +61,35 @@ def everything(name: str) -> Caller:
 def anonymous(name: str, rights: Mapping[str, Right] | None = None) -> Caller:
     """A caller with a wildcard tail."""
     return Caller(name, name.encode(), FakeAccess(rights or {"**": ALL}), wildcard=True)
+
+
+def never_expires() -> bool:
+    return False
+
+
+def run_to_end(work: Work) -> CallOutcome:
+    while (outcome := advance(work, never_expires)) is None:
+        pass
+    return outcome
+
+
+def call_api(
+    api: MasterApi,
+    method: str,
+    params: Sequence[object],
+    who: Caller,
+    now: int,
+    *,
+    is_local: bool = True,
+) -> CallOutcome:
+    """Answer one call to its end, as the server does in turns."""
+    if method != MULTICALL:
+        begun = api.begin(method, params, who, now, is_local=is_local)
+        return begun if isinstance(begun, CallOutcome) else run_to_end(begun)
+    multicall, events = Multicall(params), list[MasterEvent]()
+    while not multicall.done:
+        events += api.run_multicall(multicall, who, now, is_local=is_local, expired=never_expires)
+    return CallOutcome(multicall.answer, tuple(events))
 
 
 @dataclass

@@ -13,7 +13,7 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, everything
 
 pytestmark = pytest.mark.ros
 
@@ -262,7 +262,7 @@ def wired(value: Any) -> Any:
 def ask_ours(api: MasterApi, call: Call) -> Any:
     method, *params = wired(call)
     name = params[0] if params and isinstance(params[0], str) else "/a"
-    return plain(api.call(method, params, everything(name), 0).answer)
+    return plain(call_api(api, method, params, everything(name), 0).answer)
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -283,7 +283,7 @@ def test_unknown_methods_are_the_same_fault(stock: Any, ours: MasterApi) -> None
         with pytest.raises(xmlrpc.client.Fault) as expected:
             xmlrpc.client.loads(server._marshaled_dispatch(xmlrpc.client.dumps((), method)))
         with pytest.raises(xmlrpc.client.Fault) as got:
-            ours.call(method, [], everything("/a"), 0)
+            call_api(ours, method, [], everything("/a"), 0)
         assert (got.value.faultCode, got.value.faultString) == (
             expected.value.faultCode,
             expected.value.faultString,
@@ -303,4 +303,6 @@ def test_multicall_is_the_same(stock: Any, ours: MasterApi) -> None:
         {"methodName": "getParam", "params": []},
     ]
     expected = plain(server.system_multicall(calls))
-    assert plain(ours.call("system.multicall", [calls], everything("/a"), 0).answer) == expected
+    assert (
+        plain(call_api(ours, "system.multicall", [calls], everything("/a"), 0).answer) == expected
+    )

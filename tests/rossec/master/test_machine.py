@@ -24,7 +24,8 @@ from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.participant.graph_view import GraphView
-from tests.support.authority import Member, Site
+from tests.rossec.master.fakes import call_api
+from tests.support.authority import EnrolledNode, Site
 
 NODES: Final = ("/a", "/b", "/watcher")
 TOPICS: Final = ("/t", "/ns/u")
@@ -54,7 +55,9 @@ class Master(RuleBasedStateMachine):
         super().__init__()
         self.site = Site(now=1_800_000_000)
         self.now = self.site.now
-        self.registered_nodes: dict[str, Member] = {name: self.site.enroll(name) for name in NODES}
+        self.registered_nodes: dict[str, EnrolledNode] = {
+            name: self.site.enroll(name) for name in NODES
+        }
         self.master = self.site.enroll("/master")
         signer = self.master.credentials.signer
         delegate = Delegate(self.site.anchor, signer)
@@ -68,7 +71,7 @@ class Master(RuleBasedStateMachine):
         )
         self.signed: list[tuple[str, bytes]] = []
         self.presented: dict[str, dict[bytes, bytes]] = {name: {} for name in NODES}
-        self.revoked: list[bytes | Member] = []
+        self.revoked: list[bytes | EnrolledNode] = []
         self.dead: set[str] = set()  # names whose key is revoked
         self.view = GraphView()
 
@@ -82,7 +85,7 @@ class Master(RuleBasedStateMachine):
             assert name in self.dead
             return None
         assert name not in self.dead
-        outcome = self.api.call(method, [name, *params], caller, self.now)
+        outcome = call_api(self.api, method, [name, *params], caller, self.now)
         for event in outcome.events:
             assert not isinstance(event, ShutdownNode)
             if isinstance(event, PublishersChanged):
@@ -174,7 +177,7 @@ class Master(RuleBasedStateMachine):
             ("registerPublisher", topic, "*", uri), ("unregisterPublisher", topic, uri),
             ("setParam", "/p", 1),
         ):  # fmt: skip
-            answer: Any = self.api.call(method, [victim, *params], caller, self.now).answer
+            answer: Any = call_api(self.api, method, [victim, *params], caller, self.now).answer
             # An administrator may unregister a node's entries, and act as it in no other call.
             cleans_up = method == "unregisterPublisher" and self.may(name, Right.ADMIN, victim)
             assert answer[0] == -1 or cleans_up
@@ -207,7 +210,7 @@ class Master(RuleBasedStateMachine):
             caller = self.trust.caller(self.registered_nodes[name].identity, self.now)
         except HintedError:
             return
-        answers: Any = self.api.call("system.multicall", [calls], caller, self.now).answer
+        answers: Any = call_api(self.api, "system.multicall", [calls], caller, self.now).answer
         rights = (
             (Right.PUBLISH, topic), (Right.PARAM_GET, "/p"), (Right.ADMIN, "/master"),
         )  # fmt: skip
@@ -251,8 +254,8 @@ class Master(RuleBasedStateMachine):
         caller = self.trust.caller_of(self.registered_nodes["/a"].identity, self.now)
         if caller is not None:
             forged = Site(now=self.now).revoke()
-            answer: Any = self.api.call(
-                "rossec.updateRevocations", ["/a", forged], caller, self.now
+            answer: Any = call_api(
+                self.api, "rossec.updateRevocations", ["/a", forged], caller, self.now
             ).answer
             assert answer[0] == -1
 

@@ -11,6 +11,6 @@ def test_a_type_of_one_size_needs_no_more() -> None:
     assert unit_limit(48, 1 << 26) == HEADER_LIMIT + BATCH_LIMIT
 
 
-def test_others_may_need_all_there_is() -> None:
+def test_a_type_of_variable_size_gets_the_maximum() -> None:
     assert message_limit(None, 1 << 26) == 1 << 26
     assert unit_limit(None, 1 << 26) == (1 << 26) + BATCH_LIMIT

@@ -11,8 +11,8 @@ from rossec.errors import ChannelClosed
 from rossec.net.aio import connect, serve
 from rossec.net.forks import forget_in_children
 from rossec.net.threads.secure_socket import SecureSocket
-from tests.rossec.net.threads.test_secure_socket import live, make_listener, pair
 from tests.support.listener import SecureListener
+from tests.support.secure_sockets import live, make_listener, pair
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
 
@@ -116,7 +116,7 @@ def test_a_child_may_connect_for_itself(listener: SecureListener[FakeIdentity]) 
         os.close(end)
 
 
-async def test_streams_of_a_loop_as_well() -> None:
+async def test_a_child_cannot_use_streams_of_the_parents_loop() -> None:
     heard: asyncio.Queue[bytes] = asyncio.Queue()
 
     async def handler(stream: object) -> None:

@@ -18,7 +18,7 @@ def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[HalfOpenSlot], li
     return slots, closed
 
 
-def test_a_place_is_held_until_it_is_settled_once() -> None:
+def test_a_slot_is_counted_until_it_is_released_once() -> None:
     count = HalfOpenCount(HalfOpen(per_address=1, total=2))
     (slot,), closed = taken(count, "a")
     assert count.admit("a") is None
@@ -31,7 +31,7 @@ def test_a_place_is_held_until_it_is_settled_once() -> None:
     assert closed == []
 
 
-def test_who_lingers_longest_makes_room_for_its_source() -> None:
+def test_the_longest_lingering_slot_of_a_source_is_evicted_first() -> None:
     count = HalfOpenCount(HalfOpen(per_address=3, total=9))
     (first, second, _), closed = taken(count, "a", "a", "a")
     second.linger()
@@ -44,7 +44,7 @@ def test_who_lingers_longest_makes_room_for_its_source() -> None:
     assert len(count) == 3
 
 
-def test_no_source_makes_room_for_another_that_has_its_share() -> None:
+def test_no_slot_is_evicted_for_a_source_at_its_cap() -> None:
     count = HalfOpenCount(HalfOpen(per_address=1, total=9))
     (other, _), closed = taken(count, "b", "a")
     other.linger()
@@ -52,7 +52,7 @@ def test_no_source_makes_room_for_another_that_has_its_share() -> None:
     assert closed == []
 
 
-def test_where_all_places_are_taken_anybody_who_lingers_makes_room() -> None:
+def test_at_the_total_any_lingering_slot_is_evicted() -> None:
     count = HalfOpenCount(HalfOpen(per_address=3, total=3))
     (_, late, early), closed = taken(count, "a", "b", "c")
     early.linger()
@@ -64,7 +64,7 @@ def test_where_all_places_are_taken_anybody_who_lingers_makes_room() -> None:
     assert len(count) == 3
 
 
-def test_where_nobody_lingers_the_source_with_most_makes_room() -> None:
+def test_without_lingering_slots_the_largest_source_loses_one() -> None:
     count = HalfOpenCount(HalfOpen(per_address=4, total=5))
     _, closed = taken(count, "b", "a", "a", "a", "b")
     assert count.admit("c") is not None
@@ -73,7 +73,7 @@ def test_where_nobody_lingers_the_source_with_most_makes_room() -> None:
     assert count.admit("c") is None, "one more than its own is no reason"
 
 
-def test_what_cannot_be_closed_makes_no_room() -> None:
+def test_a_slot_that_cannot_be_closed_is_not_evicted() -> None:
     count = HalfOpenCount(HalfOpen(per_address=2, total=2))
     slots = [count.admit("a"), count.admit("a")]
     for slot in slots:
@@ -83,7 +83,7 @@ def test_what_cannot_be_closed_makes_no_room() -> None:
     assert count.admit("b") is None
 
 
-def test_a_place_goes_with_its_socket_at_the_latest() -> None:
+def test_a_slot_is_released_when_its_socket_is_collected() -> None:
     count = HalfOpenCount(HalfOpen(per_address=1, total=1))
     slot = count.admit("a")
     assert slot is not None

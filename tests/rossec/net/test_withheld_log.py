@@ -30,7 +30,7 @@ def warn(cause: object, peer: str = "/eve", where: str = "/order") -> None:
     withheld_log.warn(LOG, withheld_log.RECEIVED, where, peer, cause)
 
 
-def test_a_cause_is_said_once_in_a_minute(
+def test_a_cause_is_logged_once_in_a_minute(
     now: list[float], caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(1000):
@@ -45,7 +45,7 @@ def test_a_cause_is_said_once_in_a_minute(
     assert {record.name for record in caplog.records} == {"rossec.node"}
 
 
-def test_other_causes_peers_and_places_are_said(
+def test_other_causes_peers_and_places_are_logged(
     now: list[float], caplog: pytest.LogCaptureFixture
 ) -> None:
     for _ in range(3):
@@ -68,7 +68,7 @@ def test_threads(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     assert len(caplog.messages) == 1
 
 
-def test_nothing_is_counted_where_nothing_is_said(
+def test_nothing_is_counted_below_the_log_level(
     now: list[float], caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.ERROR, "rossec.node"):

@@ -38,7 +38,7 @@ def test_messages_that_follow_each_other_may_go_on_for_ever() -> None:
 
 
 @pytest.mark.parametrize("feed", ["feed", "feed_one"])
-def test_a_message_that_stands_still_ends(feed: str) -> None:
+def test_a_stalled_message_is_refused(feed: str) -> None:
     framing = Framing(FrameReader())
     getattr(framing, feed)(frame(bytes(100))[:50], NOW)
     with pytest.raises(LimitExceeded):  # noqa: PT012 - at last

@@ -147,7 +147,7 @@ LINES = [piece + b"\r\n" for piece in PIECES]
 
 @pytest.mark.parametrize("end", [b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n"])
 @pytest.mark.parametrize("size", [4, 101])
-def test_the_short_way_leads_where_the_long_one_does(end: bytes, size: int) -> None:
+def test_the_fast_path_gives_the_same_result(end: bytes, size: int) -> None:
     whole = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d" % size + end + b"b" * size
     for parts in ([whole], [whole[:9], whole[9:]], [whole[:-1], whole[-1:]], [whole + whole]):
         found = []
@@ -170,7 +170,7 @@ def test_the_short_way_leads_where_the_long_one_does(end: bytes, size: int) -> N
         assert (found[0][0] == b"b" * size) is (size == 4)
 
 
-def test_the_short_way_waits_for_the_answer_and_ends_with_the_connection() -> None:
+def test_the_fast_path_waits_for_the_answer_and_ends_with_the_connection() -> None:
     server = HttpServer()
     assert server.feed_whole(REQUEST) == b"body"
     assert server.feed_whole(REQUEST) is None
@@ -209,7 +209,7 @@ def test_what_is_accepted_is_what_a_general_library_reads(tail: bytes) -> None:
         )
 
 
-def test_nothing_follows_the_end() -> None:
+def test_bytes_after_the_end_are_refused() -> None:
     server = HttpServer()
     server.feed(REQUEST.replace(b"Host: x", b"Host: x\r\nConnection: a\r\nConnection: Close"))
     assert server.next_request() == b"body"

@@ -27,7 +27,7 @@ def test_a_response_is_read_however_it_arrives(step: int) -> None:
     assert wire.open_response(arrived[-1]) == b"answer"
 
 
-def test_why_there_is_none() -> None:
+def test_a_failure_has_its_reason() -> None:
     for reason, said in (("no\npower", r"no\\u000apower"), ("", "without a reason")):
         content = wire.response_reader().feed_one(joined(wire.failure(reason)))
         assert content is not None
@@ -38,7 +38,7 @@ def test_why_there_is_none() -> None:
         wire.open_response(b"\0\xff")
 
 
-def test_a_mark_that_is_none() -> None:
+def test_an_invalid_ok_byte() -> None:
     with pytest.raises(FrameRefused, match="neither a success nor a failure"):
         wire.open_response(b"\2abc")
     with pytest.raises(FrameRefused):

@@ -81,7 +81,7 @@ def test_arguments_beat_the_environment() -> None:
         (("in:=a b",), {}, "not a ROS name", "/robot1/camera"),
     ],
 )
-def test_refusals_teach(
+def test_refusals_have_hints(
     argv: tuple[str, ...], environ: dict[str, str], message: str, hint: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=message) as refused:

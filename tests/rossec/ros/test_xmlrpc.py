@@ -121,7 +121,7 @@ def test_the_ros_triple() -> None:
         xmlrpc.value_of([0, "", 0])
 
 
-def test_what_a_peer_says_is_one_printable_line() -> None:
+def test_a_peers_status_is_one_printable_line() -> None:
     with pytest.raises(AnswerRefused) as refused:
         xmlrpc.value_of([-1, "no\nrossec: forged\x1b[0m", 0])
     assert str(refused.value) == "no\\u000arossec: forged\\u001b[0m"

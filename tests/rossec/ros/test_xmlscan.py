@@ -80,12 +80,12 @@ def test_damage_is_noticed(data: st.DataObject) -> None:
 @pytest.mark.parametrize(
     "value", ["/a/b", "", 5, -5, True, 2.5, b"\0\xff", [1, ["x"]], {"a": {"b": []}}, {}, []]
 )
-def test_what_is_plain_takes_the_short_way(value: object) -> None:
+def test_plain_bodies_take_the_fast_path(value: object) -> None:
     assert agree(xmlrpc.dump_call("m", (value, value)))
     assert agree(xmlrpc.dump_response([1, "fine", value]))
 
 
-def test_roscpp_takes_the_short_way() -> None:
+def test_roscpp_takes_the_fast_path() -> None:
     data = (
         b'<?xml version="1.0"?>\r\n<methodCall><methodName>m</methodName>\r\n<params><param>'
         b"<value>/a</value></param><param><value><i4>1</i4></value></param></params></methodCall>\r\n"
@@ -107,7 +107,7 @@ def test_roscpp_takes_the_short_way() -> None:
         b"<methodCall><params></params></methodCall>",
     ],
 )
-def test_the_rest_is_left_to_the_parser(data: bytes) -> None:
+def test_other_bodies_are_left_to_the_parser(data: bytes) -> None:
     assert not agree(data)
 
 

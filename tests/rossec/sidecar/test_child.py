@@ -16,29 +16,29 @@ from rossec.sidecar import child
 from rossec.sidecar.child import OUTSIDE, NoSuchProgram, outer_environment, program_environment
 from rossec.sidecar.core.endpoints import Loopback
 
-HERE = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
+ENVIRON = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
 LOOPBACK_URI = "http://127.0.0.1:4000/"
 
 
 def test_the_program_gets_only_the_loopback_master() -> None:
-    env = program_environment(HERE, HERE, LOOPBACK_URI)
+    env = program_environment(ENVIRON, ENVIRON, LOOPBACK_URI)
     assert env.pop(OUTSIDE)
     assert env == {"ROS_MASTER_URI": LOOPBACK_URI, "ROS_IP": "127.0.0.1", "HOME": "/home/me"}
 
 
 def test_a_nested_run_finds_what_the_outer_one_replaced() -> None:
-    once = program_environment(HERE, HERE, LOOPBACK_URI)
-    assert {key: outer_environment(once).get(key) for key in HERE} == HERE
+    once = program_environment(ENVIRON, ENVIRON, LOOPBACK_URI)
+    assert {key: outer_environment(once).get(key) for key in ENVIRON} == ENVIRON
     assert "ROS_IP" not in outer_environment(once)
     twice = program_environment(once, outer_environment(once), "http://127.0.0.1:5000/")
     assert json.loads(twice[OUTSIDE]) == {
-        key: HERE[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
+        key: ENVIRON[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
     }
 
 
 def test_a_nested_run_finds_the_discovered_master() -> None:
-    settled = HERE | {"ROS_MASTER_URI": "http://found:11311"}
-    once = program_environment(HERE | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
+    settled = ENVIRON | {"ROS_MASTER_URI": "http://found:11311"}
+    once = program_environment(ENVIRON | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
     assert outer_environment(once)["ROS_MASTER_URI"] == "http://found:11311"
 
 
@@ -99,10 +99,10 @@ def on_a_terminal(redirection: str = "") -> Iterator[tuple[int, int]]:
         command = f'exec "$0" "$@" {redirection}'
         os.execvp("sh", ["sh", "-c", command, sys.executable, "-c", RUN, COUNT])
     try:
-        said = b""
-        while not said.endswith(b"\r\n"):
-            said += os.read(terminal, 100)
-        yield int(said.split()[1]), terminal
+        output = b""
+        while not output.endswith(b"\r\n"):
+            output += os.read(terminal, 100)
+        yield int(output.split()[1]), terminal
     finally:
         os.close(terminal)
 
@@ -157,7 +157,7 @@ def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
 
 def test_without_ipv4_programs_get_a_host_name() -> None:
     uri = "http://localhost:4000/"
-    env = program_environment(HERE, HERE, uri, Loopback("::1", "localhost"))
+    env = program_environment(ENVIRON, ENVIRON, uri, Loopback("::1", "localhost"))
     del env[OUTSIDE]
     own = {"ROS_HOSTNAME": "localhost", "ROS_IPV6": "on"}
     assert env == {"ROS_MASTER_URI": uri, "HOME": "/home/me", **own}

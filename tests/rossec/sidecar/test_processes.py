@@ -9,7 +9,7 @@ import pytest
 from rossec.sidecar import processes
 from rossec.sidecar.processes import descendants, descends, descriptors, parents, process, socket_at
 
-NONE = 1 << 30
+NO_PID = 1 << 30
 
 
 def test_descendants() -> None:
@@ -27,11 +27,11 @@ def test_descends_is_false_for_itself_and_for_dead_processes() -> None:
     assert descends(os.getpid(), os.getppid())
     assert not descends(os.getpid(), os.getpid())
     assert not descends(os.getppid(), os.getpid())
-    assert not descends(NONE, os.getpid())
+    assert not descends(NO_PID, os.getpid())
 
 
 @pytest.fixture
-def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def fake_proc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A fake /proc: 9 is a child of 5, 5 of 3; with a program name that is hard to parse."""
     monkeypatch.setattr(processes, "_PROC", tmp_path)
     for pid, parent, started in ((3, 2, 100), (5, 3, 200), (9, 5, 300)):
@@ -45,7 +45,7 @@ def write(proc: Path, pid: int, parent: int, started: int) -> None:
     (proc / str(pid) / "stat").write_text(f"{pid} (a ) b 7 (c) {rest}")
 
 
-def test_grandchildren_descend(made_up: Path) -> None:
+def test_grandchildren_descend(fake_proc: Path) -> None:
     assert descends(9, 3)
     assert descends(5, 3)
     assert not descends(9, 4)
@@ -53,9 +53,9 @@ def test_grandchildren_descend(made_up: Path) -> None:
     assert process(9) == (9, 300)
 
 
-def test_a_parent_younger_than_its_child_is_refused(made_up: Path) -> None:
+def test_a_parent_younger_than_its_child_is_refused(fake_proc: Path) -> None:
     """Its PID was reused by a descendant while the chain was read."""
-    write(made_up, 5, 3, 301)
+    write(fake_proc, 5, 3, 301)
     assert not descends(9, 3)
     assert descends(5, 3)
 
@@ -69,6 +69,6 @@ def test_descriptors_and_their_sockets() -> None:
 
 
 def test_ended_processes_have_no_descriptors() -> None:
-    assert process(NONE) is None
-    assert descriptors(NONE) == []
-    assert socket_at(NONE, "0") is None
+    assert process(NO_PID) is None
+    assert descriptors(NO_PID) == []
+    assert socket_at(NO_PID, "0") is None

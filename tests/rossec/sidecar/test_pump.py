@@ -58,7 +58,7 @@ class FakeGuard:
 
     def apply(self, message: bytes, now: int) -> list[bytes] | None:
         if message.startswith(b"x"):
-            raise RestrictionMismatch("it cannot be judged")
+            raise RestrictionMismatch("it cannot be checked")
         return None if message.startswith(b"-") else [message[:1], message[1:]]
 
 
@@ -96,7 +96,7 @@ async def test_messages_that_cannot_be_checked_are_withheld(
 ) -> None:
     received = await received_by_peer(FakeGuard(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
     assert received == header.frame(b"one") + header.frame(b"two")
-    assert caplog.text.count("/viewer: withheld a message: it cannot be judged") == 1
+    assert caplog.text.count("/viewer: withheld a message: it cannot be checked") == 1
 
 
 async def test_no_message_passes_after_the_grant_expires() -> None:

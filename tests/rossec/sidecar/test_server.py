@@ -116,7 +116,7 @@ async def test_one_identity_serves_callers_of_any_name(
         assert await program.ask(running.uri, "getUri") == [1, "", running.uri]
         calls = [{"methodName": "getUri", "params": [name]} for name in ("/x", asker)]
         calls.insert(0, {"methodName": "getPid", "params": []})
-        client = await client_without_name(running)
+        client = await bare_client(running)
         answers = await client.call("system.multicall", calls)
         missing = [[-1, "missing required caller_id parameter", -1]]
         assert answers == [missing, [[1, "", running.uri]], [[1, "", running.uri]]]
@@ -124,7 +124,7 @@ async def test_one_identity_serves_callers_of_any_name(
         await program.close()
 
 
-async def client_without_name(running: Sidecar) -> RpcClient:
+async def bare_client(running: Sidecar) -> RpcClient:
     """A client without caller_id."""
     return RpcClient(PlainStream(await dial(*parse_uri(running.uri), 10)), host="x")
 
@@ -135,7 +135,7 @@ async def test_calls_without_caller_id_are_answered_as_by_stock_ros(
 ) -> None:
     """Also without a default identity."""
     async with sidecar(pair.site, identity=identity) as running:
-        client = await client_without_name(running)
+        client = await bare_client(running)
         for method, default in (
             ("getUri", ""), ("getPid", -1), ("getSystemState", [[], [], []]), ("hasParam", False),
             ("getParam", 0), ("registerPublisher", []), ("unregisterService", 0),

@@ -94,18 +94,18 @@ async def test_a_pid_reused_during_verification_is_not_accepted(
     """Before the check it is the process that was found, afterwards another."""
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
-        asked: list[None] = []
+        calls: list[None] = []
         found = processes.process(one.running[0].pid)
         assert found is not None
 
         def changing(_: int) -> Process:
-            asked.append(None)
-            return found if len(asked) < 3 else Process(found.pid, found.started + 1)
+            calls.append(None)
+            return found if len(calls) < 3 else Process(found.pid, found.started + 1)
 
         monkeypatch.setattr(socket_owners, "process", changing)
         monkeypatch.setattr(socket_owners, "parents", lambda: [(found.pid, os.getpid())])
         assert not await owners.holds(inode)
-        assert len(asked) == 3
+        assert len(calls) == 3
 
 
 async def test_a_cancelled_caller_does_not_cancel_others(

@@ -39,7 +39,7 @@ def test_a_chain_there_and_back(length: int) -> None:
         7,
     ],
 )
-def test_what_is_no_chain(id_cred: Value) -> None:
+def test_an_invalid_chain_is_refused(id_cred: Value) -> None:
     with pytest.raises(HandshakeFailed):
         x5chain(id_cred)
 
@@ -48,11 +48,11 @@ def test_what_is_no_chain(id_cred: Value) -> None:
     "id_cred",
     [{33: b"a"}, {33: bytes(300)}, {33: [b"a", b"b"]}, {33: b"a", 4: b"kid"}, {4: b"kid"}, {}, 7],
 )
-def test_the_short_way_to_id_cred(id_cred: Value) -> None:
+def test_the_fast_path_of_id_cred(id_cred: Value) -> None:
     assert encode_id_cred(id_cred) == encode(id_cred)
 
 
-def test_a_reference_is_unknown_where_none_is_kept() -> None:
+def test_a_reference_is_unknown_without_a_cache() -> None:
     with pytest.raises(PeerCredentialUnknown):
         x5chain({34: [-15, b"12345678"]})
 

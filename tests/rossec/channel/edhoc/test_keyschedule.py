@@ -7,7 +7,7 @@ from rossec.channel.edhoc.keyschedule import EdhocExporter, Secret, bstr, extrac
 
 
 @pytest.mark.parametrize("length", [0, 1, 23, 24, 255, 256, 65535, 65536])
-def test_the_short_way_to_a_byte_string(length: int) -> None:
+def test_the_fast_path_of_a_byte_string(length: int) -> None:
     assert bstr(bytes(length)) == encode(bytes(length))
 
 
@@ -29,7 +29,7 @@ def test_kdf_has_the_info_of_the_rfc() -> None:
     assert kdf(Secret(b"k" * 32), 32768, b"context", 32) == Secret(b"k" * 32).expand(info, 32)
 
 
-def test_an_exporter_says_nothing_and_updates_to_another() -> None:
+def test_an_exporter_hides_its_secret_and_updates() -> None:
     exporter = EdhocExporter(b"k" * 32)
     assert repr(exporter) == "Exporter(...)"
     assert exporter.update(b"") == exporter.update(b"")

@@ -7,7 +7,7 @@ from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 CHAIN = (b"certificate", b"intermediate")
 
 
-def test_a_reference_finds_what_was_remembered() -> None:
+def test_a_reference_finds_a_cached_chain() -> None:
     memory = KnownCertificates()
     with pytest.raises(PeerCredentialUnknown):
         memory.find(reference(CHAIN[0]))
@@ -34,7 +34,7 @@ def test_a_hash_that_two_certificates_share_finds_neither(monkeypatch: pytest.Mo
         memory.find(reference(CHAIN[0]))
 
 
-def test_the_memory_is_bounded() -> None:
+def test_the_cache_is_bounded() -> None:
     memory = KnownCertificates(2)
     for certificate in (b"a", b"b", b"c"):
         memory.remember((certificate,))

@@ -131,7 +131,7 @@ def test_a_malformed_error(data: bytes) -> None:
         decode_error(data)
 
 
-def test_a_strangers_text_fits_a_log() -> None:
+def test_an_unauthenticated_text_is_made_printable() -> None:
     assert printable("a\r\nb\x00\x1b[2Jc") == "a b [2Jc"
     assert len(printable("x" * 10_000)) == MAX_REASON
 

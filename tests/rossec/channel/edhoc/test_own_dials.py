@@ -40,7 +40,7 @@ def test_nothing_of_a_dial_is_kept() -> None:
     assert len(dials) == 0
 
 
-def test_a_dial_for_somebody_else_does_not_end_here() -> None:
+def test_a_dial_for_another_node_is_refused_by_this_one() -> None:
     dials = OwnDials()
     w = wire(alice(), bob(credentials=ALICE, own_dials=dials)).pump()
     assert isinstance(w.left.error, IdentityRefused)
@@ -54,7 +54,7 @@ def test_another_process_with_the_same_key_is_not_this_one() -> None:
     assert w.right.events == []
 
 
-def test_the_responder_judges_for_itself() -> None:
+def test_the_responder_checks_for_itself() -> None:
     """Whoever holds the key elsewhere, and believes everything, is refused by the node itself."""
     careless = dataclasses.replace(ALICE, shared=True)
     w = wire(alice(credentials=careless), bob(credentials=ALICE, own_dials=OwnDials())).pump()
@@ -62,7 +62,7 @@ def test_the_responder_judges_for_itself() -> None:
     assert isinstance(w.left.error, PeerRefused)
 
 
-def test_nobody_else_will_do_at_the_own_address() -> None:
+def test_no_other_node_is_accepted_at_the_own_address() -> None:
     dials = OwnDials()
     w = wire(alice(own_dials=dials), bob(own_dials=dials)).pump()
     assert isinstance(w.left.error, IdentityRefused)
@@ -70,7 +70,7 @@ def test_nobody_else_will_do_at_the_own_address() -> None:
     assert "ROS_IP" in w.left.error.hint
 
 
-def test_message_1_repeated_leads_nowhere_else() -> None:
+def test_a_repeated_message_1_changes_nothing() -> None:
     """An attacker forwards the dial twice: the first answer alone belongs to it."""
     dials = OwnDials()
     caller = alice(own_dials=dials)
@@ -106,7 +106,7 @@ def test_a_retry_for_another_suite_and_a_reference_reach_it_as_well() -> None:
         assert (w.left.error, w.right.error) == (None, None)
 
 
-def test_others_are_met_as_ever_by_who_may_call_itself() -> None:
+def test_a_node_with_own_dials_still_reaches_others() -> None:
     w = wire(alice(), bob(credentials=BOB, own_dials=OwnDials())).pump()
     met = [event for event in w.right.events if isinstance(event, Authenticated)]
     assert [event.identity.name for event in met] == ["/alice"]

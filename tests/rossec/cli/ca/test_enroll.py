@@ -47,7 +47,7 @@ def test_a_node_is_enrolled_by_its_code(shell: Shell, host: str) -> None:
     assert states(shell) == [RequestState.ISSUED]
 
 
-def test_what_the_policy_holds_ready_is_shown(shell: Shell) -> None:
+def test_the_projected_grants_are_shown(shell: Shell) -> None:
     (shell.root / "ca" / "policy.yaml").write_text(POLICY)
     with WaitingRobot(Robot()) as robot, WaitingRobot(Robot("/stranger")) as stranger:
         said = enroll(shell, robot)
@@ -56,7 +56,7 @@ def test_what_the_policy_holds_ready_is_shown(shell: Shell) -> None:
     assert "  the policy has no rule for it: deny" in other.out
 
 
-def test_a_picture_of_the_code(
+def test_a_code_is_read_from_a_picture(
     shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with WaitingRobot(Robot()) as robot:
@@ -78,7 +78,7 @@ def test_a_label_needs_an_address(shell: Shell) -> None:
     assert len(robot.trusted) == 1
 
 
-def test_the_answer_counts(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_typed_answer_decides(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     with WaitingRobot(Robot()) as robot:
         asked = ("ca", "enroll", robot.code)
         monkeypatch.setattr("sys.stdin", io.StringIO(""))
@@ -94,7 +94,7 @@ def test_the_answer_counts(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Non
     assert robot.trusted == []
 
 
-def test_later(shell: Shell) -> None:
+def test_a_request_is_recorded_for_later(shell: Shell) -> None:
     robot = Robot()
     with WaitingRobot(robot, label=True) as waiting:
         where = ("--address", waiting.where)
@@ -108,7 +108,7 @@ def test_later(shell: Shell) -> None:
     assert len(waiting.trusted) == 1
 
 
-def test_another_key_for_a_known_name(shell: Shell) -> None:
+def test_another_key_for_a_known_name_needs_replace_key(shell: Shell) -> None:
     with WaitingRobot(Robot()) as robot:
         assert enroll(shell, robot).code == 0
     with WaitingRobot(Robot()) as robot:
@@ -133,7 +133,7 @@ def test_a_replaced_key_is_not_forgotten_when_the_node_refuses(shell: Shell) -> 
     assert len(AuthorityHome.at(shell.root).store().revoked_entries()) == 1
 
 
-def test_anonymous_nodes(shell: Shell) -> None:
+def test_a_node_is_enrolled_for_anonymous_nodes(shell: Shell) -> None:
     with WaitingRobot(Robot("/rviz", wildcard=True)) as robot:
         refused(enroll(shell, robot), "all names that begin with /rviz_", "--anonymous")
         said = enroll(shell, robot, "--anonymous")
@@ -142,7 +142,7 @@ def test_anonymous_nodes(shell: Shell) -> None:
     assert len(robot.trusted) == 1
 
 
-def test_a_file_instead_of_a_code(shell: Shell, tmp_path: Path) -> None:
+def test_a_request_is_read_from_a_file(shell: Shell, tmp_path: Path) -> None:
     shell("node", "request", "/robot")
     csr = shell.node("/robot") / "node.csr"
     said = shell.unlocked("ca", "enroll", "--csr", str(csr), "--yes")
@@ -155,7 +155,7 @@ def test_a_file_instead_of_a_code(shell: Shell, tmp_path: Path) -> None:
     refused(shell("ca", "enroll", "--csr", str(tmp_path / "x.csr")), "where at most 2048")
 
 
-def test_a_file_and_the_address_of_its_node(shell: Shell, tmp_path: Path) -> None:
+def test_a_request_from_a_file_is_enrolled_over_the_network(shell: Shell, tmp_path: Path) -> None:
     robot = Robot()
     (tmp_path / "robot.csr").write_bytes(robot.csr)
     with WaitingRobot(robot, label=True) as waiting:
@@ -165,7 +165,7 @@ def test_a_file_and_the_address_of_its_node(shell: Shell, tmp_path: Path) -> Non
     assert not (tmp_path / "robot.pem").exists()
 
 
-def test_exactly_one_source(shell: Shell, tmp_path: Path) -> None:
+def test_exactly_one_source_of_the_code_is_accepted(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "x").touch()
     for words in ((), ("ROSSEC:", "--image", str(tmp_path / "x"))):
         refused(shell("ca", "enroll", *words), "give a code, or --image", "--help", code=2)
@@ -177,7 +177,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_person_is_asked_for_the_code(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_code_is_read_from_the_terminal(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     with WaitingRobot(Robot()) as robot:
         monkeypatch.setattr("sys.stdin", Terminal(f"{robot.code}\n"))
         assert shell.unlocked("ca", "enroll", "--yes").code == 0
@@ -187,17 +187,17 @@ def test_a_person_is_asked_for_the_code(shell: Shell, monkeypatch: pytest.Monkey
     assert "rossec: error: no code was given\nrossec: hint: paste the line" in said.err
 
 
-def test_a_code_that_has_ended(shell: Shell) -> None:
+def test_an_expired_code_is_refused(shell: Shell) -> None:
     text = qr.screen_code(Robot().csr, bytes(16), 1000, "127.0.0.1:9")
     refused(shell("ca", "enroll", text), "the code expired", "show a new one")
 
 
-def test_nobody_waits_there(shell: Shell) -> None:
+def test_an_unreachable_node_is_reported(shell: Shell) -> None:
     with WaitingRobot(Robot()) as robot:
         pass
     refused(enroll(shell, robot), "no node waits to be enrolled at", "rossec node enroll")
 
 
-def test_the_person_at_the_node_says_no(shell: Shell) -> None:
+def test_a_denial_at_the_node_is_reported(shell: Shell) -> None:
     with WaitingRobot(Robot(), person=lambda _: "000000x") as robot:
         refused(enroll(shell, robot), "the node has ended the enrollment")

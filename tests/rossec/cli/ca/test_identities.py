@@ -21,7 +21,7 @@ def states(shell: Shell) -> list[str]:
     return [row["state"] for row in json.loads(shell("ca", "list", "--json", "--all").out)]
 
 
-def test_what_is_valid_and_what_was(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_identities_are_listed_by_state(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     shell.enroll("/robot")
     assert sorted(name.split()[0] for name in listed(shell)) == ["/ca", "/robot"]
     shell.unlocked("ca", "renew", "/robot", "--out", str(shell.root / "new.pem"))
@@ -38,7 +38,7 @@ def test_what_is_valid_and_what_was(shell: Shell, monkeypatch: pytest.MonkeyPatc
     assert shell("ca", "list").out == ""
 
 
-def test_one_node_in_full(shell: Shell) -> None:
+def test_a_node_is_shown_with_all_its_identities(shell: Shell) -> None:
     shell.enroll("/robot")
     about = json.loads(shell("ca", "show", "/robot", "--json").out)
     assert (about["domain"], about["intermediate"]) == ("home", False)
@@ -48,7 +48,9 @@ def test_one_node_in_full(shell: Shell) -> None:
     refused(shell("ca", "show", "/nobody"), "/nobody never had an identity", "rossec ca list --all")
 
 
-def test_renewed_by_name(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_identity_is_renewed_by_name(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     shell.enroll("/robot1/camera")
     said = shell.unlocked("ca", "renew", "/robot1/camera", "--for", "10d")
@@ -58,7 +60,9 @@ def test_renewed_by_name(shell: Shell, tmp_path: Path, monkeypatch: pytest.Monke
     assert shell("node", "install", "robot1.camera.pem", "--yes").code == 0
 
 
-def test_the_authoritys_own_node(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_authoritys_own_node_is_renewed_in_place(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = AuthorityHome.at(shell.root).node().identity(int(time.time()))
     said = shell.unlocked("ca", "renew", "/ca")
     assert said.out.startswith("renewed /ca until 20")
@@ -67,7 +71,7 @@ def test_the_authoritys_own_node(shell: Shell, monkeypatch: pytest.MonkeyPatch) 
     assert after.thumbprint == before.thumbprint
 
 
-def test_what_cannot_be_renewed(shell: Shell) -> None:
+def test_an_unknown_name_or_an_intermediate_is_not_renewed(shell: Shell) -> None:
     refused(shell.unlocked("ca", "renew", "/nobody"), "/nobody has no valid identity here")
     refused(
         shell.unlocked("ca", "renew", "intermediate/0123"),
@@ -75,7 +79,7 @@ def test_what_cannot_be_renewed(shell: Shell) -> None:
     )  # fmt: skip
 
 
-def test_an_expired_own_node_is_said_and_renewed_by_refresh(
+def test_an_expired_own_node_is_reported_and_renewed_by_refresh(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = int(time.time()) + OWN_LIFETIME + 86400

@@ -68,7 +68,7 @@ def test_a_host_that_may_only_renew(shell: Shell, host: Shell) -> None:
     refused(host.unlocked("ca", "sign", request, "--yes"), "may renew identities, not enroll")
 
 
-def test_signing_says_what_it_may(shell: Shell, host: Shell) -> None:
+def test_signing_shows_what_the_intermediate_may_do(shell: Shell, host: Shell) -> None:
     asked = host.unlocked("ca", "intermediate", "request", "home").out
     request = host.root / "ca" / "intermediate.csr"
     sign = ("ca", "intermediate", "sign", str(request), "--yes")
@@ -79,7 +79,7 @@ def test_signing_says_what_it_may(shell: Shell, host: Shell) -> None:
     assert request.with_suffix(".pem").exists()
 
 
-def test_beginnings_are_not_overwritten(shell: Shell, host: Shell) -> None:
+def test_a_pending_request_is_not_overwritten(shell: Shell, host: Shell) -> None:
     request = ("ca", "intermediate", "request", "home")
     refused(shell.unlocked(*request), "there is an authority in", "ROSSEC_HOME of its own")
     assert host.unlocked(*request).code == 0
@@ -87,7 +87,7 @@ def test_beginnings_are_not_overwritten(shell: Shell, host: Shell) -> None:
     refused(host.unlocked(*request), "exists and is not overwritten")
 
 
-def test_only_what_fits_is_installed(
+def test_only_a_matching_bundle_is_installed(
     shell: Shell, host: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     installed(shell, host)

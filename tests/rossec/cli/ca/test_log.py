@@ -11,7 +11,7 @@ from tests.support.commands import Shell, refused
 NOBODY = ("--master", "http://127.0.0.1:1")
 
 
-def test_everything_that_was_done(shell: Shell) -> None:
+def test_the_log_shows_every_entry(shell: Shell) -> None:
     shell.enroll("/robot")
     entries = json.loads(shell("ca", "log", "--json").out)
     assert [entry["number"] for entry in entries] == list(range(len(entries)))
@@ -47,7 +47,7 @@ def test_a_changed_entry_is_named(shell: Shell) -> None:
     refused(shell("ca", "log", "verify"), "log entry 5 was changed", "compare with")
 
 
-def test_proofs_for_others(shell: Shell) -> None:
+def test_proofs_verify_against_the_signed_head(shell: Shell) -> None:
     old = base64.b64decode(shell.unlocked("ca", "log", "head").out)
     (shell.root / "old").write_bytes(old)
     shell.enroll("/robot")
@@ -65,7 +65,7 @@ def test_proofs_for_others(shell: Shell) -> None:
     verify_consistency(before.size, head.size, proof, before.root, head.root)
 
 
-def test_what_cannot_be_proved(shell: Shell) -> None:
+def test_an_entry_outside_the_log_is_not_proved(shell: Shell) -> None:
     prove = ("ca", "log", "prove")
     refused(shell(*prove), "nothing to prove, or too much", "--entry N or --since F")
     refused(shell(*prove, "--entry", "99"), "there is no leaf 99 in a tree of")
@@ -73,7 +73,7 @@ def test_what_cannot_be_proved(shell: Shell) -> None:
     refused(shell(*prove, "--since", str(shell.root / "none")), "this is not a signed head")
 
 
-def test_nothing_was_signed_yet(shell: Shell) -> None:
+def test_without_a_signed_head_nothing_is_proved(shell: Shell) -> None:
     with closing(sqlite3.connect(shell.root / "ca" / "ca.db")) as db:
         db.executescript("DROP TRIGGER head_no_DELETE; DELETE FROM head")
     refused(shell("ca", "log", "prove", "--entry", "0"), "no state of the log", "ca log head")

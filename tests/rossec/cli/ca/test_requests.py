@@ -13,13 +13,13 @@ def asked(shell: Shell, name: str = "/robot") -> str:
     return said.out.split("rossec ca approve ")[1].split(",")[0]
 
 
-def test_nobody_asks(shell: Shell) -> None:
+def test_without_requests_none_are_listed(shell: Shell) -> None:
     assert shell("ca", "requests").out == "no open requests\n"
     assert shell("ca", "requests", "--json").out == "[]\n"
     assert "/ca" in shell("ca", "requests", "--all").out
 
 
-def test_who_asks_is_listed(shell: Shell) -> None:
+def test_open_requests_are_listed(shell: Shell) -> None:
     request_id = asked(shell)
     lines = shell("ca", "requests").out.splitlines()
     assert lines[0] == f"{request_id}  pending  /robot  a file"
@@ -29,7 +29,7 @@ def test_who_asks_is_listed(shell: Shell) -> None:
     assert (row["name"], row["state"], row["source"]) == ("/robot", "pending", "a file")
 
 
-def test_yes(shell: Shell, tmp_path: Path) -> None:
+def test_an_approved_request_is_signed(shell: Shell, tmp_path: Path) -> None:
     request_id = asked(shell)
     out = tmp_path / "robot.pem"
     said = shell.unlocked("ca", "approve", request_id, "--out", str(out))
@@ -53,7 +53,7 @@ def test_a_request_that_was_approved_before(shell: Shell) -> None:
     assert "the request was approved " in said.out
 
 
-def test_no(shell: Shell) -> None:
+def test_a_denied_request_is_closed(shell: Shell) -> None:
     request_id = asked(shell)
     assert shell("ca", "deny", request_id, "--reason", "unknown").out == "denied /robot\n"
     refused(shell.unlocked("ca", "approve", request_id), "is denied", "new request")
@@ -65,14 +65,14 @@ def test_no(shell: Shell) -> None:
     assert (row["state"], row["reason"]) == ("denied", "unknown")
 
 
-def test_what_is_no_request(shell: Shell) -> None:
+def test_an_unknown_request_is_refused(shell: Shell) -> None:
     for command in ("approve", "deny"):
         refused(shell("ca", command, "xx"), "'xx' is not a request id", "rossec ca requests")
         refused(shell("ca", command, "ffff"), "0 requests begin", "rossec ca requests")
         refused(shell("ca", command, ""), "requests begin with", "rossec ca requests")
 
 
-def test_another_key_must_be_said(shell: Shell) -> None:
+def test_another_key_needs_replace_key(shell: Shell) -> None:
     shell.enroll("/robot")
     shell.node("/robot").rename(shell.root / "lost")
     request_id = asked(shell)
@@ -83,7 +83,9 @@ def test_another_key_must_be_said(shell: Shell) -> None:
     refused(said, "did not take the list", "rossec ca publish", code=3)
 
 
-def test_the_master_hears_of_a_replaced_key(shell: Shell, monkeypatch: object) -> None:
+def test_the_master_gets_the_revocation_of_a_replaced_key(
+    shell: Shell, monkeypatch: object
+) -> None:
     shell.enroll("/robot")
     shell.node("/robot").rename(shell.root / "lost")
     request_id = asked(shell)
@@ -98,7 +100,7 @@ def test_the_master_hears_of_a_replaced_key(shell: Shell, monkeypatch: object) -
     assert said.out.endswith("the replaced key is revoked\nthe master has the new list\n")
 
 
-def test_anonymous_nodes(shell: Shell) -> None:
+def test_a_request_is_approved_for_anonymous_nodes(shell: Shell) -> None:
     request_id = asked(shell, "/rviz")
     said = shell.unlocked("ca", "approve", request_id, "--anonymous")
     assert "under every name that begins with /rviz_" in said.out

@@ -8,7 +8,7 @@ from tests.rossec.cli.ca.record import key_of, listed
 from tests.support.commands import Shell, refused
 
 
-def test_signing_shows_who_asks(shell: Shell) -> None:
+def test_signing_shows_the_request(shell: Shell) -> None:
     shell("node", "request", "/robot")
     request = shell.node("/robot") / "node.csr"
     said = shell.unlocked("ca", "sign", str(request), "--yes")
@@ -17,7 +17,7 @@ def test_signing_shows_who_asks(shell: Shell) -> None:
     assert said.out.endswith(f"signed /robot: {request.with_name('node.pem')}\n")
 
 
-def test_a_code_vouches_for_its_request(shell: Shell) -> None:
+def test_a_code_is_checked_against_its_request(shell: Shell) -> None:
     for name in ("/robot", "/other"):
         shell("node", "request", name)
     code = shell("node", "code", "/robot", "--text").out.strip()
@@ -30,7 +30,7 @@ def test_a_code_vouches_for_its_request(shell: Shell) -> None:
     refused(shell.unlocked("ca", "sign", right, "--yes", "--code", "x"), "not the text of a rossec")
 
 
-def test_another_key_for_a_known_name_must_be_said(shell: Shell) -> None:
+def test_another_key_for_a_known_name_needs_replace_key(shell: Shell) -> None:
     shell.enroll("/robot")
     shell.node("/robot").rename(shell.root / "lost")
     shell("node", "request", "/robot")
@@ -54,7 +54,7 @@ def test_another_key_for_a_known_name_must_be_said(shell: Shell) -> None:
     assert shell.unlocked("ca", "sign", request, "--yes").code == 0  # the same key again
 
 
-def test_what_is_no_request(shell: Shell, tmp_path: Path) -> None:
+def test_an_invalid_request_is_refused(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "x.csr").write_bytes(b"nothing of the kind")
     said = shell.unlocked("ca", "sign", str(tmp_path / "x.csr"), "--yes")
     assert said.code == 1
@@ -71,7 +71,7 @@ def test_a_request_with_another_name_gets_another_file(shell: Shell, tmp_path: P
     assert (tmp_path / "robot.pem").exists()
 
 
-def test_the_passphrase(shell: Shell, tmp_path: Path) -> None:
+def test_a_wrong_passphrase_file_is_refused(shell: Shell, tmp_path: Path) -> None:
     shell("node", "request", "/robot")
     request = str(shell.node("/robot") / "node.csr")
     wrong = tmp_path / "wrong"
@@ -86,7 +86,7 @@ def test_the_passphrase(shell: Shell, tmp_path: Path) -> None:
     refused(shell(*sign, str(empty)), "is empty", "first line")
 
 
-def test_nobody_signs_without_being_asked(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_answer_nothing_is_signed(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     shell("node", "request", "/robot")
     said = shell.unlocked("ca", "sign", str(shell.node("/robot") / "node.csr"))
@@ -96,7 +96,7 @@ def test_nobody_signs_without_being_asked(shell: Shell, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(("typed", "code"), [("y\n", 0), ("n\n", 1)])
-def test_the_answer_counts(
+def test_the_typed_answer_decides(
     shell: Shell, monkeypatch: pytest.MonkeyPatch, typed: str, code: int
 ) -> None:
     shell("node", "request", "/robot")
@@ -123,7 +123,7 @@ def test_an_identity_lasts_a_year_at_most(shell: Shell) -> None:
     assert shell.unlocked("ca", "sign", request, "--yes", "--for", "366d").code == 0
 
 
-def test_anonymous_nodes_must_be_meant(shell: Shell) -> None:
+def test_a_wildcard_request_needs_the_anonymous_option(shell: Shell) -> None:
     said = shell("node", "request", "/rviz", "--anonymous")
     request = str(shell.node("/rviz") / "node.csr")
     assert said.out.endswith(f"rossec ca sign {request} --anonymous\n")
@@ -141,7 +141,7 @@ def test_anonymous_nodes_must_be_meant(shell: Shell) -> None:
     assert {node["name"]: node["anonymous"] for node in listed} == {"/ca": False, "/rviz": True}
 
 
-def test_a_tail_is_the_authoritys_word_not_the_requests(shell: Shell) -> None:
+def test_the_authority_decides_on_the_wildcard_not_the_request(shell: Shell) -> None:
     shell("node", "request", "/rviz")
     request = str(shell.node("/rviz") / "node.csr")
     assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
@@ -152,13 +152,13 @@ def test_a_tail_is_the_authoritys_word_not_the_requests(shell: Shell) -> None:
 
 
 @pytest.mark.parametrize("name", ["/master", "/ca"])
-def test_no_tail_for_those_whom_all_trust(shell: Shell, name: str) -> None:
-    refused(shell("node", "request", name, "--anonymous"), f"{name} is one node")
+def test_the_master_and_the_authority_get_no_wildcard(shell: Shell, name: str) -> None:
+    refused(shell("node", "request", name, "--anonymous"), f"{name} is a single node")
     shell.node(name).rename(shell.root / "aside")
     shell("node", "request", name)
     request = str(shell.node(name) / "node.csr")
     said = shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
-    refused(said, f"{name} is one node", "a name of their own")
+    refused(said, f"{name} is a single node", "a name of their own")
 
 
 def test_a_link_beside_a_request_is_not_followed(shell: Shell, tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_one_refused_request_does_not_fail_the_rest(shell: Shell, tmp_path: Path
     assert errors[4:] == ["rossec: error: 2 of 4 were refused", "rossec: hint: see above"]
 
 
-def test_where_all_are_refused_nothing_is_asked(shell: Shell, tmp_path: Path) -> None:
+def test_if_all_requests_are_refused_no_question_is_asked(shell: Shell, tmp_path: Path) -> None:
     bad = [tmp_path / "a.csr", tmp_path / "b.csr"]
     for path in bad:
         path.write_bytes(b"not a request")

@@ -35,7 +35,7 @@ def test_the_whole_life_of_an_authority(token: Shell, tmp_path: Path) -> None:
         refused(token.unlocked("ca", "init", "home", "--key", URI), "there is an authority")
 
 
-def test_what_names_no_key(token: Shell) -> None:
+def test_an_invalid_key_uri_is_refused(token: Shell) -> None:
     refused(token.unlocked("ca", "init", "home", "--key", "yubikey"), "does not name a key")
     init = ("ca", "init", "home", "--key", "pkcs11:token=none;object=x")
     refused(token.unlocked(*init), "there is no token none")

@@ -45,7 +45,7 @@ def test_a_part_of_a_service_may_be_restricted() -> None:
     assert made.type == "std_srvs/SetBoolRequest"
 
 
-def test_mistakes_show_at_once() -> None:
+def test_invalid_options_are_refused() -> None:
     with pytest.raises(FilterRefused, match="no field 'positon'"):
         restrictions(POSE, rules((), ("pose.positon=1",), ()), (), None, None)
     with pytest.raises(FilterRefused, match="the preset does not support std_msgs/String"):
@@ -64,4 +64,4 @@ def test_presets_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "coarse-position"
     assert lines[1].startswith("  hides the place within cells of 2 m")
-    assert lines[2].startswith("  still tells the room")
+    assert lines[2].startswith("  still discloses the room")

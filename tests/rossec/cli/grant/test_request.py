@@ -37,7 +37,7 @@ def ask(site: Shell, *options: str) -> str:
     return said.out.split()[1]
 
 
-def test_the_policy_says_yes(site: Shell, tmp_path: Path) -> None:
+def test_a_request_the_policy_allows_is_signed(site: Shell, tmp_path: Path) -> None:
     ask(site, "--subscribe", "/robot/pose", "--publish", "/heat", "--call", "/door")
     said = site.unlocked("grant", "decide", "--out-dir", str(tmp_path / "out"))
     assert said.code == 0, said
@@ -52,12 +52,12 @@ def test_the_policy_says_yes(site: Shell, tmp_path: Path) -> None:
     assert site("grant", "pending").out == "no open requests\n"
 
 
-def test_a_request_is_carried_as_a_file(site: Shell, tmp_path: Path) -> None:
+def test_a_request_is_sent_as_a_file(site: Shell, tmp_path: Path) -> None:
     out = tmp_path / "heat.request"
     ask(site, "--publish", "/heat", "--out", str(out))
     said = site.unlocked("grant", "decide", str(out))
     assert "1 allowed, 0 for you: see" in said.out
-    refused(site.unlocked("grant", "decide", str(out)), "asked or answered before", "pending")
+    refused(site.unlocked("grant", "decide", str(out)), "already recorded or answered", "pending")
 
 
 def test_a_person_is_shown_everything(site: Shell) -> None:
@@ -73,7 +73,7 @@ def test_a_person_is_shown_everything(site: Shell) -> None:
     assert (row["request"], row["right"], row["name"]) == (number, "call", "/lift")
 
 
-def test_a_person_says_yes_precisely(site: Shell) -> None:
+def test_an_approved_request_is_signed_as_it_is(site: Shell) -> None:
     number = ask(site, "--call", "/lift")
     said = site.unlocked("grant", "approve", number[:6])
     assert "may call /lift" in said.out
@@ -81,7 +81,7 @@ def test_a_person_says_yes_precisely(site: Shell) -> None:
     refused(site.unlocked("grant", "approve", number[:6]), "no open request begins with", "pending")
 
 
-def test_a_person_says_approximately_and_only_today(site: Shell) -> None:
+def test_an_approved_request_is_filtered_and_ends_at_midnight(site: Shell) -> None:
     path = site.root / "ca" / "policy.yaml"
     path.write_text(POLICY.replace("who: /heating\n    allow", "who: /other\n    allow"))
     number = ask(site, "--subscribe", "/robot/pose")
@@ -91,7 +91,7 @@ def test_a_person_says_approximately_and_only_today(site: Shell) -> None:
     assert rows[0]["expires"] - rows[0]["not_before"] <= 86400
 
 
-def test_a_person_says_through_a_preset(site: Shell) -> None:
+def test_an_approved_request_is_signed_with_a_preset(site: Shell) -> None:
     path = site.root / "ca" / "policy.yaml"
     path.write_text(POLICY.replace("who: /heating\n    allow", "who: /other\n    allow"))
     number = ask(site, "--subscribe", "/robot/pose")
@@ -109,20 +109,20 @@ def test_a_filter_that_is_not_there(site: Shell) -> None:
     assert "nobody" not in site("grant", "pending").out  # it still waits
 
 
-def test_a_person_says_no(site: Shell) -> None:
+def test_a_denied_request_is_closed(site: Shell) -> None:
     number = ask(site, "--call", "/lift")
     assert site("grant", "deny", number).out == "denied /heating call /lift\n"
     refused(site("grant", "deny", number), "no open request begins")
 
 
-def test_the_beginning_must_name_one(site: Shell) -> None:
+def test_an_ambiguous_request_id_is_refused(site: Shell) -> None:
     refused(site("grant", "deny", ""), "no open request begins")
     ask(site, "--call", "/lift")
     ask(site, "--call", "/lift")
     refused(site("grant", "deny", ""), "several requests begin")
 
 
-def test_nobody_answers_in_time(site: Shell) -> None:
+def test_an_unanswered_request_is_denied(site: Shell) -> None:
     path = site.root / "ca" / "policy.yaml"
     path.write_text(POLICY.replace("prompt_timeout: 1h", "prompt_timeout: 1s"))
     ask(site, "--call", "/lift")
@@ -131,20 +131,20 @@ def test_nobody_answers_in_time(site: Shell) -> None:
     assert site("grant", "pending").out == "no open requests\n"
 
 
-def test_what_is_not_asked(site: Shell) -> None:
+def test_an_empty_or_invalid_request_is_refused(site: Shell) -> None:
     said = site("grant", "request", "/heating", "--why", "x")
     refused(said, "a request for nothing", "--publish")
     said = site("grant", "request", "/heating", "--call", "lift", "--why", "x")
     refused(said, "not a name pattern")
 
 
-def test_an_authority_elsewhere(site: Shell, tmp_path: Path) -> None:
+def test_a_request_for_an_authority_elsewhere_needs_a_file(site: Shell, tmp_path: Path) -> None:
     (site.root / "ca").rename(tmp_path / "ca")
     said = site("grant", "request", "/heating", "--call", "/lift", "--why", "x")
     refused(said, "the authority is elsewhere", "--out FILE")
 
 
-def test_rubbish_in_the_inbox_is_told_and_dropped(site: Shell) -> None:
+def test_an_invalid_file_in_the_inbox_is_reported_and_dropped(site: Shell) -> None:
     (site.root / "ca" / "inbox").mkdir()
     (site.root / "ca" / "inbox" / "x.request").write_bytes(b"?")
     said = site("grant", "pending")

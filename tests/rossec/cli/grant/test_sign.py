@@ -26,7 +26,7 @@ def test_a_grant_reaches_its_node(robot: Shell) -> None:
     assert "may admin /talker" in shown
 
 
-def test_restrictions_are_said_in_words(robot: Shell, tmp_path: Path) -> None:
+def test_restrictions_are_shown_as_text(robot: Shell, tmp_path: Path) -> None:
     out = tmp_path / "pose.grant"
     said = robot.unlocked(
         "grant", "sign", "/robot", "--subscribe", "/pose", *POSE,
@@ -77,7 +77,7 @@ def test_a_duration_has_its_form(robot: Shell) -> None:
     refused(said, "'forever' is not a duration", code=2)
 
 
-def test_nobody_unknown_gets_a_grant(shell: Shell) -> None:
+def test_a_node_that_is_not_enrolled_gets_no_grant(shell: Shell) -> None:
     said = shell.unlocked("grant", "sign", "/nobody", "--publish", "/p")
     refused(said, "/nobody has no valid identity", "rossec node request /nobody")
 
@@ -95,7 +95,9 @@ def test_a_grant_for_a_node_elsewhere(robot: Shell, tmp_path: Path) -> None:
     assert robot("grant", "install", str(out)).code == 1
 
 
-def test_a_slip_is_found_before_anything_is_signed(robot: Shell, tmp_path: Path) -> None:
+def test_an_unusable_file_lifetime_or_name_is_found_before_signing(
+    robot: Shell, tmp_path: Path
+) -> None:
     sign = ("grant", "sign", "/robot", "--publish", "/p")
     taken = tmp_path / "taken"
     taken.write_text("mine")

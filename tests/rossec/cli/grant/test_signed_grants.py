@@ -17,7 +17,7 @@ def robot(shell: Shell) -> Shell:
     return shell
 
 
-def test_the_list_says_what_is_revoked(robot: Shell) -> None:
+def test_the_list_marks_revoked_grants(robot: Shell) -> None:
     robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
     robot.unlocked("grant", "sign", "/robot", "--subscribe", "/q")
     first, second = (line.split()[0] for line in robot("grant", "list").out.splitlines())
@@ -30,7 +30,7 @@ def test_the_list_says_what_is_revoked(robot: Shell) -> None:
     assert robot("grant", "list", "/other").out == ""
 
 
-def test_what_is_not_there_cannot_be_revoked(robot: Shell) -> None:
+def test_an_unknown_or_ambiguous_id_is_not_revoked(robot: Shell) -> None:
     refused(robot.unlocked("grant", "revoke", "00"), "no grant begins with '00'", "grant list")
     refused(robot.unlocked("grant", "revoke", ""), "no grant begins with ''")
     for _ in range(2):
@@ -42,7 +42,7 @@ def test_what_is_not_there_cannot_be_revoked(robot: Shell) -> None:
 
 
 @pytest.mark.parametrize("filters", [{7: {"clear": True}}, {"x": {7: True}}, {"x": {-1: {"a": 1}}}])
-def test_a_filter_that_is_no_text_is_told_like_every_mistake(
+def test_a_filter_that_is_not_text_is_refused(
     robot: Shell, tmp_path: Path, filters: dict[int | str, Value]
 ) -> None:
     scope: list[Value] = [["/pose", 2, {0: "geometry_msgs/PoseStamped", 2: filters}]]

@@ -24,7 +24,7 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
     return shell
 
 
-def test_it_is_shown_to_people_and_programs(shell: Shell) -> None:
+def test_the_audit_is_shown_as_text_and_as_json(shell: Shell) -> None:
     said = shell("audit")
     assert said.code == 0
     assert said.out.splitlines()[0] == "1970-01-01 00:16:40 UTC  one"
@@ -33,14 +33,14 @@ def test_it_is_shown_to_people_and_programs(shell: Shell) -> None:
     assert json.loads(line)["text"] == "two\\u001b[0m"
 
 
-def test_a_change_is_noticed(shell: Shell) -> None:
+def test_a_changed_line_is_found(shell: Shell) -> None:
     assert "nothing was changed in 2 lines; the last is " in shell("audit", "--verify").err
     path = shell.node("/master") / "audit.log"
     path.write_text(path.read_text().replace("one", "won"))
     refused(shell("audit", "--verify"), "line 1 of the audit was changed")
 
 
-def test_damage_hides_nothing_else(shell: Shell) -> None:
+def test_damaged_lines_hide_no_other_lines(shell: Shell) -> None:
     path = shell.node("/master") / "audit.log"
     one, two = path.read_text().splitlines()
     path.write_text(f"{one}\nx\n{two}\n")
@@ -50,7 +50,7 @@ def test_damage_hides_nothing_else(shell: Shell) -> None:
     refused(shell("audit", "--verify"), f"line 2 of {path} is damaged", "backup")
 
 
-def test_no_file_and_what_was_left_out(shell: Shell) -> None:
+def test_a_missing_file_and_omitted_lines_are_reported(shell: Shell) -> None:
     refused(shell("audit", "/nowhere"), "there is no /nowhere", "has the master run")
     file = AuditFile(shell.root / "other.log")
     file.emit(logging.makeLogRecord({"msg": "denied", "left_out": 3}))
@@ -65,7 +65,7 @@ def test_no_file_and_what_was_left_out(shell: Shell) -> None:
     assert two.endswith("next (4 bytes before it were cut short)")
 
 
-def test_a_key_that_is_none_and_one_that_was(shell: Shell) -> None:
+def test_an_invalid_key_is_refused_and_a_former_key_accepted(shell: Shell) -> None:
     refused(
         shell("audit", "--verify", "--key", "zz"), "is not a thumbprint", "64 hexadecimal digits"
     )
@@ -80,7 +80,7 @@ def test_a_key_that_is_none_and_one_that_was(shell: Shell) -> None:
 def test_what_has_no_end_is_not_read(shell: Shell, options: tuple[str, ...]) -> None:
     os.mkfifo(shell.root / "pipe")
     for path in ("/dev/zero", str(shell.root / "pipe")):
-        refused(shell("audit", *options, path), f"{path} is no regular file", "copy what is in it")
+        refused(shell("audit", *options, path), f"{path} is not a regular file", "copy its content")
 
 
 def test_a_huge_file_of_rubbish_is_given_up(shell: Shell) -> None:

@@ -20,7 +20,7 @@ def site(tmp_path: Path, shell: Shell) -> Shell:
     return shell
 
 
-async def test_a_running_master_takes_it(site: Shell) -> None:
+async def test_a_delegation_is_delivered_to_the_running_master(site: Shell) -> None:
     home = NodeHome.of(site.root, "/master")
     newest = AuthorityHome.at(site.root).revocation_list()
     server = master_of(home, host="127.0.0.1", port=0, newest=newest, now=int(time.time()))

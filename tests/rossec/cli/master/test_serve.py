@@ -24,7 +24,7 @@ def test_a_wrong_configuration_is_refused(shell: Shell) -> None:
     refused(shell("master", "--config", str(config)), f"{config}:2: there is no setting", "port")
 
 
-def test_a_node_that_is_not_enrolled_is_no_master(shell: Shell) -> None:
+def test_a_master_that_is_not_enrolled_does_not_start(shell: Shell) -> None:
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 
 
@@ -52,7 +52,7 @@ print([name for name in heavy if name in sys.modules.keys() - held])
 """
 
 
-def test_a_master_carries_nothing_of_the_rest() -> None:
+def test_a_master_imports_no_module_of_other_commands() -> None:
     """What it imports is more than two thirds of its memory."""
     command = [sys.executable, "-I", "-c", _CARRIED]
     assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "[]\n"

@@ -71,7 +71,7 @@ async def test_a_node_in_order_and_its_faults(
         assert "the options' file is not TOML" in said
 
 
-async def test_an_identity_that_ends_soon_is_said(
+async def test_an_identity_that_expires_soon_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clock = [0.0]
@@ -98,7 +98,7 @@ def granted(shell: Shell, topic: str) -> str:
     return said.out.split()[1]
 
 
-def test_what_the_authority_beside_it_revoked_is_not_ok(shell: Shell) -> None:
+def test_a_revocation_in_the_local_authoritys_record_is_not_ok(shell: Shell) -> None:
     shell.enroll("/robot")
     first, second = granted(shell, "/one"), granted(shell, "/two")
     assert shell("doctor", "/robot", "--offline").code == 0
@@ -106,7 +106,7 @@ def test_what_the_authority_beside_it_revoked_is_not_ok(shell: Shell) -> None:
     lines = doctor(shell)
     assert any(line.startswith("ok      may publish /two") for line in lines)
     assert not any("publish /one" in line for line in lines)
-    record = f"says the authority's record in {shell.root / 'ca'}"
+    record = f"according to the authority's record in {shell.root / 'ca'}"
     assert f"not ok  grant {first[:8]} is revoked, {record}" in lines
     shell.unlocked("grant", "revoke", second, *NOBODY)
     assert any(line.endswith(f"{record} (and 1 more)") for line in doctor(shell))
@@ -117,7 +117,7 @@ def test_what_the_authority_beside_it_revoked_is_not_ok(shell: Shell) -> None:
 
 @pytest.mark.parametrize("tree", [False, True])
 @pytest.mark.parametrize("where", ["/robot", "/master"])
-def test_a_signed_list_on_this_machine_says_it_too(
+def test_a_revocation_in_a_signed_list_is_not_ok(
     shell: Shell, where: str, tree: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0 if tree else 4096)
@@ -131,10 +131,12 @@ def test_a_signed_list_on_this_machine_says_it_too(
     if tree:
         place.save_entries(authority.tree_entries())
     (shell.root / "ca").rename(shell.root / "elsewhere")
-    assert f"not ok  the key of /robot is revoked, says the list in {place.path}" in doctor(shell)
+    assert f"not ok  the key of /robot is revoked according to the list in {place.path}" in doctor(
+        shell
+    )
 
 
-def test_a_list_of_another_authority_says_nothing(shell: Shell, tmp_path: Path) -> None:
+def test_a_list_of_another_authority_is_ignored(shell: Shell, tmp_path: Path) -> None:
     shell.enroll("/robot")
     granted(shell, "/one")
     home, other = NodeHome.of(shell.root, "/robot"), Site(tmp_path / "other")
@@ -162,4 +164,4 @@ def test_a_node_below_a_revoked_intermediate_is_not_ok(shell: Shell, tmp_path: P
     home.save_revocations(site.revoke(home.identity(now).issuers[0]))
     assert run(["doctor", "/robot", "--offline"], {"ROSSEC_HOME": str(site.root)}) == 1
     said = shell._capsys.readouterr().out
-    assert "not ok  the intermediate's key of /robot is revoked, says the list in" in said
+    assert "not ok  the intermediate's key of /robot is revoked according to the list in" in said

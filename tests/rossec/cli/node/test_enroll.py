@@ -43,7 +43,7 @@ def test_a_node_is_enrolled(empty: Shell) -> None:
     assert from_pem((home.path / "ca.pem").read_bytes()) == (SITE.root,)
 
 
-def test_the_command_that_confirms(empty: Shell) -> None:
+def test_a_node_is_confirmed_by_the_confirm_command(empty: Shell) -> None:
     """In another shell; here from the thread of the operator, who walks to the robot."""
     codes: list[int] = []
 
@@ -67,7 +67,7 @@ def test_the_command_that_confirms(empty: Shell) -> None:
     assert "rossec: error: these are not the digits of the offer" in said.err
 
 
-def test_confirming_what_is_shown(empty: Shell) -> None:
+def test_confirm_without_digits_shows_and_asks(empty: Shell) -> None:
     def press(*_: object) -> None:
         assert run(("node", "confirm", "/robot", "--yes"), empty.environ) == 0
 
@@ -101,7 +101,7 @@ def test_another_authority_is_not_trusted_as_well(empty: Shell) -> None:
     assert (operator.node / "ca.pem").read_bytes() == before
 
 
-def test_enrolling_again(empty: Shell) -> None:
+def test_a_node_is_enrolled_again_with_its_key(empty: Shell) -> None:
     """The same key, a new request: an identity is renewed by hand."""
     for _ in range(2):
         operator = Operator(empty, Operator.confirm)
@@ -111,7 +111,7 @@ def test_enrolling_again(empty: Shell) -> None:
         operator.png.unlink()
 
 
-def test_a_label(empty: Shell) -> None:
+def test_a_node_is_enrolled_by_its_label(empty: Shell) -> None:
     assert empty("node", "labels", "/robot", "--out", str(empty.root / "sheet.html")).code == 0
     operator = Operator(empty, Operator.confirm)
     operator.port = free_port()
@@ -130,7 +130,7 @@ def free_port() -> int:
         return port
 
 
-def test_anonymous_nodes(empty: Shell) -> None:
+def test_a_node_is_enrolled_for_anonymous_nodes(empty: Shell) -> None:
     operator = Operator(empty, Operator.confirm)
     operator.start()
 
@@ -145,7 +145,7 @@ def test_anonymous_nodes(empty: Shell) -> None:
     assert NodeHome.of(empty.root, "/robot").identity(clock()).covers("/robot_1_2")
 
 
-def test_a_second_enrollment_of_one_node(empty: Shell) -> None:
+def test_a_second_enrollment_of_one_node_is_refused(empty: Shell) -> None:
     png = empty.root / "code.png"
     codes: list[int] = []
 
@@ -162,12 +162,14 @@ def test_a_second_enrollment_of_one_node(empty: Shell) -> None:
     assert codes == [1]
 
 
-def test_a_window_is_for_labels(empty: Shell) -> None:
+def test_only_a_label_has_a_window(empty: Shell) -> None:
     refused(empty("node", "enroll", "/robot", "--for", "1h"), "--for needs --label", code=2)
     assert not empty.node("/robot").exists()
 
 
-def test_the_address_in_the_code(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_code_has_the_configured_or_own_address(
+    empty: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def shown(**environ: str) -> tuple[str, str]:
         png = empty.root / "code.png"
         png.unlink(missing_ok=True)
@@ -189,7 +191,7 @@ def test_the_address_in_the_code(empty: Shell, monkeypatch: pytest.MonkeyPatch) 
     assert "other addresses" not in err
 
 
-def test_labels(empty: Shell) -> None:
+def test_labels_are_written_to_a_sheet(empty: Shell) -> None:
     sheet = empty.root / "sheet.html"
     said = empty("node", "labels", "/robot", "/door", "--out", str(sheet))
     assert said.out == f"2 labels in {sheet}: print it without scaling\n"
@@ -201,7 +203,7 @@ def test_labels(empty: Shell) -> None:
     refused(empty("node", "labels", "robot", "--out", str(sheet)), "not an absolute ROS name")
 
 
-def test_a_request_of_another_key(empty: Shell) -> None:
+def test_a_label_of_another_key_is_refused(empty: Shell) -> None:
     for name in ("/robot", "/door"):
         empty("node", "request", name)
     request = (empty.node("/door") / "node.csr").read_bytes()

@@ -23,7 +23,9 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1)])
-def test_the_person_at_the_terminal(empty: Shell, keyboard: int, answer: str, code: int) -> None:
+def test_the_answer_at_the_terminal_decides(
+    empty: Shell, keyboard: int, answer: str, code: int
+) -> None:
     with typist(keyboard, answer) as begins:
         operator = Operator(empty, begins)
         operator.start()
@@ -39,7 +41,7 @@ def test_the_person_at_the_terminal(empty: Shell, keyboard: int, answer: str, co
         assert "the node has ended the enrollment" in str(operator.error)
 
 
-def test_strangers_are_reported(empty: Shell) -> None:
+def test_refused_connections_are_reported_up_to_a_limit(empty: Shell) -> None:
     def knock(operator: Operator, digits: str) -> None:
         assert operator.core is not None
         for _ in range(12):
@@ -58,7 +60,7 @@ def test_strangers_are_reported(empty: Shell) -> None:
     assert said.err.count("further refusals are not shown") == 1
 
 
-def test_stopping(empty: Shell) -> None:
+def test_a_signal_stops_the_enrollment(empty: Shell) -> None:
     png = empty.root / "code.png"
     stopper = after(lambda: os.kill(os.getpid(), 15), png.exists)
     said = empty("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(png))
@@ -67,7 +69,7 @@ def test_stopping(empty: Shell) -> None:
     assert not (empty.node("/robot") / "enrolling.sock").exists()
 
 
-def test_what_was_typed_before_the_digits_confirms_nothing(empty: Shell, keyboard: int) -> None:
+def test_input_before_the_digits_is_ignored(empty: Shell, keyboard: int) -> None:
     os.write(keyboard, b"y\n")
     with typist(keyboard, "n\n") as begins:
         operator = Operator(empty, begins)
@@ -79,7 +81,7 @@ def test_what_was_typed_before_the_digits_confirms_nothing(empty: Shell, keyboar
 
 
 @pytest.mark.parametrize("label", [False, True])
-def test_a_picture_with_a_secret_is_for_the_owner_alone(empty: Shell, label: bool) -> None:
+def test_a_picture_with_a_secret_is_readable_by_the_owner_only(empty: Shell, label: bool) -> None:
     picture = empty.root / "code.png"
     words = ("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(picture))
     stopper = after(lambda: os.kill(os.getpid(), signal.SIGTERM), picture.exists)

@@ -52,6 +52,6 @@ def test_installing_shows_the_authority_and_asks(
     assert not (shell.node("/robot") / "ca.pem").exists()
 
 
-def test_what_is_no_bundle(shell: Shell, tmp_path: Path) -> None:
+def test_an_invalid_bundle_is_refused(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "x.pem").write_text("no certificate")
     refused(shell("node", "install", str(tmp_path / "x.pem"), "--yes"), "not a PEM certificate")

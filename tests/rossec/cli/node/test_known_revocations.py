@@ -19,11 +19,11 @@ def site(tmp_path: Path) -> Site:
     return Site(tmp_path / "site")
 
 
-def test_nothing_is_known_where_nothing_lies(site: Site) -> None:
+def test_without_lists_nothing_is_revoked(site: Site) -> None:
     assert known_revocations(site.root, site.enroll("/robot")) == {}
 
 
-def test_every_list_counts_and_says_where_it_lies(site: Site) -> None:
+def test_every_list_counts_with_its_path(site: Site) -> None:
     node, master = site.enroll("/robot"), site.enroll(MASTER)
     node.save_revocations(site.revoke(KEY))
     master.save_revocations(site.revoke(OTHER))
@@ -44,7 +44,7 @@ def test_a_tree_counts_with_its_entries(site: Site, monkeypatch: pytest.MonkeyPa
     assert set(known_revocations(site.root, node)) == {KEY}
 
 
-def test_the_record_of_ones_own_authority_comes_first(site: Site, tmp_path: Path) -> None:
+def test_the_record_of_the_local_authority_comes_first(site: Site, tmp_path: Path) -> None:
     authority = AuthorityHome.create(tmp_path / "home", "home", "four random words here", NOW)
     own = NodeHome(authority.path / "node", "/ca")
     authority.store().revoke(KEY, "stolen", NOW)

@@ -12,7 +12,7 @@ from tests.rossec.cli.node.processes import BIN, started
 from tests.support.site import Site
 
 
-def test_run(became: dict[str, Any]) -> None:
+def test_the_options_of_run_reach_the_sidecar(became: dict[str, Any]) -> None:
     main.run(["-v", "run", "--as", "/robot", "--", "prog", "--each", "-x"], {"HOME": "/h"})
     assert became["flags"] == ["-I", "-m", "rossec.sidecar"]
     assert became["command"] == ["prog", "--each", "-x"]
@@ -22,7 +22,7 @@ def test_run(became: dict[str, Any]) -> None:
     assert became["env"] == {"HOME": "/h"}
 
 
-def test_what_follows_the_program_is_the_programs(became: dict[str, Any]) -> None:
+def test_arguments_after_the_program_belong_to_the_program(became: dict[str, Any]) -> None:
     main.run(["run", "--each", "roslaunch", "--help", "--as", "/x", "-v"], {})
     assert became["command"] == ["roslaunch", "--help", "--as", "/x", "-v"]
     assert became["identity"] is None
@@ -68,7 +68,7 @@ def test_the_program_has_the_limit_it_would_have_had(tmp_path: Path) -> None:
         (["run", "--as", "/robot", "--", "true"], 1, "rossec: error: /robot has no ca.pem"),
     ],
 )
-def test_refusals_teach(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+def test_a_refusal_has_a_hint(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
     done = started(arguments, ROSSEC_HOME=str(tmp_path))
     assert done.returncode == code
     assert done.stderr.startswith(words)
@@ -76,7 +76,7 @@ def test_refusals_teach(tmp_path: Path, arguments: list[str], code: int, words: 
     assert "Traceback" not in done.stderr
 
 
-def test_ctrl_c_ends_it_without_a_word_while_it_looks_for_a_master(tmp_path: Path) -> None:
+def test_ctrl_c_during_discovery_ends_silently(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.enroll("/robot")
     # A shell lets what it runs in the background ignore Ctrl-C, and so these tests.

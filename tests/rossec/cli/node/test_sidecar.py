@@ -10,7 +10,7 @@ from rossec.cli import main
 from tests.rossec.cli.node.processes import BIN, started
 
 
-def test_sidecar(became: dict[str, Any]) -> None:
+def test_the_options_of_sidecar_reach_it(became: dict[str, Any]) -> None:
     main.run(["sidecar", "--user", "root", "--user", "4711", "-p", "4000"], {})
     assert became["users"] == [0, 4711]
     assert became["port"] == 4000
@@ -30,7 +30,9 @@ def test_an_unknown_user_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
         ("http://localhost:{}", ["is the sidecar's own address", "where the secured master is"]),
     ],
 )
-def test_a_port_that_cannot_be_the_sidecars(tmp_path: Path, uri: str, words: list[str]) -> None:
+def test_a_port_that_the_sidecar_cannot_use_is_refused(
+    tmp_path: Path, uri: str, words: list[str]
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as roscore:
         port = roscore.getsockname()[1]
         if "far" not in uri:

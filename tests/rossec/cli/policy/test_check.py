@@ -16,12 +16,12 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_check(shell: Shell, file: Path) -> None:
+def test_a_valid_policy_is_accepted(shell: Shell, file: Path) -> None:
     assert shell("policy", "check", str(file)).out == f"{file} is right: 4 rules\n"
     assert shell("policy", "check", str(file), "--json").out == "[]\n"
 
 
-def test_check_tells_every_mistake_with_its_hint(shell: Shell, file: Path) -> None:
+def test_every_mistake_is_printed_with_its_hint(shell: Shell, file: Path) -> None:
     text = SMALL.replace("pose.position:", "pose.positon:").replace("who: heating", "who: heting")
     file.write_text(text)
     said = shell("policy", "check", str(file))
@@ -38,7 +38,7 @@ def test_check_tells_every_mistake_with_its_hint(shell: Shell, file: Path) -> No
     assert {"line", "column", "message", "hint", "file"} == found[0].keys()
 
 
-def test_lint(shell: Shell, file: Path) -> None:
+def test_findings_are_printed_with_their_number(shell: Shell, file: Path) -> None:
     said = shell("policy", "lint", str(file)).out
     assert "header.stamp is not" in said
     assert said.splitlines()[-1].endswith(" remarks")

@@ -41,7 +41,7 @@ def message(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_yes(shell: Shell, file: str, message: Path) -> None:
+def test_an_allowed_right_is_explained(shell: Shell, file: str, message: Path) -> None:
     said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file,
                  "--message", str(message))  # fmt: skip
     assert said.out.splitlines() == [
@@ -61,7 +61,7 @@ def test_a_yes(shell: Shell, file: str, message: Path) -> None:
     assert said.err.startswith("rossec: /heating is not enrolled here: rules that pin its key")
 
 
-def test_a_message_that_is_withheld(shell: Shell, file: str, tmp_path: Path) -> None:
+def test_a_withheld_message_is_explained(shell: Shell, file: str, tmp_path: Path) -> None:
     kind = message_type("geometry_msgs/PoseStamped")
     raw = tmp_path / "pose.bin"
     raw.write_bytes(bytes(kind.serialize(kind.create())))
@@ -70,7 +70,7 @@ def test_a_message_that_is_withheld(shell: Shell, file: str, tmp_path: Path) -> 
     assert 'withheld: the condition is not true: msg.header.frame_id == "map"' in said.out
 
 
-def test_json(shell: Shell, file: str, message: Path) -> None:
+def test_an_explanation_is_printed_as_json(shell: Shell, file: str, message: Path) -> None:
     arguments = ("explain", "/heating", "subscribe", "/pose", "--policy", file, "--json")
     plain = json.loads(shell(*arguments).out)
     assert (plain["decision"], plain["rules"]) == ("allow", ["room", "when"])
@@ -89,7 +89,7 @@ def test_an_enrolled_node_has_its_own_key(shell: Shell, file: str) -> None:
     assert "/other is not enrolled here" in said.err
 
 
-def test_mistakes(shell: Shell, file: str, message: Path) -> None:
+def test_a_wrong_call_is_refused(shell: Shell, file: str, message: Path) -> None:
     ask = ("--policy", file)
     refused(shell("explain", "/heating", "subscibe", "/pose", *ask), "'subscibe'", "'subscribe'")
     refused(shell("explain", "heating", "subscribe", "/pose", *ask), "heating")

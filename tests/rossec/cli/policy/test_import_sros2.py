@@ -7,7 +7,7 @@ XML = """<policy version="0.2.0"><enclaves><enclave path="/"><profiles>
 </topics></profile></profiles></enclave></enclaves></policy>"""
 
 
-def test_import_sros2(shell: Shell, tmp_path: Path) -> None:
+def test_an_sros2_policy_is_imported(shell: Shell, tmp_path: Path) -> None:
     xml = tmp_path / "policy.xml"
     xml.write_text(XML)
     said = shell("policy", "import-sros2", str(xml))

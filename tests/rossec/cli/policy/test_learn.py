@@ -28,7 +28,7 @@ def log(tmp_path: Path, *lines: str) -> str:
     return str(path)
 
 
-def test_learn_from_a_log(shell: Shell, file: Path, tmp_path: Path) -> None:
+def test_rules_are_learned_from_a_log(shell: Shell, file: Path, tmp_path: Path) -> None:
     lines = log(tmp_path, log_line(1, "/joy", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"))
     said = shell("policy", "learn", "--from-log", lines, "--policy", str(file))
     assert said.out.splitlines() == [
@@ -58,7 +58,7 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
         yield site
 
 
-async def test_the_graph_of_a_running_master(site: Site) -> None:
+async def test_the_graph_of_a_running_master_is_observed(site: Site) -> None:
     site.grant("/looker", Right.GRAPH, "/**")
     site.publish("/robot", "/robot/pose")
     async with site.node("/robot") as robot:
@@ -70,7 +70,9 @@ async def test_the_graph_of_a_running_master(site: Site) -> None:
     assert blind == []
 
 
-def test_learn_from_the_graph(shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rules_are_learned_from_the_graph(
+    shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def look(*_: object) -> list[Observation]:
         return [Observation("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")]
 
@@ -79,7 +81,9 @@ def test_learn_from_the_graph(shell: Shell, file: Path, monkeypatch: pytest.Monk
     assert said.out.startswith("learned learned-robot: publish /robot/pose\n")
 
 
-def test_review(shell: Shell, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answers_of_a_review_become_rules(
+    shell: Shell, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lines = log(
         tmp_path,
         log_line(1, "/a", Right.PUBLISH, "/x/one", "std_msgs/String"),
@@ -104,7 +108,7 @@ def test_review(shell: Shell, file: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert "/nav/z" not in said.out  # a rule decides it
 
 
-def test_review_through_a_filter_that_is_not_there(
+def test_an_unknown_filter_in_a_review_is_refused(
     shell: Shell, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter(["c", "rom"])
@@ -115,7 +119,7 @@ def test_review_through_a_filter_that_is_not_there(
     assert file.read_text() == SMALL
 
 
-def test_anonymous_nodes_are_learnt_under_their_certified_name(
+def test_anonymous_nodes_are_learned_under_their_certified_name(
     shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shell("node", "request", "/rviz")

@@ -32,7 +32,7 @@ def site(shell: Shell) -> Shell:
     return shell
 
 
-def test_opting_out_of_a_topic(site: Shell) -> None:
+def test_a_topic_is_denied_and_its_grants_revoked(site: Shell) -> None:
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--publish", "/out")
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/other")
     said = site.unlocked("privacy", "opt-out", "/pose", "--master", "http://127.0.0.1:1/")
@@ -49,7 +49,7 @@ def test_opting_out_of_a_topic(site: Shell) -> None:
     assert again.out == f"rule opt-out-pose-2 in {site.root}/ca/policy.yaml denies it from now on\n"
 
 
-def test_opting_out_of_a_node(site: Shell) -> None:
+def test_a_node_is_denied_and_its_grants_revoked(site: Shell) -> None:
     site.enroll("/other")
     for node in ("/viewer", "/other"):
         site.unlocked("grant", "sign", node, "--subscribe", "/pose")
@@ -62,7 +62,7 @@ def test_opting_out_of_a_node(site: Shell) -> None:
     assert "DENY" in site("explain", "/stranger", "subscribe", "/pose").out
 
 
-def test_what_is_no_name(site: Shell) -> None:
+def test_an_invalid_name_is_refused(site: Shell) -> None:
     refused(site.unlocked("privacy", "opt-out", "pose"), "not a name pattern")
 
 

@@ -25,7 +25,7 @@ def site(shell: Shell) -> Shell:
     return shell
 
 
-def test_the_report(site: Shell, tmp_path: Path) -> None:
+def test_the_report_shows_what_the_policy_allows(site: Shell, tmp_path: Path) -> None:
     lines = site("privacy").out.splitlines()
     assert lines[:4] == [
         "/pose (geometry_msgs/PoseStamped) -> /viewer",
@@ -41,7 +41,7 @@ def test_the_report(site: Shell, tmp_path: Path) -> None:
     assert "What robbie shows to whom" in page.read_text()
 
 
-def test_what_is_held_now(site: Shell) -> None:
+def test_the_report_shows_the_grants_held_now(site: Shell) -> None:
     assert site("privacy", "--held").out == "no receiver has access\n"
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--type", POSE,
                   "--clear", "header", "--publish", "/out")  # fmt: skip

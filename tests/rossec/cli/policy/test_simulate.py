@@ -59,7 +59,7 @@ def options(tmp_path: Path, bag: Path) -> tuple[str, ...]:
             "--bag", str(bag))  # fmt: skip
 
 
-def test_before_and_after(shell: Shell, options: tuple[str, ...]) -> None:
+def test_messages_are_counted_before_and_after(shell: Shell, options: tuple[str, ...]) -> None:
     assert shell("simulate", *options).out.splitlines() == [
         "/pose -> /x: 4 of 4 admitted before, 2 after",
         '  withheld after: the condition is not true: msg.header.frame_id == "map"',
@@ -70,7 +70,7 @@ def test_before_and_after(shell: Shell, options: tuple[str, ...]) -> None:
     ]
 
 
-def test_json_and_another_receiver(shell: Shell, options: tuple[str, ...]) -> None:
+def test_another_receiver_is_counted_as_json(shell: Shell, options: tuple[str, ...]) -> None:
     rows = json.loads(shell("simulate", *options, "--node", "/y", "--json").out)
     assert [(row["topic"], row["receiver"], row["old"]["withheld"]) for row in rows] == [
         ("/pose", "/y", 4), ("/text", "/y", 1),
@@ -78,14 +78,14 @@ def test_json_and_another_receiver(shell: Shell, options: tuple[str, ...]) -> No
     assert rows[0]["new"]["reason"] == "deny: no rule matches"
 
 
-def test_against_the_policy_in_force(shell: Shell, options: tuple[str, ...]) -> None:
+def test_the_policy_in_force_is_compared(shell: Shell, options: tuple[str, ...]) -> None:
     plain = (*options[:2], *options[4:])
     (shell.root / "ca").mkdir(exist_ok=True)
     (shell.root / "ca" / "policy.yaml").write_text("rossec: 1\nrobot: r\nrules: []\n")
     assert "/pose -> /x: 0 of 4 admitted before, 2 after" in shell("simulate", *plain).out
 
 
-def test_what_is_no_bag(shell: Shell, options: tuple[str, ...], tmp_path: Path) -> None:
+def test_an_invalid_bag_is_refused(shell: Shell, options: tuple[str, ...], tmp_path: Path) -> None:
     bad = tmp_path / "bad.bag"
     bad.write_text("no bag")
     refused(
@@ -95,7 +95,7 @@ def test_what_is_no_bag(shell: Shell, options: tuple[str, ...], tmp_path: Path) 
     )
 
 
-def test_a_bag_with_a_wrong_byte(shell: Shell, options: tuple[str, ...], bag: Path) -> None:
+def test_a_damaged_bag_is_refused(shell: Shell, options: tuple[str, ...], bag: Path) -> None:
     """What the reader of bags raises then is its own; each of them is said, none is shown."""
     whole, bad = bag.read_bytes(), bag.with_name("bad.bag")
     refusals = set()
@@ -115,7 +115,7 @@ def test_without_a_policy_in_force(shell: Shell, options: tuple[str, ...]) -> No
     assert "/pose -> /x: 0 of 4 admitted before, 2 after" in said.out
 
 
-def test_an_empty_bag(shell: Shell, options: tuple[str, ...], tmp_path: Path) -> None:
+def test_an_empty_bag_has_no_rows(shell: Shell, options: tuple[str, ...], tmp_path: Path) -> None:
     empty = tmp_path / "empty.bag"
     with Writer(empty):
         pass

@@ -36,7 +36,7 @@ async def look(site: Site, *options: str) -> int:
     return await asyncio.to_thread(run, arguments, dict(site.environ))
 
 
-async def test_one_look(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+async def test_the_graph_is_printed_once(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     async with site.running(), site.node("/robot") as robot:
         await robot.publisher("/robot/pose", POSE)
         capsys.readouterr()
@@ -49,7 +49,7 @@ async def test_one_look(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
         assert said["version"] > 0
 
 
-def test_the_graph_in_words() -> None:
+def test_the_graph_is_printed_as_text() -> None:
     lines = describe(
         frozenset(
             {
@@ -107,7 +107,7 @@ async def follow(site: Site) -> None:
     await module._print_changes(Environment(site.environ), home, site.master.uri, as_json=False)
 
 
-async def test_who_watches_renews_its_identity_and_goes_on(
+async def test_watching_renews_the_identity(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site, said = Site(tmp_path / "old", clock=lambda: BEGIN), list[str]()
@@ -130,9 +130,7 @@ async def test_who_watches_renews_its_identity_and_goes_on(
         following.cancel()
 
 
-async def test_who_watches_with_an_identity_that_is_over_is_told_so(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_watching_ends_with_the_identity(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     """It said the same line every second, for ever."""
     said = list[str]()
     monkeypatch.setattr(module, "say", said.append)
@@ -148,7 +146,7 @@ async def test_who_watches_with_an_identity_that_is_over_is_told_so(
     assert "rossec ca renew /desk" in caught.value.hint
 
 
-async def test_the_same_trouble_is_told_once(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_same_error_is_printed_once(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     notes, said, tries = list[str](), list[str](), list[int]()
 
     class Unreachable(contextlib.nullcontext[None]):
@@ -172,7 +170,7 @@ async def test_the_same_trouble_is_told_once(site: Site, monkeypatch: pytest.Mon
     assert sum("out of reach" in text for text in notes) == 1
 
 
-async def test_nobody_to_follow(site: Site) -> None:
+async def test_without_a_master_watching_fails(site: Site) -> None:
     with pytest.raises(HintedError):
         await module._print_changes(
             Environment(site.environ), site.enroll("/desk"), "http://127.0.0.1:1/", as_json=False

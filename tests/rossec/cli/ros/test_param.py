@@ -50,7 +50,7 @@ def said(
         ("2026-01-02 03:04:05", '"2026-01-02 03:04:05"', "2026-01-02 03:04:05"),
     ],
 )
-def test_set_and_get(
+def test_a_parameter_is_set_and_read(
     site: Site, capsys: pytest.CaptureFixture[str], value: str, shown: str, as_json: object
 ) -> None:
     assert said(site, capsys, "set", "/robot/value", value) == ""
@@ -58,7 +58,7 @@ def test_set_and_get(
     assert json.loads(said(site, capsys, "get", "~value", "--json")) == as_json
 
 
-def test_list_and_delete(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+def test_parameters_are_listed_and_deleted(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     said(site, capsys, "set", "/robot", "{a: {b: 1}, ab: 2}")
     assert said(site, capsys, "list") == "/robot/a/b\n/robot/ab\n"
     assert said(site, capsys, "list", "/robot/a") == "/robot/a/b\n"
@@ -82,7 +82,7 @@ def test_list_and_delete(site: Site, capsys: pytest.CaptureFixture[str]) -> None
         (("list",), "/nobody", "/nobody has no", "rossec node request"),
     ],
 )
-def test_slips(
+def test_a_wrong_call_is_refused(
     site: Site,
     capsys: pytest.CaptureFixture[str],
     words: tuple[str, ...],

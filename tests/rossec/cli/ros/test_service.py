@@ -52,14 +52,14 @@ def said(site: Site, capsys: pytest.CaptureFixture[str], *words: str, code: int 
     return out if code == 0 else err
 
 
-def test_list(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+def test_services_are_listed(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     assert said(site, capsys, "list", "--as", "/hall") == "/lamp/dim\n/lamp/off\n/lamp/on\n"
     listed = json.loads(said(site, capsys, "list", "--as", "/hall", "--json"))
     assert listed["/lamp/on"] == ["/lamp"]
     assert said(site, capsys, "list", "--as", "/eve") == ""
 
 
-def test_info(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_provider_of_a_service_is_shown(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     out = said(site, capsys, "info", "/lamp/on", "--as", "/hall")
     assert out.startswith("node: /lamp\nuri: rosrpc://127.0.0.1:")
     assert out.endswith("type: std_srvs/SetBool\nmd5sum: 09fb03525b03e7ea1fd3992bafd87e16\n")
@@ -67,7 +67,7 @@ def test_info(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     assert found["type"] == "std_srvs/SetBool"
 
 
-def test_call(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_service_is_called(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     out = said(site, capsys, "call", "/lamp/on", "{data: true}", "--as", "/hall")
     assert out == "success: True\nmessage: a\\u001b[2J\\nb\n"
     out = said(site, capsys, "call", "/lamp/on", "--as", "/hall", "--json")
@@ -75,7 +75,9 @@ def test_call(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     assert said(site, capsys, "call", "/lamp/off", "--as", "/hall") == ""
 
 
-def test_a_type_of_ones_own(site: Site, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_service_type_is_read_from_a_file(
+    site: Site, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     file = tmp_path / "Dim.srv"
     file.write_text(DIM)
     call = ("call", "/lamp/dim", "{level: 3}", "--as", "/hall", "--definition", str(file))
@@ -102,7 +104,7 @@ def test_a_type_of_ones_own(site: Site, capsys: pytest.CaptureFixture[str], tmp_
         (("list", "--as", "/nobody"), "/nobody has no", "rossec node request"),
     ],
 )
-def test_slips(
+def test_a_wrong_call_is_refused(
     site: Site,
     capsys: pytest.CaptureFixture[str],
     words: tuple[str, ...],

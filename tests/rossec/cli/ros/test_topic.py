@@ -46,7 +46,7 @@ def master(site: Site) -> Iterator[dict[str, str]]:
     assert process.returncode == 0, complaints
 
 
-def test_what_is_said_is_heard(site: Site, master: dict[str, str]) -> None:
+def test_a_published_message_is_echoed(site: Site, master: dict[str, str]) -> None:
     talk = ("topic", "pub", "/chatter", STRING, "{data: hello}", "--as", "/talker", "--rate", "20")
     talker = start(site, master, *talk)
     listener = start(
@@ -68,7 +68,7 @@ def test_a_listener_without_a_grant_hears_why(site: Site, master: dict[str, str]
     assert "Traceback" not in err
 
 
-def test_no_master_is_said(site: Site, empty: Shell) -> None:
+def test_a_missing_master_is_reported(site: Site, empty: Shell) -> None:
     environ = {"ROS_MASTER_URI": "http://127.0.0.1:1"}
     process = start(site, environ, "topic", "echo", "/chatter", STRING, "--as", "/listener")
     _, err = process.communicate(timeout=30)

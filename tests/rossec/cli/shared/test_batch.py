@@ -16,7 +16,7 @@ def refuse(batch: Batch, error: Exception) -> None:
         raise error
 
 
-def test_one_of_several(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_refused_file_of_several_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     batch = Batch(3)
     refuse(batch, StoreError("is known", "see there"))
     with batch.item(PATH):
@@ -31,7 +31,7 @@ def test_one_of_several(capsys: pytest.CaptureFixture[str]) -> None:
         batch.finish()
 
 
-def test_all_well() -> None:
+def test_a_batch_without_refusals_finishes() -> None:
     batch = Batch(2)
     with batch.item(PATH):
         pass
@@ -39,6 +39,6 @@ def test_all_well() -> None:
 
 
 @pytest.mark.parametrize(("total", "error"), [(1, StoreError("x")), (5, RecordUnusable("full"))])
-def test_what_ends_all(total: int, error: Exception) -> None:
+def test_a_single_refusal_or_an_unusable_record_is_raised(total: int, error: Exception) -> None:
     with pytest.raises(type(error)):
         refuse(Batch(total), error)

@@ -11,7 +11,7 @@ from rossec.errors import ConfigurationError
     ("text", "seconds"),
     [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200), (5, 5)],
 )
-def test_durations(text: Any, seconds: int) -> None:
+def test_a_duration_is_parsed_to_seconds(text: Any, seconds: int) -> None:
     assert context.Duration().convert(text, None, None) == seconds
 
 
@@ -22,7 +22,7 @@ def test_a_duration_has_its_limit() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "7", "d", "0d", "-1d", "1.5h", "1 h", "1y", "\u0661d", "7D"])
-def test_what_is_no_duration(text: str) -> None:
+def test_an_invalid_duration_is_refused(text: str) -> None:
     with pytest.raises(click.BadParameter, match="write 30s, 15m, 8h, 7d or 4w"):
         context.Duration().convert(text, None, None)
 
@@ -30,7 +30,7 @@ def test_what_is_no_duration(text: str) -> None:
 @pytest.mark.parametrize(
     ("end", "raised"), [(KeyboardInterrupt, KeyboardInterrupt), (EOFError, ConfigurationError)]
 )
-def test_ctrl_c_is_no_answer(
+def test_ctrl_c_at_a_question_is_raised(
     monkeypatch: pytest.MonkeyPatch, end: type[BaseException], raised: type[BaseException]
 ) -> None:
     def ended(*_: object, **__: object) -> str:
@@ -42,5 +42,5 @@ def test_ctrl_c_is_no_answer(
         context.confirm("really?", yes=False)
 
 
-def test_moments_are_utc() -> None:
+def test_times_are_formatted_in_utc() -> None:
     assert context.format_time(1_795_000_000) == "2026-11-18 11:06:40 UTC"

@@ -21,7 +21,7 @@ def test_an_expired_list_is_not_delivered(shell: Shell) -> None:
     refused(shell("ca", "publish", *NOBODY), "did not take the list", code=3)
 
 
-def test_a_list_about_to_expire_is_said(shell: Shell) -> None:
+def test_a_list_about_to_expire_is_reported(shell: Shell) -> None:
     age(shell, 84)
     said = shell("ca", "publish", *NOBODY)
     assert said.err.startswith("rossec: the revocation list expires 20")
@@ -31,7 +31,7 @@ def test_a_list_about_to_expire_is_said(shell: Shell) -> None:
     refused(shell("ca", "publish", *NOBODY), "did not take the list", code=3)
 
 
-def test_a_list_signed_on_the_way_is_to_be_delivered(shell: Shell) -> None:
+def test_a_list_signed_along_with_something_is_reported(shell: Shell) -> None:
     age(shell, 84)
     shell("node", "request", "/robot")
     sign = ("ca", "sign", str(shell.node("/robot") / "node.csr"), "--yes")

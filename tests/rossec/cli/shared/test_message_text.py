@@ -64,7 +64,7 @@ def test_a_message_that_is_none(content: object, error: str) -> None:
         filled("geometry_msgs/PoseStamped", content)
 
 
-def test_content_that_is_no_yaml(empty: Shell) -> None:
+def test_invalid_yaml_is_refused(empty: Shell) -> None:
     refused(
         empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse"
     )

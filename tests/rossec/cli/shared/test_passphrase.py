@@ -14,7 +14,7 @@ def written(path: Path, text: str, mode: int = 0o600) -> Path:
     return path
 
 
-def test_the_first_line_of_a_file(tmp_path: Path) -> None:
+def test_the_passphrase_is_the_first_line_of_a_file(tmp_path: Path) -> None:
     file = written(tmp_path / "x", "four random words\nsecond line\n")
     assert passphrase.read(file, {}) == "four random words"
     assert passphrase.choose(file, {}) == "four random words"
@@ -29,18 +29,18 @@ def test_a_file_that_is_no_text(tmp_path: Path) -> None:
     assert passphrase.read(file, {}) == "café in four words"
 
 
-def test_a_systemd_credential(tmp_path: Path) -> None:
+def test_a_systemd_credential_is_used(tmp_path: Path) -> None:
     written(tmp_path / passphrase.CREDENTIAL, "from systemd, here")
     environ = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
     assert passphrase.read(None, environ) == "from systemd, here"
 
 
-def test_a_short_one_protects_nothing(tmp_path: Path) -> None:
+def test_a_short_passphrase_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="protects nothing"):
         passphrase.choose(written(tmp_path / "x", "short"), {})
 
 
-def test_a_pipe_has_no_mode_to_judge(tmp_path: Path) -> None:
+def test_the_mode_of_a_pipe_is_not_checked(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.write(writer, b"through the pipe\n")
     os.close(writer)
@@ -48,7 +48,7 @@ def test_a_pipe_has_no_mode_to_judge(tmp_path: Path) -> None:
     os.close(reader)
 
 
-def test_a_person_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_passphrase_is_read_from_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, bool]] = []
 
     def prompt(question: str, *, confirmation_prompt: bool, **_: object) -> str:
@@ -61,7 +61,7 @@ def test_a_person_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [twice for _, twice in asked] == [False, True]
 
 
-def test_ctrl_c_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_at_the_prompt_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(_: str) -> str:
         raise KeyboardInterrupt
 

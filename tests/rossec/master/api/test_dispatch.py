@@ -7,7 +7,7 @@ import pytest
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Registry
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def api(statements: FakeStatements) -> MasterApi:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, params, who, 0).answer
+    return call_api(api, method, params, who, 0).answer
 
 
 def element(method: str, *params: object) -> dict[str, object]:

@@ -7,7 +7,7 @@ import pytest
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 EMPTY: list[object] = [[], [], []]
 
@@ -18,12 +18,12 @@ def api() -> MasterApi:
 
 
 def state(api: MasterApi, who: Caller) -> Any:
-    return api.call("getSystemState", [who.name], who, 0).answer[2]  # type: ignore[index]
+    return call_api(api, "getSystemState", [who.name], who, 0).answer[2]  # type: ignore[index]
 
 
 def register(api: MasterApi, name: str, topic: str) -> None:
     params = [name, topic, "*", f"http://{name[1:]}:1/"]
-    api.call("registerPublisher", params, everything(name), 0)
+    call_api(api, "registerPublisher", params, everything(name), 0)
 
 
 def test_the_same_caller_receives_changes(api: MasterApi) -> None:
@@ -33,7 +33,7 @@ def test_the_same_caller_receives_changes(api: MasterApi) -> None:
     first = state(api, who)
     assert first == [[["/t", ["/a"]]], [], []]
     assert state(api, who) is first
-    api.call("unregisterPublisher", ["/a", "/t", "http://a:1/"], everything("/a"), 0)
+    call_api(api, "unregisterPublisher", ["/a", "/t", "http://a:1/"], everything("/a"), 0)
     assert state(api, who) == EMPTY
 
 

@@ -20,7 +20,7 @@ from rossec.master.api.watch_calls import WATCH
 from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, never_expires
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def api() -> MasterApi:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, params, who, 0).answer
+    return call_api(api, method, params, who, 0).answer
 
 
 def element(method: str, *params: object) -> dict[str, object]:
@@ -51,7 +51,7 @@ def test_the_answers_of_a_multicall_are_bounded(api: MasterApi) -> None:
     ask(api, who, "setParam", "/a", "/big", "x" * (MULTICALL_ANSWER // 2))
     calls = [element("getParam", "/a", "/big")] * 100 + [element("setParam", "/a", "/last", 1)]
     calls.insert(0, element("setParam", "/a", "/first", 1))
-    outcome = api.call("system.multicall", [calls], who, 0)
+    outcome = call_api(api, "system.multicall", [calls], who, 0)
     assert isinstance(outcome.answer, Fault)
     assert "too long: 3 of its 102 calls were made" in outcome.answer.faultString
     assert len(outcome.events) == 1  # of the calls made
@@ -62,7 +62,7 @@ def test_the_answers_of_a_multicall_are_bounded(api: MasterApi) -> None:
 def test_multicall_events_are_all_delivered(api: MasterApi) -> None:
     who = everything("/a")
     calls = [element("registerPublisher", "/a", f"/t{n}", "*", "http://a:1/") for n in range(3)]
-    assert len(api.call("system.multicall", [calls], who, 0).events) == 3
+    assert len(call_api(api, "system.multicall", [calls], who, 0).events) == 3
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_malformed_element_affects_no_other(api: MasterApi, broken: object) ->
 )
 def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
     with pytest.raises(Fault, match="multicall"):
-        api.call("system.multicall", params, caller("/a"), 0)
+        call_api(api, "system.multicall", params, caller("/a"), 0)
 
 
 def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
@@ -120,7 +120,7 @@ def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
     calls = [
         element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
     ]  # fmt: skip
-    events = api.call("system.multicall", [calls], who, 0).events
+    events = call_api(api, "system.multicall", [calls], who, 0).events
     refused = [event for event in events if isinstance(event, CallDenied)]
     assert [(event.node, event.method) for event in refused] == [
         ("/a", "setParam"), ("/a", "getUri"),
@@ -161,7 +161,7 @@ def test_a_query_restarts_when_rights_change(api: MasterApi) -> None:
     multicall = Multicall([[element(WATCH, "/b", "", 0), element("getPublishedTopics", "/b", "")]])
     api.run_multicall(multicall, everything("/b"), 0, expired=lambda: True)
     multicall.restart_element()
-    api.run_multicall(multicall, caller("/b", {"/master": Right.GRAPH}), 0)
+    api.run_multicall(multicall, caller("/b", {"/master": Right.GRAPH}), 0, expired=never_expires)
     answers: Any = multicall.answer
     assert answers[0][0][:1] == [1]
     assert answers[0][0][2]["added"] == []
@@ -180,10 +180,10 @@ def after(times: int) -> Callable[[], bool]:
 )
 def test_an_element_that_changes_rights_ends_the_step(api: MasterApi, changes: Any) -> None:
     multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])
-    api.run_multicall(multicall, caller("/a"), 0)
+    api.run_multicall(multicall, caller("/a"), 0, expired=never_expires)
     outcome: Any = multicall.answer
     assert (len(outcome), multicall.done) == (2, False)
-    api.run_multicall(multicall, caller("/a"), 0)
+    api.run_multicall(multicall, caller("/a"), 0, expired=never_expires)
     assert multicall.done
 
 

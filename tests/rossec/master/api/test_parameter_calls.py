@@ -12,7 +12,7 @@ from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
 from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.registry import NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 A, B = NodeRef("/a", "http://a:1/", b"/a"), NodeRef("/b", "http://b:1/", b"/b")
 
@@ -31,7 +31,7 @@ def api(statements: FakeStatements) -> MasterApi:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[MasterEvent, ...]:
-    outcome = api.call(method, (who.name, *params), who, 0)
+    outcome = call_api(api, method, (who.name, *params), who, 0)
     assert isinstance(outcome.answer, list)
     assert outcome.answer[0] == 1, outcome.answer
     return tuple(event for event in outcome.events if not isinstance(event, PersistParameter))
@@ -39,7 +39,7 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[Mast
 
 def test_changes_and_only_changes_are_persisted(api: MasterApi) -> None:
     def events_of(method: str, *params: object) -> list[MasterEvent]:
-        outcome = api.call(method, ("/a", *params), everything("/a"), 0)
+        outcome = call_api(api, method, ("/a", *params), everything("/a"), 0)
         return [event for event in outcome.events if isinstance(event, PersistParameter)]
 
     assert events_of("setParam", "k", 1) == [PersistParameter(ParameterChange("/k", 1))]
@@ -90,7 +90,7 @@ def test_an_illegal_name_in_a_tree_is_named_whatever_the_rights(
     api: MasterApi, rights: dict[str, Right]
 ) -> None:
     tree = {"fine": 1, "deep": {"not fine": 2}}
-    outcome = api.call("setParam", ("/a", "/ns", tree), caller("/a", rights), 0)
+    outcome = call_api(api, "setParam", ("/a", "/ns", tree), caller("/a", rights), 0)
     text = "'not fine' cannot be the name of a parameter in a tree"
     assert outcome.answer == [-1, f"Error: invalid arguments: {text}", 0]
     assert outcome.events == ()
@@ -102,7 +102,7 @@ def test_a_value_much_too_long_is_not_encoded(api: MasterApi, method: str) -> No
         ask(api, everything("/a"), "setParam", f"/long/p{number}", "x" * (BODY_LIMIT - 100))
     params = ("/long",) if method == "getParam" else (A.uri, "/long")
     with pytest.raises(Fault, match=f"an answer of more than {BODY_LIMIT} bytes: ask for less"):
-        api.call(method, ("/a", *params), everything("/a"), 0)
+        call_api(api, method, ("/a", *params), everything("/a"), 0)
     assert not any(
         isinstance(event, ParameterChanged) and event.node == A
         for event in ask(api, everything("/b"), "setParam", "/long/p0", 1)
@@ -114,10 +114,10 @@ def test_a_list_of_names_too_long_for_an_answer_is_refused_early(
 ) -> None:
     monkeypatch.setattr(parameter_calls, "_MAX_ENCODED", 5000)
     ask(api, everything("/a"), "setParam", "/many", {f"p{number}": 1 for number in range(99)})
-    assert len(api.call("getParamNames", ("/a",), everything("/a"), 0).answer[2]) == 99  # type: ignore[index]
+    assert len(call_api(api, "getParamNames", ("/a",), everything("/a"), 0).answer[2]) == 99  # type: ignore[index]
     ask(api, everything("/a"), "setParam", "/more", {f"p{number}": 1 for number in range(99)})
     with pytest.raises(Fault, match="ask for less at a time"):
-        api.call("getParamNames", ("/a",), everything("/a"), 0)
+        call_api(api, "getParamNames", ("/a",), everything("/a"), 0)
 
 
 def test_a_search_finds_only_readable_parameters(api: MasterApi) -> None:
@@ -127,7 +127,7 @@ def test_a_search_finds_only_readable_parameters(api: MasterApi) -> None:
 
     def search(node: str, key: str, *readable: str) -> object:
         who = caller(node, dict.fromkeys(readable, Right.PARAM_GET))
-        answer: list[object] = api.call("searchParam", (node, key), who, 0).answer  # type: ignore[assignment]
+        answer: list[object] = call_api(api, "searchParam", (node, key), who, 0).answer  # type: ignore[assignment]
         return answer[2]
 
     last = f"p{3 * NAMES_PER_YIELD - 1}"
@@ -143,8 +143,8 @@ def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
     )
 
     def put(node: str, key: str, size: int) -> str:
-        answer: list[str] = api.call(
-            "setParam", (node, key, "x" * size), everything(node), 0
+        answer: list[str] = call_api(
+            api, "setParam", (node, key, "x" * size), everything(node), 0
         ).answer  # type: ignore[assignment]
         return answer[1]
 

@@ -11,7 +11,7 @@ from rossec.master.api.methods import GrantsPresented, RevocationsChanged
 from rossec.master.api.statement_calls import PRESENT_LIMIT
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 
 @pytest.fixture
@@ -25,11 +25,11 @@ def api(statements: FakeStatements) -> MasterApi:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, params, who, 0).answer
+    return call_api(api, method, params, who, 0).answer
 
 
 def test_presented_grants_are_counted(api: MasterApi, statements: FakeStatements) -> None:
-    outcome = api.call("rossec.presentGrants", ("/a", [b"one", b"two"]), caller("/a"), 0)
+    outcome = call_api(api, "rossec.presentGrants", ("/a", [b"one", b"two"]), caller("/a"), 0)
     assert outcome.answer == [1, "grants accepted", 2]
     assert outcome.events == (GrantsPresented("/a"),)
     assert statements.presented == [b"one", b"two"]
@@ -38,7 +38,7 @@ def test_presented_grants_are_counted(api: MasterApi, statements: FakeStatements
 
 
 def test_a_node_without_a_valid_grant_keeps_its_session(api: MasterApi) -> None:
-    outcome = api.call("rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
+    outcome = call_api(api, "rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
     assert outcome.answer == [1, "grants presented, but refused: forged; forged", 0]
     assert outcome.events == (GrantsPresented("/a", ("forged", "forged")),)
 
@@ -53,10 +53,10 @@ def test_grants_are_a_bounded_list_of_base64(api: MasterApi, value: object) -> N
 def test_revocations_are_returned_with_a_timestamp(api: MasterApi) -> None:
     who = caller("/a")
     assert ask(api, who, "rossec.revocations", "/a")[2] == [b"", b""]
-    outcome = api.call("rossec.updateRevocations", ("/a", b"list 2"), who, 0)
+    outcome = call_api(api, "rossec.updateRevocations", ("/a", b"list 2"), who, 0)
     assert outcome.answer == [1, "revocations updated", 1]
     assert outcome.events == (RevocationsChanged("/a"),)
-    again = api.call("rossec.updateRevocations", ("/a", b"list 1"), who, 0)
+    again = call_api(api, "rossec.updateRevocations", ("/a", b"list 1"), who, 0)
     assert again.answer == [1, "not newer than the list in force", 0]
     assert again.events == ()
     assert ask(api, who, "rossec.revocations", "/a")[2] == [b"list 2", b"stamp"]
@@ -65,7 +65,7 @@ def test_revocations_are_returned_with_a_timestamp(api: MasterApi) -> None:
 
 
 def test_grants_are_renewed_one_by_one(api: MasterApi) -> None:
-    outcome = api.call("rossec.renewGrants", ("/a", [b"one", b"forged"]), caller("/a"), 0)
+    outcome = call_api(api, "rossec.renewGrants", ("/a", [b"one", b"forged"]), caller("/a"), 0)
     assert outcome.answer == [1, "grants renewed, but refused: forged", [b"renewed one", b""]]
     assert outcome.events == (GrantsPresented("/a", ("forged",)),)
     assert ask(api, caller("/a"), "rossec.renewGrants", "/a", [b"one"])[1] == "grants renewed"
@@ -116,7 +116,7 @@ def test_a_malformed_query_is_refused(api: MasterApi) -> None:
 
 def test_a_tree_and_its_proofs(api: MasterApi) -> None:
     update = "rossec.updateRevocationTree"
-    outcome = api.call(update, ("/a", b"tree", b"entries"), caller("/a"), 0)
+    outcome = call_api(api, update, ("/a", b"tree", b"entries"), caller("/a"), 0)
     assert outcome.answer == [1, "revocations updated", 1]
     assert outcome.events == (RevocationsChanged("/a"),)
     assert ask(api, caller("/a"), update, "/a", b"tree", b"entries")[2] == 0

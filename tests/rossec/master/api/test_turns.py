@@ -8,9 +8,8 @@ from rossec.master.api.turns import (
     Turns,
     Work,
     advance,
-    never_expires,
-    run_to_end,
 )
+from tests.rossec.master.fakes import never_expires, run_to_end
 
 
 def work(steps: int) -> Work:

@@ -11,7 +11,7 @@ from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import Registry
 from rossec.participant.graph_view import GraphView
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T = "std_msgs/String"
 ALL_GRAPH = {"/master": Right.GRAPH, "**": Right.GRAPH}
@@ -38,7 +38,7 @@ class Watcher:
     def look(self) -> tuple[list[str], list[str], bool]:
         """The facts added and removed, and whether the answer is the whole state."""
         params = [self.who.name, *self.view.next_params]
-        self.answer = self.api.call(WATCH, params, self.who, 0).answer
+        self.answer = call_api(self.api, WATCH, params, self.who, 0).answer
         assert self.answer[0] == 1, self.answer
         change = self.view.take(self.answer[2])
         words = [[" ".join(fact) for fact in facts] for facts in change[:2]]
@@ -46,7 +46,7 @@ class Watcher:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, [who.name, *params], who, 0).answer
+    return call_api(api, method, [who.name, *params], who, 0).answer
 
 
 def do(api: MasterApi, name: str, method: str, *params: object) -> None:
@@ -161,5 +161,5 @@ def test_views_of_disconnected_keys_are_discarded(api: MasterApi) -> None:
 
 @pytest.mark.parametrize("params", [("", "1"), (1, 1), ("", -1), ("", True), ("",), ("", 0, 0)])
 def test_a_malformed_call_is_refused(api: MasterApi, params: tuple[object, ...]) -> None:
-    answer: Any = api.call(WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
+    answer: Any = call_api(api, WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
     assert (answer[0], answer[2]) == (-1, {})

@@ -9,7 +9,7 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied, Denied
 from rossec.master.rights.access_rules import RULES, AccessControl, Caller, Refused, Scope, require
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, caller, everything
+from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, call_api, caller, everything
 
 BUT_ADMIN = {"**": ALL & ~Right.ADMIN}
 T = "std_msgs/String"
@@ -31,7 +31,7 @@ def api() -> MasterApi:
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
-    return api.call(method, params, who, 0).answer
+    return call_api(api, method, params, who, 0).answer
 
 
 def test_every_method_has_a_rule_and_every_rule_a_method(api: MasterApi) -> None:
@@ -142,7 +142,7 @@ def test_m2_m3_m4_a_caller_cannot_act_under_another_name(
     api: MasterApi, method: str, params: tuple[object, ...]
 ) -> None:
     before = ask(api, everything("/victim"), "getSystemState", "/victim")
-    outcome = api.call(method, ("/victim", *params), caller("/eve", BUT_ADMIN), 0)
+    outcome = call_api(api, method, ("/victim", *params), caller("/eve", BUT_ADMIN), 0)
     assert [type(event) for event in outcome.events] == [CallDenied]
     assert isinstance(outcome.answer, list)
     assert outcome.answer[0] == -1
@@ -166,7 +166,9 @@ def test_m4_unregistering_under_ones_own_name_touches_nothing(api: MasterApi) ->
 def test_m5_only_an_administrator_stops_the_master(api: MasterApi) -> None:
     rights = {"/master": Right(255) & ~Right.ADMIN, "/other": Right.ADMIN}
     assert ask(api, caller("/eve", rights), "shutdown", "/eve", "")[0] == -1
-    outcome = api.call("shutdown", ("/admin", "bye"), caller("/admin", {"/master": Right.ADMIN}), 0)
+    outcome = call_api(
+        api, "shutdown", ("/admin", "bye"), caller("/admin", {"/master": Right.ADMIN}), 0
+    )
     assert outcome.answer == [1, "shutdown", 0]
     assert [event.reason for event in outcome.events] == ["/admin: bye"]  # type: ignore[union-attr]
 
@@ -265,7 +267,7 @@ def test_a_node_of_a_wildcard_owns_its_own_address_alone(api: MasterApi) -> None
 
 def test_a_node_of_a_wildcard_sees_what_it_registered_itself(api: MasterApi) -> None:
     modest = anonymous("/rviz", {"/t": Right.PUBLISH})
-    api.call("registerPublisher", ("/rviz_1", "/t", T, ONE[1]), modest, 0)
+    call_api(api, "registerPublisher", ("/rviz_1", "/t", T, ONE[1]), modest, 0)
     blind = anonymous("/rviz", {"/nothing": Right.PUBLISH})
     assert ask(api, blind, "getSystemState", "/rviz_1")[2] == [[["/t", ["/rviz_1"]]], [], []]
     assert ask(api, blind, "getSystemState", "/rviz_2")[2] == [[], [], []]
@@ -294,7 +296,7 @@ def test_an_identity_without_a_wildcard_has_one_name(api: MasterApi) -> None:
 
 def test_a_denial_names_the_certified_name(api: MasterApi) -> None:
     blind = anonymous("/rviz", {"/nothing": Right.PUBLISH})
-    outcome = api.call("registerSubscriber", ("/rviz_1", "/t", T, ONE[1]), blind, 0)
+    outcome = call_api(api, "registerSubscriber", ("/rviz_1", "/t", T, ONE[1]), blind, 0)
     assert "/rviz_1 (certified as /rviz) needs the right subscribe on /t" in str(outcome.answer)
     assert [event.node for event in outcome.events if isinstance(event, Denied)] == ["/rviz"]
     refused = ask(api, blind, "getParam", "/rviz", "/p")[1]
@@ -340,7 +342,7 @@ def test_m8_a_node_on_another_host_cannot_register_loopback(
     )
 
     def answer(method: str, params: list[Any], *, is_local: bool) -> Any:
-        return api.call(method, params, who, 0, is_local=is_local).answer
+        return call_api(api, method, params, who, 0, is_local=is_local).answer
 
     code, status, _ = refused = answer(method, here, is_local=False)
     assert (code, "on the master's host, and the caller is not" in status) == (-1, True)
@@ -354,7 +356,9 @@ def test_the_nodes_of_a_key_are_limited() -> None:
     api = MasterApi(Registry(1), FakeStatements(), name="/master", uri="u", pid=1)
 
     def answer(name: str, uri: str) -> Any:
-        return api.call("registerPublisher", [name, "/t", "*", uri], anonymous("/rviz"), 0).answer
+        return call_api(
+            api, "registerPublisher", [name, "/t", "*", uri], anonymous("/rviz"), 0
+        ).answer
 
     assert answer("/rviz_1", "http://h:1/")[0] == 1
     for name in ("/rviz_2", "/rviz"):

@@ -24,13 +24,13 @@ class Script:
         return self._units.pop(0)
 
 
-async def test_what_arrives_is_cut() -> None:
+async def test_bytes_are_split_into_messages() -> None:
     source, framing = Script(frame(b"a") + b"\1", frame(b"b")[1:]), Framing(FrameReader())
     assert await next_messages(source, framing) == [b"a"]
     assert await next_messages(source, framing) == [b"b"]
 
 
-async def test_who_is_silent_between_messages_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_silence_between_messages_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrivals, "PATIENCE", 0.0)
     monkeypatch.setattr(clock, "now", lambda: pytest.fail("asked although nothing is begun"))
     with pytest.raises(TimeoutError):
@@ -38,7 +38,7 @@ async def test_who_is_silent_between_messages_may_be(monkeypatch: pytest.MonkeyP
             await next_messages(Script(), Framing(FrameReader()))
 
 
-async def test_who_is_silent_within_one_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_silence_within_a_message_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = iter(range(0, 10_000, 5))
     monkeypatch.setattr(arrivals, "PATIENCE", 0.001)
     monkeypatch.setattr(clock, "now", lambda: next(ticks))

@@ -34,7 +34,7 @@ async def test_a_numeric_address_that_does_not_answer_at_once(
         assert sock.getpeername() == ("127.0.0.1", port)
 
 
-async def test_a_numeric_address_where_nobody_is() -> None:
+async def test_a_numeric_address_without_a_listener() -> None:
     with pytest.raises(ConnectionRefusedError):
         await dial("127.0.0.1", closed_port(), 5)
     with pytest.raises(OverflowError):
@@ -125,7 +125,7 @@ async def test_a_silent_address_does_not_hold_up_the_next(
     assert ended == [1]
 
 
-async def test_the_winner_does_not_wait_for_a_loser_that_will_not_go(
+async def test_the_connected_address_does_not_wait_for_the_others(
     port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever is cancelled while it waits for the losers would lose the socket it has."""

@@ -11,7 +11,7 @@ from rossec.net.aio import serve
 from rossec.net.aio.driver import Driver
 from rossec.net.aio.server import SecureServer
 from rossec.progress import MIN_BYTES, STEP, WINDOW
-from tests.rossec.net.test_aio import Stream, call, echo, live
+from tests.support.secure_streams import Stream, call, echo, live
 from tests.support.wire import BOB, FakeIdentity
 
 WHOLE = bytes(4 * MIN_BYTES)
@@ -30,7 +30,7 @@ async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[Fa
     return driver
 
 
-async def test_a_peer_that_stands_still_in_a_unit_is_given_up(
+async def test_a_peer_that_stalls_in_a_unit_is_disconnected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
@@ -47,7 +47,7 @@ async def test_a_peer_that_stands_still_in_a_unit_is_given_up(
         stream.abort("done")
 
 
-async def test_a_peer_that_is_not_read_is_not_blamed(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_peer_that_is_not_read_does_not_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
     async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         driver = await begin(stream, server)

@@ -39,3 +39,12 @@ async def test_ends_are_silent_without_a_listener(caplog: pytest.LogCaptureFixtu
     await tasks.spawn(asyncio.sleep(0), "quick")
     await tasks.close()
     assert not caplog.text
+
+
+async def test_a_task_set_cancels_what_still_runs() -> None:
+    tasks = TaskSet()
+    running = tasks.spawn(asyncio.sleep(60), name="sleeper")
+    assert len(tasks) == 1
+    await tasks.close()
+    assert running.cancelled()
+    assert len(tasks) == 0

@@ -75,7 +75,7 @@ async def test_what_the_kernel_does_not_take_is_sent_later() -> None:
     assert recorder.events == ["drained", "eof", "lost"]
 
 
-async def test_the_peers_end_waits_for_what_is_still_to_be_sent() -> None:
+async def test_pending_bytes_are_sent_after_the_peers_end() -> None:
     transport, recorder, other = pair()
     transport.write(bytes(10_000_000))
     other.shutdown(socket.SHUT_WR)
@@ -112,7 +112,7 @@ async def test_a_write_to_a_peer_that_left() -> None:
     await until(recorder, "lost")
 
 
-async def test_nothing_to_read_after_all() -> None:
+async def test_a_spurious_wake_up_reads_nothing() -> None:
     transport, recorder, other = pair()
     transport._readable()
     other.sendall(b"x")

@@ -64,7 +64,7 @@ def test_the_row_is_found(pair: str, local: tuple[str, int], remote: tuple[str, 
         ["", "garbage", row()[:60]],
     ],
 )
-def test_anything_else_is_nobody(rows: list[str]) -> None:
+def test_other_rows_do_not_match(rows: list[str]) -> None:
     assert user_in([table(*rows)], NEAR, FAR) is None
 
 
@@ -108,7 +108,7 @@ def test_a_unix_socket_tells_its_user() -> None:
             require_user(local, ())
 
 
-def test_the_overflow_user_is_nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_overflow_user_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     overflow = tmp_path / "overflowuid"
     overflow.write_text(f"{os.getuid()}\n")
     monkeypatch.setattr(peeruid, "_OVERFLOW", overflow)
@@ -118,7 +118,7 @@ def test_the_overflow_user_is_nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
-def test_another_user_is_told_apart() -> None:
+def test_another_user_is_identified() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         where = server.getsockname()[:2]
         code = f"import socket; socket.create_connection({where}).recv(1)"
@@ -153,7 +153,7 @@ def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
             peeruid.holder_of(local)
 
 
-def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_socket_without_a_holder_has_no_user(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel shows user 0 for it, who is somebody else."""
     entry = sockdiag.SocketEntry(1, (b"", 0), (b"", 0), 0, 0)
     monkeypatch.setattr(sockdiag, "find", lambda *_: entry)
@@ -164,7 +164,7 @@ def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize("asked", [True, False])
-def test_who_listens_at_a_place_of_ipv6(monkeypatch: pytest.MonkeyPatch, asked: bool) -> None:
+def test_the_holder_of_an_ipv6_listener(monkeypatch: pytest.MonkeyPatch, asked: bool) -> None:
     """The kernel's answer, and what its tables say: a listener of IPv4 alone is beside the way."""
     if not asked:
 

@@ -84,7 +84,7 @@ def test_a_listener_at_every_address(host: str) -> None:
         message(2, struct.pack("=i", -95)),
     ],
 )
-def test_what_is_no_answer_is_refused(data: bytes) -> None:
+def test_an_invalid_answer_is_refused(data: bytes) -> None:
     with pytest.raises(OSError, match=r"answer|not supported"):
         sockdiag.parse(data)
 
@@ -128,7 +128,7 @@ class Stranger:
         return message(20, bytes(72)), (4711, 0)
 
 
-def test_nobody_answers_for_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_of_another_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Stranger)
     with pytest.raises(OSError, match="an answer from another process"):
         sockdiag.find(("127.0.0.1", 5000), ("127.0.0.1", 6000))

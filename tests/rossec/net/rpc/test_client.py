@@ -89,7 +89,7 @@ async def test_a_late_answer_closes_the_connection() -> None:
     await serving(run(), far)
 
 
-async def test_broken_xml_is_a_fault_and_broken_http_the_end() -> None:
+async def test_malformed_xml_is_a_fault_and_malformed_http_ends_the_connection() -> None:
     near, far = stream_pair("/node", "/master")
 
     async def run() -> None:
@@ -131,7 +131,7 @@ async def test_a_client_closes_on_a_broken_answer() -> None:
     await run()
 
 
-async def test_a_connection_on_which_nobody_calls_is_closed() -> None:
+async def test_an_idle_connection_is_closed() -> None:
     near, far = stream_pair("/node", "/master")
 
     async def run() -> None:

@@ -83,7 +83,7 @@ async def test_a_call_in_pieces_is_answered_when_it_is_whole() -> None:
     await served.task
 
 
-async def test_what_takes_time_holds_back_what_follows() -> None:
+async def test_a_slow_call_delays_the_next_one() -> None:
     served = Served()
     await served.near.send(call("later", 1))
     await served.near.send(call("now", 2))
@@ -128,7 +128,7 @@ async def test_a_peer_that_lags_is_waited_for() -> None:
 
 
 @pytest.mark.parametrize("method", ["gone", "gone later"])
-async def test_no_answer_to_give_ends_the_connection(method: str) -> None:
+async def test_a_hang_up_ends_the_connection(method: str) -> None:
     served = Served()
     await served.near.send(call(method))
     await served.task
@@ -147,7 +147,7 @@ async def test_a_crash_of_the_loop_itself_is_raised(monkeypatch: pytest.MonkeyPa
         await served.task
 
 
-async def test_the_end_of_the_server_leaves_nothing_half_begun() -> None:
+async def test_a_cancelled_server_leaves_no_coroutine_unawaited() -> None:
     served = Served()
     await asyncio.sleep(0)
     await served.near.send(call("later"))  # taken, and not begun

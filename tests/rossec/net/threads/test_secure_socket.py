@@ -1,15 +1,10 @@
 """The blocking driver: threads, timeouts, polls."""
 
 import contextlib
-import dataclasses
 import itertools
 import secrets
 import select
 import socket
-import struct
-import threading
-import time
-from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -19,69 +14,18 @@ from rossec.errors import (
     ChannelClosed,
     ChannelError,
     ConnectionTruncated,
-    HandshakeTimeout,
-    IdentityExpired,
-    IdentityRefused,
-    PeerRefused,
 )
-from rossec.net.halfopen import HalfOpen
-from rossec.net.threads import carrier
 from rossec.net.threads.secure_socket import SecureSocket
 from tests.support.listener import SecureListener
-from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, trust
-
-Secure = SecureSocket[FakeIdentity]
-
-
-def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
-    found = trust(chain, now)
-    return FakeIdentity(found.name, found.public_key, found.certificate, 1 << 40)
-
-
-def make_listener(**options: object) -> SecureListener[FakeIdentity]:
-    sock = socket.create_server(("127.0.0.1", 0))
-    return SecureListener(sock, BOB, live, **options)  # type: ignore[arg-type]  # passed on
-
-
-@pytest.fixture
-def listener() -> Iterator[SecureListener[FakeIdentity]]:
-    with make_listener() as made:
-        yield made
-
-
-def background(work: Callable[[], object]) -> threading.Thread:
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    return thread
-
-
-def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Secure, Secure]:
-    accepted: list[Secure] = []
-
-    def accept() -> None:
-        sock, _ = listener.accept()
-        sock.do_handshake()
-        accepted.append(sock)
-
-    thread = background(accept)
-    left = Secure.connect(listener.getsockname(), ALICE, live, 5, **options)
-    thread.join(30)
-    return left, accepted[0]
-
-
-def read(sock: Secure, size: int) -> bytes:
-    got = bytearray()
-    while len(got) < size:
-        chunk = sock.recv(1 << 20)
-        assert chunk
-        got += chunk
-    return bytes(got)
-
-
-def readable(sock: Secure) -> bool:
-    poll = select.poll()
-    poll.register(sock, select.POLLIN)
-    return len(poll.poll(50)) > 0
+from tests.support.secure_sockets import (
+    Secure,
+    background,
+    live,
+    pair,
+    read,
+    readable,
+)
+from tests.support.wire import ALICE, FakeIdentity
 
 
 def test_bytes_there_and_back(listener: SecureListener[FakeIdentity]) -> None:
@@ -160,7 +104,7 @@ def test_options_go_to_the_socket(listener: SecureListener[FakeIdentity]) -> Non
         assert left.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
 
 
-def test_closing_in_order_and_not(listener: SecureListener[FakeIdentity]) -> None:
+def test_a_close_and_a_truncation_differ(listener: SecureListener[FakeIdentity]) -> None:
     left, right = pair(listener)
     with right:
         left.shutdown(socket.SHUT_RD)
@@ -204,119 +148,7 @@ def test_sending_first_makes_the_handshake(listener: SecureListener[FakeIdentity
     thread.join(30)
 
 
-def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
-    errors: list[BaseException] = []
-
-    def serve() -> None:
-        sock, _ = listener.accept()
-        with sock:
-            try:
-                sock.do_handshake()
-            except ChannelError as error:
-                errors.append(error)
-
-    thread = background(serve)
-    left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
-    with left, pytest.raises(PeerRefused):
-        left.recv(1)
-    thread.join(30)
-    assert isinstance(errors[0], IdentityRefused)
-
-
-def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
-    def nobody(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
-        return trust((STRANGER.chain[0],), now)
-
-    def serve() -> None:
-        sock, _ = listener.accept()
-        with sock, pytest.raises(PeerRefused):
-            sock.do_handshake()
-
-    thread = background(serve)
-    with pytest.raises(IdentityRefused):
-        Secure.connect(listener.getsockname(), ALICE, nobody, 5)
-    thread.join(30)
-
-
-def test_the_handshake_deadline() -> None:
-    listener = make_listener(limits=ChannelLimits(handshake_seconds=1))
-    with listener, socket.create_connection(listener.getsockname()):
-        sock, _ = listener.accept()
-        with sock, pytest.raises(HandshakeTimeout):
-            sock.recv(1)
-
-
-@pytest.mark.parametrize("use", ["sendall", "send_now", "recv"])
-def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
-    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch, use: str
-) -> None:
-    """Its confirmation, message_4, has waited in the kernel: nobody had read meanwhile."""
-    left, right = pair(listener)
-    with left, right:
-        if use == "recv":
-            right.sendall(b"x")
-        select.select([left._socket], [], [])
-        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
-        if use == "recv":
-            assert left.recv(1) == b"x"
-        elif use == "send_now":
-            assert left.try_send(b"x")
-            assert right.recv(1) == b"x"
-        else:
-            left.sendall(b"x")
-            assert right.recv(1) == b"x"
-
-
-def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        core = bob()
-
-        def half_way() -> None:
-            sock, _ = server.accept()
-            with sock:
-                core.receive_data(sock.recv(65536), NOW)
-                sock.sendall(core.data_to_send())
-                done.wait()
-
-        done = threading.Event()
-        thread = background(half_way)
-        left = Secure.connect(server.getsockname(), ALICE, live, 5)
-        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
-        with left, pytest.raises(HandshakeTimeout):
-            left.sendall(b"x")
-        done.set()
-        thread.join(30)
-
-
-def test_half_open_caps() -> None:
-    listener = make_listener(half_open=HalfOpen(per_address=1))
-    with listener, socket.create_connection(listener.getsockname()):
-        held, _ = listener.accept()
-        with socket.create_connection(listener.getsockname()) as refused:
-            listener.settimeout(0.05)
-            with pytest.raises(TimeoutError):
-                listener.accept()
-            assert refused.recv(1) == b""
-        held.close()
-        listener.settimeout(5)
-        left, right = pair(listener)
-        left.close()
-        right.close()
-
-
-def test_a_certificate_that_runs_out_cuts_a_waiting_reader() -> None:
-    def short(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
-        found = trust(chain, now)
-        return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
-
-    with make_listener() as listener:
-        listener._verify = short
-        left, right = pair(listener)
-        with left, right, pytest.raises(IdentityExpired):
-            right.recv(1)
-
-
-def test_renewals_under_way(listener: SecureListener[FakeIdentity]) -> None:
+def test_keys_are_renewed_while_data_flows(listener: SecureListener[FakeIdentity]) -> None:
     left, right = pair(listener, limits=ChannelLimits(records=3))
     with left, right:
         for count in range(40):
@@ -382,28 +214,7 @@ def test_a_socket_may_be_given_back(listener: SecureListener[FakeIdentity]) -> N
         accepted.close()
 
 
-def test_a_reader_without_a_deadline_meets_the_cores(
-    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The kernel waits a slice at a time; between two the clock is looked at."""
-    monkeypatch.setattr("rossec.net.threads.carrier._SLICE", struct.pack("ll", 0, 20_000))
-    left, right = pair(listener)
-    with left, right:
-        left.settimeout(None)
-        expired = threading.Event()
-
-        def wait() -> None:
-            with contextlib.suppress(ChannelError):
-                left.recv(1)
-            expired.set()
-
-        thread = background(wait)
-        left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
-        assert expired.wait(30)
-        thread.join(30)
-
-
-def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIdentity]) -> None:
+def test_try_send_does_not_wait(listener: SecureListener[FakeIdentity]) -> None:
     left, right = pair(listener)
     with left, right:
         assert left.try_send(b"0000")
@@ -424,14 +235,14 @@ def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIden
         assert right.recv(10) == b"after"
 
 
-def test_nothing_is_sent_at_once_without_a_peer(listener: SecureListener[FakeIdentity]) -> None:
+def test_try_send_without_a_peer_sends_nothing(listener: SecureListener[FakeIdentity]) -> None:
     sock = socket.create_connection(listener.getsockname())
     core = Connection[FakeIdentity].initiator(ALICE, live, random=secrets.token_bytes, now=0)
     with SecureSocket(sock, core) as secure:
         assert not secure.try_send(b"x")
 
 
-def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity]) -> None:
+def test_try_send_raises_after_the_end(listener: SecureListener[FakeIdentity]) -> None:
     left, right = pair(listener)
     with right, left:
         left._socket.shutdown(socket.SHUT_RDWR)
@@ -441,7 +252,9 @@ def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity])
             left.try_send(b"x")
 
 
-def test_what_is_aborted_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
+def test_an_aborted_connection_delivers_nothing_more(
+    listener: SecureListener[FakeIdentity],
+) -> None:
     """Neither what was decrypted, nor what waits in the kernel."""
     left, right = pair(listener)
     with left, right:
@@ -467,7 +280,7 @@ def test_an_abort_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None
         assert got == [b""]
 
 
-def test_a_flood_holds_up_nobody(
+def test_pump_is_bounded_under_a_flood(
     listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A peer that talks without end to a side that only sends is read a bounded amount."""
@@ -480,21 +293,9 @@ def test_a_flood_holds_up_nobody(
         assert next(taken) == 3
 
 
-def test_the_core_looks_at_the_clock_once_in_a_second(
-    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+def test_run_timers_renews_the_keys_of_an_idle_connection(
+    listener: SecureListener[FakeIdentity],
 ) -> None:
-    left, right = pair(listener)
-    with left, right:
-        looks: list[int] = []
-        monkeypatch.setattr(left._core, "tick", looks.append)
-        start = int(time.time()) + 10
-        for second in (start, start, start + 1, start + 1, start + 9):
-            monkeypatch.setattr("rossec.net.threads.carrier._now", lambda second=second: second)
-            left.sendall(b"map")
-        assert looks == [start, start + 1, start + 9]
-
-
-def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) -> None:
     """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
     left, right = pair(listener, limits=ChannelLimits(seconds=1))
     with left, right:

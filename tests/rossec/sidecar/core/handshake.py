@@ -42,7 +42,7 @@ def admit(
 
 REQUEST_TOPIC = CallProgram(SLAVE, "requestTopic", ("/viewer", "/word", [["TCPROS"]]))
 REQUEST_ANSWERED: tuple[Command, Event] = (REQUEST_TOPIC, Answered([1, "ready", TOPIC_PORT]))
-"""The program is asked for its topic port, and its answer."""
+"""The request for the topic port of a program, and its answer."""
 
 
 def arrived(setup: AgentSetup, fields: Fields, peer: str | None = None) -> HeaderArrived:

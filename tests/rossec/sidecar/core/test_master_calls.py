@@ -24,7 +24,15 @@ from rossec.sidecar.core.master_calls import (
 )
 from tests.rossec.master.fakes import FakeStatements
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
-from tests.rossec.sidecar.core.registering import OK, OUTSIDE, OWN, PEER, SERVICE, SLAVE, register
+from tests.rossec.sidecar.core.registering import (
+    INGRESS_URI,
+    OK,
+    OWN_URI,
+    PEER,
+    SERVICE,
+    SLAVE,
+    register,
+)
 
 
 def test_a_registration_is_rewritten_in_both_directions(setup: AgentSetup) -> None:
@@ -32,7 +40,7 @@ def test_a_registration_is_rewritten_in_both_directions(setup: AgentSetup) -> No
 
 
 def test_the_programs_own_uri_is_returned_byte_for_byte(setup: AgentSetup) -> None:
-    assert register(setup, OUTSIDE, "no uri") == [1, "ok", [OWN]]
+    assert register(setup, INGRESS_URI, "no uri") == [1, "ok", [OWN_URI]]
 
 
 def test_another_program_of_the_same_identity_is_reached_through_the_channel(
@@ -41,9 +49,9 @@ def test_another_program_of_the_same_identity_is_reached_through_the_channel(
     """Its messages must pass the guard too."""
     setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.HTTP, 5555), 7777)
     other = Endpoint(WireProtocol.HTTP, HOST, 7777)
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     answer = run_layer(
-        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
+        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN_URI)),
         (OpenIngress(SLAVE), Opened(7000)),
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
         (OpenEgress(other), Opened(8000)),
@@ -54,18 +62,21 @@ def test_another_program_of_the_same_identity_is_reached_through_the_channel(
 def test_a_service_is_registered_with_the_slave_api(setup: AgentSetup) -> None:
     answer = run_layer(
         handle_call(
-            setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)
+            setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN_URI)
         ),
         (OpenIngress(SLAVE), Opened(7000)),
         (OpenIngress(SERVICE), Opened(7001)),
-        (CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", OUTSIDE)), OK),
+        (
+            CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", INGRESS_URI)),
+            OK,
+        ),
     )
     assert answer == [1, "done", 0]
 
 
 def test_a_program_may_not_register_under_another_name(setup: AgentSetup) -> None:
     answer = run_layer(
-        handle_call(setup.agent, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN))
+        handle_call(setup.agent, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN_URI))
     )
     assert isinstance(answer, list)
     assert answer[0] == -1
@@ -128,9 +139,9 @@ def test_a_node_of_the_same_identity_is_reached_directly(setup: AgentSetup) -> N
     register(setup)
     answer = run_layer(
         handle_call(setup.agent, "lookupNode", ("/robot", "/robot")),
-        (CallMaster("lookupNode", ("/robot", "/robot")), Answered([1, "node api", OUTSIDE])),
+        (CallMaster("lookupNode", ("/robot", "/robot")), Answered([1, "node api", INGRESS_URI])),
     )
-    assert answer == [1, "node api", OWN]
+    assert answer == [1, "node api", OWN_URI]
 
 
 def test_the_uri_of_the_master_is_the_loopback_one(setup: AgentSetup) -> None:
@@ -206,11 +217,11 @@ NOT_FOUND = Answered([-1, "Cannot find parameter [x] in an upwards search", ""])
 def test_a_search_starts_in_the_callers_namespace(setup: AgentSetup) -> None:
     """Under the certified name the master would search from another namespace."""
 
-    def search(place: str) -> CallMaster:
-        return CallMaster("searchParam", ("/robot", place))
+    def search(key: str) -> CallMaster:
+        return CallMaster("searchParam", ("/robot", key))
 
-    for key, rest in (("x", ""), ("x/y", "/y")):
-        layer = handle_call(setup.agent, "searchParam", ("/ns/rosparam-17", key))
+    for name, rest in (("x", ""), ("x/y", "/y")):
+        layer = handle_call(setup.agent, "searchParam", ("/ns/rosparam-17", name))
         answer = run_layer(
             layer,
             (search("/ns/rosparam-17/x"), NOT_FOUND),
@@ -227,9 +238,9 @@ def test_a_search_starts_in_the_callers_namespace(setup: AgentSetup) -> None:
 
 def test_a_search_under_the_certified_name_is_forwarded(setup: AgentSetup) -> None:
     for params in (("/robot", "x"), ("/tool", "/x"), ("/tool", "~x")):
-        asked = CallMaster("searchParam", ("/robot", params[1]))
+        request = CallMaster("searchParam", ("/robot", params[1]))
         assert (
-            run_layer(handle_call(setup.agent, "searchParam", params), (asked, Answered(FOUND)))
+            run_layer(handle_call(setup.agent, "searchParam", params), (request, Answered(FOUND)))
             == FOUND
         )
 
@@ -243,17 +254,17 @@ def test_no_answer_or_an_invalid_one_of_the_master_closes_the_connection(setup: 
         run_layer(handle_call(setup.agent, "getPid", ("/robot",)), (request, RawResponse(b"")))
     with pytest.raises(UnexpectedEvent):
         run_layer(
-            handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN)),
+            handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN_URI)),
             (OpenIngress(SLAVE), CommandDone()),
         )
 
 
 def test_an_anonymous_program_uses_the_wildcard(setup: AgentSetup) -> None:
     anonymous = AgentSetup(setup.site, "/rviz", wildcard=True)
-    params = ("/rviz_12_34", "/x", "pkg/Type", OWN)
+    params = ("/rviz_12_34", "/x", "pkg/Type", OWN_URI)
     run_layer(
         handle_call(anonymous.agent, "registerPublisher", params),
         (OpenIngress(SLAVE), Opened(7000)),
-        (CallMaster("registerPublisher", (*params[:3], OUTSIDE)), Answered([1, "", []])),
+        (CallMaster("registerPublisher", (*params[:3], INGRESS_URI)), Answered([1, "", []])),
     )
     assert replace(anonymous.agent).name_for("/rvizx") == "/rviz"

@@ -20,7 +20,15 @@ from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
 from rossec.sidecar.core.master_calls import handle_call
 from rossec.sidecar.core.registrations import drop_expired_publishers, restore, resubscribe
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
-from tests.rossec.sidecar.core.registering import OK, OUTSIDE, OWN, PEER, SERVICE, SLAVE, register
+from tests.rossec.sidecar.core.registering import (
+    INGRESS_URI,
+    OK,
+    OWN_URI,
+    PEER,
+    SERVICE,
+    SLAVE,
+    register,
+)
 from tests.support.site import Site
 
 ALIVE = (Probe(SLAVE), CommandDone())
@@ -29,9 +37,9 @@ ALIVE = (Probe(SLAVE), CommandDone())
 def test_an_unregistered_topic_is_not_restored(setup: AgentSetup) -> None:
     register(setup)
     run_layer(
-        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", OWN)),
+        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", OWN_URI)),
         (OpenIngress(SLAVE), Opened(7000)),
-        (CallMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
+        (CallMaster("unregisterSubscriber", ("/robot", "/scan", INGRESS_URI)), OK),
     )
     assert run_layer(restore(setup.agent), ALIVE) is None
 
@@ -45,16 +53,16 @@ def test_a_new_program_of_the_same_name_keeps_its_registration(setup: AgentSetup
         (OpenIngress(other_api), Opened(7999)),
         (CallMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
     )
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     request = CallMaster("registerSubscriber", params)
     assert run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "", []]))) is None
 
 
 def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None:
     outside = f"rosrpc://{HOST}:7001"
-    params = ("/robot", "/say", outside, OUTSIDE)
+    params = ("/robot", "/say", outside, INGRESS_URI)
     run_layer(
-        handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
+        handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN_URI)),
         (OpenIngress(SLAVE), Opened(7000)),
         (OpenIngress(SERVICE), Opened(7001)),
         (CallMaster("registerService", params), OK),
@@ -77,9 +85,9 @@ def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None
 def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: Path) -> None:
     setup = AgentSetup(Site(tmp_path / "site"), wildcard=True)
     register(setup)
-    params = ("/robot_2", "/word", "pkg/Type", OUTSIDE)
+    params = ("/robot_2", "/word", "pkg/Type", INGRESS_URI)
     run_layer(
-        handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
+        handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN_URI)),
         (OpenIngress(SLAVE), Opened(7000)),
         (CallMaster("registerPublisher", params), OK),
     )
@@ -88,7 +96,7 @@ def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: 
 
 def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup) -> None:
     register(setup)
-    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
     run_layer(
         restore(setup.agent),
@@ -103,17 +111,17 @@ def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup)
 
 def test_a_dead_program_is_not_restored(setup: AgentSetup) -> None:
     register(setup)
-    gone = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
-    assert run_layer(restore(setup.agent), *gone) is None
+    ended = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
+    assert run_layer(restore(setup.agent), *ended) is None
     assert run_layer(restore(setup.agent)) is None
 
 
 def test_restoring_continues_after_refusals_and_stops_without_answer(setup: AgentSetup) -> None:
     register(setup)
-    request = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
+    request = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
     run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
-        run_layer(restore(setup.agent), ALIVE, (request, NoAnswer("cut")))
+        run_layer(restore(setup.agent), ALIVE, (request, NoAnswer("closed")))
 
 
 def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
@@ -121,7 +129,7 @@ def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
     run_layer(
         resubscribe(setup.agent, "/scan"),
         (
-            CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE)),
+            CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI)),
             Answered([1, "ok", [PEER.uri]]),
         ),
         (OpenEgress(PEER), Opened(8000)),
@@ -144,7 +152,7 @@ def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
 ) -> None:
     register(setup, PEER.uri)
     inside_uri = "http://127.0.0.1:8000/"
-    register_again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
+    register_again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
     setup.agent.publisher_grace.session_opened()
     run_layer(
         restore(setup.agent),

@@ -198,8 +198,8 @@ def test_a_call_needs_a_caller_id(setup: AgentSetup) -> None:
     master, now = setup.identity("/master"), setup.site.now()
     missing, odd = "missing required caller_id parameter", "caller_id must be a string"
     for method, default in (("getPid", -1), ("getBusInfo", []), ("getName", "")):
-        for params, said in (((), missing), ((7,), odd)):
-            answer = [-1, said, default]
+        for params, status in (((), missing), ((7,), odd)):
+            answer = [-1, status, default]
             assert run_layer(handle_program_call(setup.agent, PEER, method, params)) == answer
             layer = handle_peer_call(setup.agent, SLAVE, master, method, params, None, now)
             assert run_layer(layer) == answer
@@ -281,11 +281,13 @@ def test_a_peer_cannot_open_any_number_of_ports(setup: AgentSetup) -> None:
     uris = [f"http://10.0.0.7:{port}/" for port in range(1, 100)]
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
-    doors = [
+    egress = [
         (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
         for port in range(1, 65)
     ]
-    answer = run_layer(layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *doors)
+    answer = run_layer(
+        layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress
+    )
     assert isinstance(answer, list)
     assert [entry[1] for entry in answer[2]][63:65] == ["http://127.0.0.1:8064/", uris[64]]
 

@@ -89,10 +89,10 @@ def test_restrictions_on_services_are_refused(setup: AgentSetup) -> None:
     with pytest.raises(RestrictionMismatch):
         run_layer(admit(setup, authorized, TOPIC_ENDPOINT))
     setup.site.grant("/viewer", Right.PROVIDE, "/do", restriction=limited)
-    asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
+    request = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
     answer = {"callerid": b"/viewer", **proof(setup, "/viewer", Right.PROVIDE, "/do")}
     layer = connect_to_peer(
-        setup.agent, PEER, asked, no_key, memory_scope("/robot").child, setup.site.now()
+        setup.agent, PEER, request, no_key, memory_scope("/robot").child, setup.site.now()
     )
     command = next(layer)
     assert isinstance(command, ConnectPeer)

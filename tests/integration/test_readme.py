@@ -1,0 +1,53 @@
+"""The commands of the README, typed as printed."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+from tests.integration.test_first_steps import ROOT, SECRET, free_port
+
+
+def quickstart() -> str:
+    """The commands of README as printed."""
+    text = (ROOT / "README.md").read_text()
+    return text.partition("<!-- quickstart -->\n```\n")[2].partition("```")[0]
+
+
+ANSWERS: Final = (
+    *(SECRET, SECRET),  # ca init, twice
+    *("y", SECRET),  # ca sign
+    *("y", "y", "y"),  # node install
+    *(SECRET, SECRET),  # grant sign
+    *(SECRET, SECRET),  # grant revoke, ca revoke
+)
+
+
+def test_the_commands_of_the_readme_work_as_printed(tmp_path: Path) -> None:
+    """Typed into one shell at a terminal, where a person answers; `rossec` is not installed."""
+    port = free_port()
+    printed = quickstart()
+    # The only thing added: a person sees the master's first line before going on.
+    started = "rossec master &"
+    assert printed.count(f"\n{started} ") == 1
+    script = tmp_path / "quickstart.sh"
+    waits = re.sub(rf"(?m)^{started}.*$", rf"\g<0>\n{READY}", printed)
+    script.write_text(f"set -e\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{waits}")
+    env = {
+        "HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "PORT": str(port), "TERM": "dumb",
+        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
+    }  # fmt: skip
+    typed = [sys.executable, "-m", "tests.support.terminal", *ANSWERS, "--"]
+    done = subprocess.run(
+        [*typed, "/bin/bash", str(script)],
+        env=env, cwd=ROOT, text=True, capture_output=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    assert done.stdout.count("x: 4.0") == 2
+    assert done.stdout.count("frame_id: \n") == 2
+    assert done.stdout.count("the master has the new list") == 2
+
+
+READY: Final = "until (: >/dev/tcp/127.0.0.1/$PORT) 2>/dev/null; do sleep 0.05; done"

@@ -1,0 +1,335 @@
+"""Streams over loopback: units, bursts, back-pressure, forwarding, closes."""
+
+import asyncio
+import contextlib
+import gc
+import socket
+import weakref
+
+import pytest
+
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
+from rossec.errors import (
+    ChannelClosed,
+    LimitExceeded,
+    SendQueueFull,
+)
+from rossec.net.aio import SecureServer, connect, serve
+from rossec.net.aio import driver as driver_module
+from rossec.net.aio import stream as secure_module
+from tests.support.secure_streams import Stream, call, echo, live, still_works
+from tests.support.wire import ALICE, BOB, FakeIdentity
+
+
+@pytest.mark.parametrize("opening", list(WireProtocol))
+@pytest.mark.parametrize("size", [1, 70_000, 3_000_000])
+async def test_units_there_and_back(
+    server: SecureServer[FakeIdentity], opening: WireProtocol, size: int
+) -> None:
+    async with await call(server, opening) as stream:
+        assert stream.peer.name == "/bob"
+        assert stream.opening is opening
+        assert stream.address == "127.0.0.1"
+        await stream.send(b"x" * size, b"tail")
+        assert await stream.receive() == b"x" * size + b"tail"
+    with pytest.raises(ChannelClosed):
+        await stream.receive()
+    with pytest.raises(ChannelClosed):
+        await stream.send(b"late")
+    with pytest.raises(ChannelClosed):
+        stream.send_nowait(b"late")
+
+
+async def test_nothing_waits_for_nagle(server: SecureServer[FakeIdentity]) -> None:
+    async with await call(server) as stream:
+        for driver in (stream._driver, *server._drivers):
+            sock = driver.transport.socket
+            assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+async def test_small_units_queued_together_arrive_together(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+        for count in range(100):
+            stream.send_nowait(b"%02d" % count, b";")
+        assert stream.backlog == 300
+        unit = await stream.receive()
+        assert unit == b"".join(b"%02d;" % count for count in range(100))
+        stream.send_nowait(b"first ")
+        await stream.send(b"second")
+        assert await stream.receive() == b"first second"
+
+
+async def test_a_connection_that_ended_holds_nothing() -> None:
+    ended: list[weakref.ref[object]] = []
+
+    async def serving(stream: Stream) -> None:
+        ended.append(weakref.ref(stream._driver))
+        await echo(stream)
+
+    async with serve(serving, "127.0.0.1", 0, BOB, live) as server:
+        gc.collect()
+        gc.disable()  # or it might do the work
+        try:
+            stream = await call(server)
+            ended.append(weakref.ref(stream._driver))
+            await stream.send(b"x")
+            await stream.receive()
+            await stream.close()
+            with pytest.raises(ChannelClosed):
+                await stream.receive()
+            del stream
+            while any(each() is not None for each in ended):  # noqa: ASYNC110 - nobody tells
+                await asyncio.sleep(0.001)
+        finally:
+            gc.enable()
+    assert len(ended) == 2
+
+
+async def test_a_burst_is_joined_after_its_first_unit(
+    server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 1000.0
+    monkeypatch.setattr(secure_module, "monotonic", lambda: now)
+    async with await call(server) as stream:
+        for unit in (b"alone", b"and ", b"the ", b"others"):
+            await stream.send(unit)
+        assert stream.backlog == len(b"and the others")
+        assert await stream.receive() == b"alone"
+        assert await stream.receive() == b"and the others"
+        now += 1
+        await stream.send(b"later")
+        assert stream.backlog == 0
+        assert await stream.receive() == b"later"
+
+
+async def test_a_single_unit_is_offered_before_it_is_queued(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+        told, offered = asyncio.Event(), list[bytes]()
+
+        def take(unit: bytes) -> bool:
+            offered.append(unit)
+            told.set()
+            return unit != b"kept"
+
+        stream.on_ready(told.set, take)
+        for unit in (b"taken", b"kept", b"behind"):
+            await stream.send(unit)
+            await asyncio.wait_for(told.wait(), 10)
+            told.clear()
+        assert offered == [b"taken", b"kept"]
+        assert (stream.next_unit(), stream.next_unit()) == (b"kept", b"behind")
+        assert stream.next_unit() is None
+
+
+async def test_a_slow_reader_stops_the_writer() -> None:
+    go = asyncio.Event()
+    got = 0
+
+    async def slow(stream: Stream) -> None:
+        nonlocal got
+        await go.wait()
+        while True:
+            got += len(await stream.receive())
+
+    async with serve(slow, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        lags = [stream.lags]
+        sent = 0
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1):
+                while True:
+                    await asyncio.shield(asyncio.ensure_future(stream.send(b"x" * 500_000)))
+                    sent += 500_000
+        assert sent < 64_000_000
+        assert [*lags, stream.lags] == [False, True]
+        with pytest.raises(SendQueueFull):  # noqa: PT012 - fills whatever is left
+            while True:
+                stream.send_nowait(b"y" * 10_000)
+        backlog = stream.backlog
+        go.set()
+        await stream.send(b"z")
+        await stream.close()
+        await asyncio.sleep(0.1)
+        assert got == sent + 500_000 + backlog + 1
+
+
+async def test_a_send_given_up_half_way_ends_the_connection() -> None:
+    async def deaf(stream: Stream) -> None:
+        await asyncio.sleep(60)
+
+    async with serve(deaf, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        await stream.send(b"x" * 3_000_000)  # more than the peer takes unread: it stops reading
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.5):
+                await stream.send(b"x" * 100_000_000)
+        with pytest.raises(ChannelClosed, match="half-way"):
+            await stream.send(b"y")
+
+
+async def test_an_abort_is_a_truncation_for_the_peer(server: SecureServer[FakeIdentity]) -> None:
+    stream = await call(server)
+    stream.abort("revoked")
+    with pytest.raises(ChannelClosed, match="revoked"):
+        await stream.receive()
+    with contextlib.suppress(ZeroDivisionError):
+        async with await call(server) as other:
+            raise ZeroDivisionError
+    with pytest.raises(ChannelClosed, match="failed"):
+        await other.receive()
+    await still_works(server)
+
+
+async def test_when_closed_is_called_at_the_end_of_the_socket() -> None:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        told: list[str] = []
+        stream.when_closed(lambda: told.append("then"))
+        await stream.close()
+        stream.when_closed(lambda: told.append("later"))
+        assert told == ["then", "later"]
+
+
+async def test_a_peer_that_does_not_answer_the_close_is_aborted(
+    server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver_module, "_LINGER", 0.1)
+    stream = await call(server)
+    await stream.send(b"x")
+    await stream.receive()
+    (there,) = server._drivers
+    there.transport.pause_reading()
+    closing = asyncio.get_running_loop().create_task(stream.close())
+    await asyncio.sleep(0)
+    stream._driver._on_timer()  # a timer that was set for something earlier
+    assert not stream._driver.transport.closed
+    async with asyncio.timeout(30):
+        await closing
+    assert stream._driver.transport.closed
+
+
+async def test_units_queued_behind_a_waiting_large_one() -> None:
+    async def count(stream: Stream) -> None:
+        await asyncio.sleep(0.1)
+        got = 0
+        while got < 20_000_005:
+            got += len(await stream.receive())
+        await stream.send(b"all")
+
+    async with serve(count, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        large = asyncio.ensure_future(stream.send(bytes(20_000_000)))
+        await asyncio.sleep(0.01)
+        stream.send_nowait(b"small")
+        await large
+        assert await stream.receive() == b"all"
+        stream.abort("done")
+
+
+async def test_a_unit_limit_below_what_is_joined() -> None:
+    limits = ChannelLimits(unit=10)
+    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+        stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
+        for _ in range(5):
+            stream.send_nowait(b"1234567")
+            await stream.send(memoryview(b"89"), b"")
+        with pytest.raises(LimitExceeded):
+            stream.send_nowait(b"x" * 11)
+        with pytest.raises(LimitExceeded):
+            await stream.send(b"x" * 11)
+        got = b""
+        while len(got) < 45:
+            got += await stream.receive()
+        assert got == b"123456789" * 5
+        stream.send_nowait()
+        await stream.close()
+
+
+async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
+    limits = ChannelLimits(records=1)
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
+        stream._driver.transport.pause_reading()
+        with pytest.raises(LimitExceeded, match="renewal"):  # noqa: PT012 - some sends
+            for _ in range(9):
+                await stream.send(b"x")
+                await asyncio.sleep(0)
+        with pytest.raises(LimitExceeded):
+            await stream.receive()
+
+
+async def test_addresses_are_those_of_the_connection(server: SecureServer[FakeIdentity]) -> None:
+    stream = await call(server)
+    assert stream.local_address == "127.0.0.1"
+    stream.abort("done")
+    assert stream.local_address == ""
+
+
+async def test_small_units_wait_for_a_peer_that_lags() -> None:
+    go = asyncio.Event()
+
+    async def late(stream: Stream) -> None:
+        await go.wait()
+        got = b""
+        while not got.endswith(b"end"):
+            got = (got + await stream.receive())[-3:]
+        await stream.send(b"all")
+
+    async with serve(late, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        while stream._driver.writable:
+            await stream.send(b"x" * 1000)
+        stream.send_nowait(b"y")
+        await asyncio.sleep(0)
+        stream.send_nowait(b"end")
+        go.set()
+        assert await stream.receive() == b"all"
+        stream.abort("done")
+
+
+async def forwarded_from(server: SecureServer[FakeIdentity], sink: list[bytes]) -> None:
+    """Everything that comes back, with a receiver that lags after each."""
+    async with await call(server) as stream:
+        await stream.drain()
+        for number in range(20):
+            assert stream.write_nowait(bytes([number]) * 1000)
+
+        def write_nowait(unit: bytes) -> bool:
+            sink.append(unit)
+            return False
+
+        async def drain() -> None:
+            await asyncio.sleep(0)
+            if sum(map(len, sink)) == 20_000:
+                await stream.close()
+
+        await stream.forward(write_nowait, drain)
+
+
+async def test_forwarded_units_arrive_in_order(server: SecureServer[FakeIdentity]) -> None:
+    sink: list[bytes] = []
+    with pytest.raises(ChannelClosed):
+        await forwarded_from(server, sink)
+    assert b"".join(sink) == b"".join(bytes([number]) * 1000 for number in range(20))
+
+
+async def test_a_receiver_that_fails_ends_the_forwarding(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+
+        def write_nowait(_: bytes) -> bool:
+            raise ArithmeticError
+
+        forwarding = asyncio.ensure_future(stream.forward(write_nowait, stream.drain))
+        await asyncio.sleep(0)
+        stream.write_nowait(b"x")
+        with pytest.raises(ArithmeticError):
+            await forwarding
+    with pytest.raises(ChannelClosed):
+        stream.write_nowait(b"late")

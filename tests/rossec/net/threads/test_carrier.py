@@ -1,0 +1,178 @@
+"""The core below a secure socket: handshakes, refusals, deadlines."""
+
+import contextlib
+import dataclasses
+import select
+import socket
+import struct
+import threading
+import time
+
+import pytest
+
+from rossec.channel.records import ChannelLimits
+from rossec.errors import (
+    ChannelError,
+    HandshakeTimeout,
+    IdentityExpired,
+    IdentityRefused,
+    PeerRefused,
+)
+from rossec.net.halfopen import HalfOpen
+from rossec.net.threads import carrier
+from tests.support.listener import SecureListener
+from tests.support.secure_sockets import (
+    Secure,
+    background,
+    live,
+    make_listener,
+    pair,
+)
+from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, trust
+
+
+def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
+    errors: list[BaseException] = []
+
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock:
+            try:
+                sock.do_handshake()
+            except ChannelError as error:
+                errors.append(error)
+
+    thread = background(serve)
+    left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
+    with left, pytest.raises(PeerRefused):
+        left.recv(1)
+    thread.join(30)
+    assert isinstance(errors[0], IdentityRefused)
+
+
+def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
+    def nobody(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        return trust((STRANGER.chain[0],), now)
+
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock, pytest.raises(PeerRefused):
+            sock.do_handshake()
+
+    thread = background(serve)
+    with pytest.raises(IdentityRefused):
+        Secure.connect(listener.getsockname(), ALICE, nobody, 5)
+    thread.join(30)
+
+
+def test_the_handshake_deadline() -> None:
+    listener = make_listener(limits=ChannelLimits(handshake_seconds=1))
+    with listener, socket.create_connection(listener.getsockname()):
+        sock, _ = listener.accept()
+        with sock, pytest.raises(HandshakeTimeout):
+            sock.recv(1)
+
+
+@pytest.mark.parametrize("use", ["sendall", "send_now", "recv"])
+def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch, use: str
+) -> None:
+    """Its confirmation, message_4, has waited in the kernel: nobody had read meanwhile."""
+    left, right = pair(listener)
+    with left, right:
+        if use == "recv":
+            right.sendall(b"x")
+        select.select([left._socket], [], [])
+        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        if use == "recv":
+            assert left.recv(1) == b"x"
+        elif use == "send_now":
+            assert left.try_send(b"x")
+            assert right.recv(1) == b"x"
+        else:
+            left.sendall(b"x")
+            assert right.recv(1) == b"x"
+
+
+def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        core = bob()
+
+        def half_way() -> None:
+            sock, _ = server.accept()
+            with sock:
+                core.receive_data(sock.recv(65536), NOW)
+                sock.sendall(core.data_to_send())
+                done.wait()
+
+        done = threading.Event()
+        thread = background(half_way)
+        left = Secure.connect(server.getsockname(), ALICE, live, 5)
+        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        with left, pytest.raises(HandshakeTimeout):
+            left.sendall(b"x")
+        done.set()
+        thread.join(30)
+
+
+def test_half_open_caps() -> None:
+    listener = make_listener(half_open=HalfOpen(per_address=1))
+    with listener, socket.create_connection(listener.getsockname()):
+        held, _ = listener.accept()
+        with socket.create_connection(listener.getsockname()) as refused:
+            listener.settimeout(0.05)
+            with pytest.raises(TimeoutError):
+                listener.accept()
+            assert refused.recv(1) == b""
+        held.close()
+        listener.settimeout(5)
+        left, right = pair(listener)
+        left.close()
+        right.close()
+
+
+def test_an_expiring_certificate_ends_a_waiting_read() -> None:
+    def short(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        found = trust(chain, now)
+        return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
+
+    with make_listener() as listener:
+        listener._verify = short
+        left, right = pair(listener)
+        with left, right, pytest.raises(IdentityExpired):
+            right.recv(1)
+
+
+def test_a_reader_without_a_deadline_runs_the_timers_of_the_core(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel waits a slice at a time; between two the clock is looked at."""
+    monkeypatch.setattr("rossec.net.threads.carrier._SLICE", struct.pack("ll", 0, 20_000))
+    left, right = pair(listener)
+    with left, right:
+        left.settimeout(None)
+        expired = threading.Event()
+
+        def wait() -> None:
+            with contextlib.suppress(ChannelError):
+                left.recv(1)
+            expired.set()
+
+        thread = background(wait)
+        left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
+        assert expired.wait(30)
+        thread.join(30)
+
+
+def test_timers_run_once_in_a_second(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        looks: list[int] = []
+        monkeypatch.setattr(left._core, "tick", looks.append)
+        start = int(time.time()) + 10
+        for second in (start, start, start + 1, start + 1, start + 9):
+            monkeypatch.setattr("rossec.net.threads.carrier._now", lambda second=second: second)
+            left.sendall(b"map")
+        assert looks == [start, start + 1, start + 9]
