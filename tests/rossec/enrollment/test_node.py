@@ -33,12 +33,12 @@ class Clock:
 
 
 class Caller:
-    """Somebody who has connected."""
+    """A caller that has connected."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
 
-    async def hears(self) -> Message:
+    async def receives(self) -> Message:
         async with asyncio.timeout(20):
             return read(await wire.receive(self.reader))
 
@@ -146,10 +146,10 @@ async def test_an_answer_that_was_lost_comes_again() -> None:
 async def test_a_rival_ends_it_for_both() -> None:
     async with waiting() as stage:
         _, _, first = await stage.offered()
-        await first.hears()
+        await first.receives()
         _, _, second = await stage.offered(OTHER)
-        assert await first.hears() == Abort(Reason.CONFLICT)
-        assert await second.hears() == Abort(Reason.CONFLICT)
+        assert await first.receives() == Abort(Reason.CONFLICT)
+        assert await second.receives() == Abort(Reason.CONFLICT)
         with pytest.raises(ConflictingOffer):
             await stage.ends(NodeState.ENROLLED)
         assert await second.is_left()
@@ -172,7 +172,7 @@ async def test_offers_without_the_secret_lock_the_code() -> None:
         for offer in offers:
             caller = await stage.caller()
             caller.says(offer)
-            answer = await caller.hears()
+            answer = await caller.receives()
             assert isinstance(answer, Abort)
             reasons.append(answer.reason)
         assert reasons == [Reason.REFUSED] * 4 + [Reason.OVER]
@@ -190,7 +190,7 @@ async def test_garbage_ends_its_connection_only() -> None:
         ):
             stranger = await stage.caller()
             stranger.writer.write(garbage)
-            assert await stranger.hears() == Abort(Reason.REFUSED)
+            assert await stranger.receives() == Abort(Reason.REFUSED)
             assert await stranger.is_left()
         quitter = await stage.caller()
         quitter.writer.write(b"\0\0")
@@ -209,13 +209,13 @@ async def test_a_silent_caller_is_not_waited_for() -> None:
 async def test_an_answered_caller_stays_connected() -> None:
     async with waiting() as stage:
         _, offer, answered = await stage.offered()
-        first = await answered.hears()
+        first = await answered.receives()
         stage.node._patience = 0.05
         answered.says(offer)
-        assert await answered.hears() == first
+        assert await answered.receives() == first
         await asyncio.sleep(0.2)  # longer than the patience with strangers
         stage.node.stop(EnrollmentOver("enough"))
-        assert await answered.hears() == Abort(Reason.OVER)
+        assert await answered.receives() == Abort(Reason.OVER)
 
 
 async def test_few_callers_at_a_time() -> None:
@@ -223,7 +223,7 @@ async def test_few_callers_at_a_time() -> None:
         callers = [await stage.caller() for _ in range(4)]
         for caller in callers:
             caller.says(write(Fetch()))
-            await caller.hears()
+            await caller.receives()
         fifth = await stage.caller()
         assert await fifth.is_left()
         callers[0].writer.close()
@@ -232,7 +232,7 @@ async def test_few_callers_at_a_time() -> None:
             sixth = await stage.caller()
             sixth.says(write(Fetch()))
             with suppress(EOFError, ConnectionError):
-                await sixth.hears()
+                await sixth.receives()
                 break
 
 
@@ -261,7 +261,7 @@ async def test_an_identity_that_cannot_be_written_is_not_trusted() -> None:
             stage.node.confirm("no", full)
         with pytest.raises(OSError, match="no space"):
             stage.node.confirm(authority.digits, full)
-        assert await caller.hears() == Abort(Reason.OVER)
+        assert await caller.receives() == Abort(Reason.OVER)
         with pytest.raises(EnrollmentOver, match="could not be written: no space"):
             await stage.ends(NodeState.ENROLLED)
 
