@@ -1,4 +1,4 @@
-"""How fast news travels: publisher updates past dead nodes, and revocations to the last message."""
+"""Latency of publisher updates with dead nodes, and of revocations to the last message."""
 
 import asyncio
 import contextlib
@@ -11,7 +11,7 @@ from statistics import median
 from xmlrpc.server import SimpleXMLRPCServer
 
 from bench._lines import Line, request
-from bench._masters import Master, Member, enroll
+from bench._masters import EnrolledNode, Master, enroll
 from bench._population import TYPE
 from ca.certificates import Identity
 from ca.encoding import encode
@@ -35,13 +35,13 @@ KIND = "std_msgs/String"
 
 @contextlib.contextmanager
 def silent_port() -> Iterator[int]:
-    """A port that takes connections and never says anything."""
+    """A port that accepts connections and never answers."""
     with socket.create_server(("0.0.0.0", 0), backlog=256) as sock:
         yield sock.getsockname()[1]
 
 
-class _Heard:
-    """Counts what a slave API is told, and lets another thread wait for it."""
+class _Calls:
+    """Counts the calls of a slave API, and lets another thread wait for them."""
 
     def __init__(self) -> None:
         self.condition = threading.Condition()
@@ -61,7 +61,7 @@ class _Heard:
 
 def plain_updates(master: Master, dead: int) -> float:
     """Median milliseconds from a registration to the live subscriber, at stock rosmaster."""
-    heard = _Heard()
+    heard = _Calls()
     server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
     server.register_function(heard, "publisherUpdate")
     thread = threading.Thread(target=server.serve_forever, daemon=True)
@@ -102,7 +102,7 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
     async def slave(stream: SecureStream[Identity]) -> None:
         await serve_calls(stream, dispatch)
 
-    async def client(name: str) -> tuple[Member, RpcClient]:
+    async def client(name: str) -> tuple[EnrolledNode, RpcClient]:
         member = enroll(site, name, {TOPIC: Right.PUBLISH | Right.SUBSCRIBE})
         stream = await connect(
             "127.0.0.1",
@@ -154,7 +154,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
                     await stream.receive()
             ends.append(time.perf_counter())
 
-        async def join(member: Member) -> SecureStream[Identity]:
+        async def join(member: EnrolledNode) -> SecureStream[Identity]:
             stream = await connect(host, port, member.credentials, site.anchor.verify)
             fields: dict[str, str | bytes] = {
                 "callerid": member.name,
@@ -169,7 +169,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
         async with asyncio.TaskGroup() as group:
             turn = asyncio.Semaphore(8)
 
-            async def come(member: Member) -> None:
+            async def come(member: EnrolledNode) -> None:
                 async with turn:
                     stream = await join(member)
                 group.create_task(view(stream))
@@ -190,8 +190,8 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
     return sorted((end - begin) * 1000 for end in ends)
 
 
-def _revoke(site: Site, members: list[Member]) -> bytes:
-    """One list that takes all their grants back."""
+def _revoke(site: Site, members: list[EnrolledNode]) -> bytes:
+    """One list that revokes all their grants."""
     now = site.now()
     for member in members:
         site.authority.store.revoke(grant_id(member.grant), "bench", now)

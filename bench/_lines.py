@@ -1,4 +1,4 @@
-"""Lean connections to a master: the master is what is measured, so the load must cost little.
+"""Cheap connections to a master: only the master is measured.
 
 Requests are encoded, and for our master sealed, before the clock starts; while it runs a line only
 sends bytes and sees where an answer ends; answers are opened and looked at afterwards. So both
@@ -65,7 +65,7 @@ class Line:
         return body
 
     def ask(self, data: bytes) -> bytes:
-        """One request, without haste."""
+        """One request, not measured."""
         for each in self.ready([data]):
             self.sock.sendall(each)
         while (answer := self.answer()) is None:
@@ -109,7 +109,7 @@ class SecureLine(Line):
 
 
 def drive(lines: Sequence[Line], requests: Sequence[Sequence[bytes]]) -> float:
-    """Let every line ask its requests, all lines at once, each waiting for its answer.
+    """Let every line send its requests, all lines at once, each waiting for its answer.
 
     Every answer must be a success. Returns the seconds it took.
     """

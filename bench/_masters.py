@@ -41,7 +41,7 @@ class Master(NamedTuple):
         return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
 
 
-class Member(NamedTuple):
+class EnrolledNode(NamedTuple):
     """An enrolled node with its grant."""
 
     name: str
@@ -50,8 +50,8 @@ class Member(NamedTuple):
     grant: bytes
 
 
-def enroll(site: Site, name: str, rights: Mapping[str, Right] | None = None) -> Member:
-    """A node that owns its namespace and may look at everything, unless `rights` say otherwise.
+def enroll(site: Site, name: str, rights: Mapping[str, Right] | None = None) -> EnrolledNode:
+    """A node with all rights in its namespace and read rights to all else, unless `rights` differ.
 
     Nothing is written.
     """
@@ -67,7 +67,7 @@ def enroll(site: Site, name: str, rights: Mapping[str, Right] | None = None) -> 
         permissions=tuple(Permission(pattern, right) for pattern, right in held.items()),
     )  # fmt: skip
     grant = document.sign(site.authority.signer, draft)
-    return Member(name, Credentials(signer, (certificate,)), identity, grant)
+    return EnrolledNode(name, Credentials(signer, (certificate,)), identity, grant)
 
 
 def _free_port() -> int:

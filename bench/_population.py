@@ -1,4 +1,4 @@
-"""Nodes that are only there: registered, connected, with a slave API, in a process of their own."""
+"""Idle nodes: registered, connected, with a slave API, in a process of their own."""
 
 import asyncio
 import contextlib
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from multiprocessing.queues import Queue
 
 from bench._lines import Line, request
-from bench._masters import Member
+from bench._masters import EnrolledNode
 from ca.certificates import Identity, TrustAnchor
 from rossec.errors import RossecError
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
@@ -26,7 +26,7 @@ async def _slave(stream: SecureStream[Identity]) -> None:
     await serve_calls(stream, _answer)
 
 
-async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
+async def join(member: EnrolledNode, port: int, anchor: TrustAnchor) -> RpcClient:
     """One node: a control connection that stays, a slave API, three registrations, a parameter."""
     slave = serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
     uri = f"http://127.0.0.1:{slave.port}/"
@@ -36,7 +36,7 @@ async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
     raise RuntimeError(f"{member.name} could not register")
 
 
-async def _register(member: Member, uri: str, port: int, anchor: TrustAnchor) -> RpcClient:
+async def _register(member: EnrolledNode, uri: str, port: int, anchor: TrustAnchor) -> RpcClient:
     stream = await connect(
         "127.0.0.1", port, member.credentials, anchor.verify, opening=WireProtocol.HTTP
     )
@@ -57,14 +57,14 @@ def registrations(name: str, uri: str) -> list[tuple[object, ...]]:
     ]
 
 
-def _people(members: Sequence[Member], port: int, anchor: bytes, ready: "Queue[int]") -> None:
+def _nodes(members: Sequence[EnrolledNode], port: int, anchor: bytes, ready: "Queue[int]") -> None:
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
 
     async def main() -> None:
         trust, turn = TrustAnchor.load(anchor), asyncio.Semaphore(8)
 
-        async def one(member: Member) -> RpcClient:
+        async def one(member: EnrolledNode) -> RpcClient:
             async with turn:
                 return await join(member, port, trust)
 
@@ -76,11 +76,11 @@ def _people(members: Sequence[Member], port: int, anchor: bytes, ready: "Queue[i
 
 
 @contextlib.contextmanager
-def secure(members: Sequence[Member], port: int, anchor: bytes) -> Iterator[None]:
+def secure(members: Sequence[EnrolledNode], port: int, anchor: bytes) -> Iterator[None]:
     """Nodes at our master."""
     ready: Queue[int] = multiprocessing.Queue()
     process = multiprocessing.Process(
-        target=_people, args=(members, port, anchor, ready), daemon=True
+        target=_nodes, args=(members, port, anchor, ready), daemon=True
     )
     process.start()
     try:

@@ -37,12 +37,12 @@ def build(folder: Path) -> None:
 
 
 def anchor(folder: Path) -> TrustAnchor:
-    """Whom both trust; it parses and verifies each certificate each time, as TLS does."""
+    """The trust anchor of both; it parses and verifies each certificate each time, as TLS does."""
     return TrustAnchor.load(from_pem((folder / "root.pem").read_bytes())[0])
 
 
 def credentials(folder: Path, name: str) -> Credentials:
-    """What a node shows of itself."""
+    """The credentials of a node."""
     pem = (folder / f"{name}.pem").read_bytes()
     key = serialization.load_pem_private_key(pem, None)
     assert isinstance(key, ec.EllipticCurvePrivateKey)

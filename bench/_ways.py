@@ -119,7 +119,7 @@ class Ways:
         name = f"/talker{topic.replace('/', '_')}"
         slave = master(registered(self.plain, name))
         where = ["", "", 0]
-        for _ in _patiently(topic):
+        for _ in _retry(topic):
             code, _, where = slave.requestTopic("/bench", topic, [["TCPROS"]])
             if code == 1:
                 break
@@ -146,7 +146,7 @@ class Ways:
         master(self.beyond).registerPublisher(name, topic, "std_msgs/String", own_uri)
 
     def listen(self, way: str, topic: str, seconds: float) -> dict[str, float]:
-        """What a listener hears in so many seconds, and what the tunnel used for each message."""
+        """What a listener receives in so many seconds, and the CPU time for each message."""
         listener, processes = self._listeners[way], self._tunnels[way, topic]
         assert listener.stdin is not None
         assert listener.stdout is not None
@@ -160,7 +160,7 @@ class Ways:
         return found
 
 
-def _patiently(what: str) -> Iterator[None]:
+def _retry(what: str) -> Iterator[None]:
     give_up = time.monotonic() + _PATIENCE
     while time.monotonic() < give_up:
         yield
@@ -169,8 +169,8 @@ def _patiently(what: str) -> Iterator[None]:
 
 
 def _reached(port: int) -> None:
-    """Wait until something listens there."""
-    for _ in _patiently("a master"):
+    """Wait until the port is open."""
+    for _ in _retry("a master"):
         with socket.socket() as sock:
             if sock.connect_ex(("127.0.0.1", port)) == 0:
                 return
@@ -179,7 +179,7 @@ def _reached(port: int) -> None:
 def registered(uri: str, name: str) -> str:
     """Where the slave API of a node is, once that master knows it."""
     address = ""
-    for _ in _patiently(name):
+    for _ in _retry(name):
         code, _, address = master(uri).lookupNode("/bench", name)
         if code == 1:
             break

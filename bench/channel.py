@@ -1,9 +1,9 @@
 """Plain TCP, TLS 1.3 (mutual, P-256) and rossec, side by side through the real asyncio drivers.
 
 Two processes on loopback. The variants take turns in slices of some hundredths of a second, so
-that other load hits all of them; a ratio is the median over pairs of neighbouring slices, `spread`
-its quartiles, and the first round warms up and counts for nothing. `throughput` is a loop of sends;
-rossec joins what one turn of the loop sends, which is part of what is measured. `paced` gives the
+that other load affects all of them; a ratio is the median over pairs of neighbouring slices,
+`spread` its quartiles, and the first round is a warm-up. `throughput` is a loop of sends; rossec
+joins what one turn of the loop sends, which is part of what is measured. `paced` gives the
 loop a turn after every message, so that nothing can be joined. Both verify the peer's chain in full
 each time, learn its name, and close their connections in order.
 """
@@ -42,7 +42,7 @@ Samples: TypeAlias = dict[tuple[str, str], list[float]]
 
 
 class Pipe:
-    """The same few verbs over a `SecureStream` or over asyncio's streams."""
+    """The same methods over a `SecureStream` or over asyncio's streams."""
 
     def __init__(self, stream: SecureStream[Identity] | None, plain: Any = None) -> None:
         self._secure = stream

@@ -27,7 +27,7 @@ SIZES = (100, 10_000)
 BATCH = 10
 
 
-class Desk:
+class BenchAuthority:
     """An authority with a record on the disk, and requests that wait."""
 
     def __init__(self, directory: Path) -> None:
@@ -41,7 +41,7 @@ class Desk:
         self.count = 0
 
     def request(self) -> bytes:
-        """A request for a name that was never asked for."""
+        """A request for a new name."""
         self.count += 1
         return build_request(self.node, "home", f"/robot{self.count}")
 
@@ -58,20 +58,22 @@ def timed(action: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def rounds(desk: Desk, seconds: float) -> dict[str, list[float]]:
+def rounds(authority: BenchAuthority, seconds: float) -> dict[str, list[float]]:
     """Each part in turn, until the time is over."""
     taken: dict[str, list[float]] = {name: [] for name in ("raw", "certificate", "issue", "log")}
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
         for _ in range(BATCH):
-            request = desk.request()
+            request = authority.request()
             serial = secrets.randbits(127) + 1
-            taken["raw"].append(timed(lambda: desk.signer.sign(request)))  # noqa: B023
+            taken["raw"].append(timed(lambda: authority.signer.sign(request)))  # noqa: B023
             taken["certificate"].append(
-                timed(lambda: desk.authority.issue(request, now=NOW, serial=serial))  # noqa: B023
+                timed(lambda: authority.authority.issue(request, now=NOW, serial=serial))  # noqa: B023
             )
-            taken["issue"].append(timed(lambda: desk.open.issue(request, NOW)))  # noqa: B023
-            taken["log"].append(timed(lambda: desk.store.log_event("bench", "/a", "entry", NOW)))
+            taken["issue"].append(timed(lambda: authority.open.issue(request, NOW)))  # noqa: B023
+            taken["log"].append(
+                timed(lambda: authority.store.log_event("bench", "/a", "entry", NOW))
+            )
     return taken
 
 
@@ -87,19 +89,19 @@ def log_hashing(entries: int) -> float:
     return statistics.median(each) * 1e6
 
 
-def audit_ms(desk: Desk) -> float:
+def audit_ms(authority: BenchAuthority) -> float:
     """Milliseconds for the whole verification of the log and the record."""
-    return timed(lambda: desk.store.log.audit(desk.signer.public_key)) * 1e3
+    return timed(lambda: authority.store.log.audit(authority.signer.public_key)) * 1e3
 
 
 def measure(seconds: float) -> dict[str, object]:
     """Issuance against a raw signature, at two sizes of the record, in about `seconds`."""
     result: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as directory:
-        desk = Desk(Path(directory))
+        authority = BenchAuthority(Path(directory))
         for size in SIZES:
-            desk.fill(size)
-            taken = rounds(desk, seconds / len(SIZES))
+            authority.fill(size)
+            taken = rounds(authority, seconds / len(SIZES))
             medians = {name: statistics.median(values) for name, values in taken.items()}
             result[f"log of {size}"] = {
                 "raw_signs_per_s": round(1 / medians["raw"]),
@@ -109,8 +111,8 @@ def measure(seconds: float) -> dict[str, object]:
                 "issue_to_raw_sign": round(medians["issue"] / medians["raw"], 1),
                 "log_entry_ms": round(medians["log"] * 1e3, 3),
                 "log_entry_hashing_us": round(log_hashing(size), 1),
-                "entries": desk.store.log.head(NOW).size,
-                "audit_ms": round(audit_ms(desk), 1),
+                "entries": authority.store.log.head(NOW).size,
+                "audit_ms": round(audit_ms(authority), 1),
             }
-        desk.store.close()
+        authority.store.close()
     return result

@@ -3,7 +3,7 @@
 The server and its one client run in processes of their own; this one opens connections that never
 finish their handshake, from addresses of 127/8 (100 sources), and keeps open whatever the server
 keeps. It floods in waves, and what is compared are neighbours: a wave and the pause after it, so
-that other load hits both. It has a low priority, because an attacker brings its own computer.
+that other load hits both. It has a low priority, because a real attacker has its own computer.
 Wanted: the established connection keeps half its rate, the server's memory grows by less than
 64 MiB, and a newcomer is served once the flood is over.
 """
@@ -53,7 +53,7 @@ def _server(folder: Path, ports: "Queue[int]") -> None:
 
 
 def _client(folder: Path, port: int, done: Event, rates: "Queue[list[Slice]]") -> None:
-    """Count round trips in slices of a twentieth of a second, until it is told to stop."""
+    """Count round trips in slices of a twentieth of a second, until it is stopped."""
 
     async def main() -> list[Slice]:
         own = _site.credentials(folder, "client")
@@ -120,7 +120,7 @@ def _wave_and_pause(slices: list[Slice], begin: float, end: float) -> tuple[floa
 
 
 async def _newcomer(folder: Path, port: int) -> float:
-    """Seconds until somebody new is served."""
+    """Seconds until a new caller is served."""
     own, begin = _site.credentials(folder, "client"), time.monotonic()
     while True:
         try:

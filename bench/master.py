@@ -27,7 +27,7 @@ from bench._latency import (
     secure_updates,
 )
 from bench._lines import Line, SecureLine, drive, request
-from bench._masters import Master, Member, enroll, ours, stock
+from bench._masters import EnrolledNode, Master, enroll, ours, stock
 from rossec.master.server.server import TIMESTAMP_EVERY
 from rossec.ros import xmlrpc
 from tests.support.site import Site
@@ -144,7 +144,7 @@ def _settle(master: Master) -> None:
             return
 
 
-def _secure_line(port: int, site: Site, member: Member) -> SecureLine:
+def _secure_line(port: int, site: Site, member: EnrolledNode) -> SecureLine:
     line = SecureLine(port, member.credentials, site.anchor.verify)
     body = line.ask(request("rossec.presentGrants", member.name, [member.grant]))
     assert xmlrpc.load_response(body) == [1, "grants accepted", 1]

@@ -1,4 +1,4 @@
-"""How many decisions a second a policy gives, by the number of its rules about exact names."""
+"""Decisions a second under a policy, by the number of its rules for exact names."""
 
 import time
 
@@ -19,7 +19,7 @@ _QUESTIONS = 10  # the same number for every size: caches of the processor are n
 
 
 def policy(rules: int) -> Policy:
-    """One rule for each of so many nodes and topics, and a denial for everybody."""
+    """One rule for each of so many nodes and topics, and a denial for every node."""
     made = [
         PolicyRule(f"r{n}", Effect.ALLOW, (SubjectPattern("w", f"/node{n}"),),
              (Clause(Right.SUBSCRIBE, f"/robot{n}/pose"),))

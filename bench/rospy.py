@@ -141,24 +141,24 @@ class Pair:
         """Seconds from the first message published to the last one received."""
         for subscriber in self.subscribers:
             await subscriber.tell(str(count))
-            await subscriber.hears("ARMED")
+            await subscriber.read_until("ARMED")
         await self.publisher.tell(f"{kind} {size} {count}")
-        ends = [float((await s.hears("DONE", 120)).split()[1]) for s in self.subscribers]
-        begin = float((await self.publisher.hears("BEGAN", 120)).split()[1])
+        ends = [float((await s.read_until("DONE", 120)).split()[1]) for s in self.subscribers]
+        begin = float((await self.publisher.read_until("BEGAN", 120)).split()[1])
         return max(ends) - begin
 
     async def delays(self) -> list[float]:
         """Microseconds of each message of a paced run."""
         await self.burst("time", 0, LATENCY)
         await self.subscribers[0].tell("delays")
-        line = await self.subscribers[0].hears("DELAYS")
+        line = await self.subscribers[0].read_until("DELAYS")
         found: list[float] = json.loads(line.removeprefix("DELAYS "))
         return found
 
 
 @contextlib.asynccontextmanager
 async def talking(env: dict[str, str], source: str, *arguments: str) -> AsyncIterator[Program]:
-    """A program that is told what to do on its standard input."""
+    """A program that reads commands on its standard input."""
     process = await asyncio.create_subprocess_exec(
         *stock.python(source, *arguments), env=env, stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE, limit=1 << 20,
@@ -258,12 +258,12 @@ async def pairs(folder: Path) -> AsyncIterator[tuple[dict[str, Pair], dict[str, 
         for pair in (*made.values(), *fans.values()):  # they all start at the same time
             for running in (pair.publisher, *pair.subscribers):
                 if "READY" not in running.said:
-                    await running.hears("READY", within=120)
+                    await running.read_until("READY", within=120)
         yield made, fans
 
 
 def _turns(what: str, modes: Sequence[str], rounds: int) -> Iterator[str]:
-    """Who is measured next."""
+    """The order of the measurements."""
     for turn in range(rounds, rounds + TURNS.get(what, 1)):
         yield from modes if turn % 2 else reversed(modes)
 

@@ -2,10 +2,10 @@
 
 One run, interleaved: in each round every way is measured at every size, over a connection of its
 own. A ratio is the median over the rounds of what two ways did in the same round, so that other
-load hits both; `spread` is its quartiles. The talker is as fast as the listener hears. The tunnel
-is given what it cannot find out by itself, a slave API that names the stunnel's port. `cpu_us` is
-what both processes of a tunnel used for a message, the kernel's part included. Memory is that of
-one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore.
+load hits both; `spread` is its quartiles. The talker is as fast as the listener receives. The
+tunnel is configured with what it cannot discover, a slave API that names the stunnel's port.
+`cpu_us` is what both processes of a tunnel used for a message, the kernel's part included. Memory
+is that of one `rossec sidecar` with 1 and with 50 nodes of own identities, beside stock roscore.
 """
 
 import contextlib
@@ -61,8 +61,8 @@ def memory(ways: Ways) -> dict[str, float]:
     return found
 
 
-class Heard:
-    """What was heard in each round, by way and by size (or "slow")."""
+class Received:
+    """What was received in each round, by way and by size (or "slow")."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], list[dict[str, float]]] = {}
@@ -102,7 +102,7 @@ def measure(seconds: float) -> dict[str, Any]:
     """All ways, sizes and memories."""
     each = max(0.2, seconds / (ROUNDS * len(WAYS) * (len(SIZES) + 1)))
     topics = {label: f"/s{size}" for label, size in SIZES.items()} | {"slow": "/slow"}
-    heard = Heard()
+    heard = Received()
     with contextlib.ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         ways = Ways(directory, stack)

@@ -53,7 +53,7 @@ if "ROSSEC_TESTS_MASTER" in os.environ and not sys.argv[0].endswith("/rostest"):
 
 @dataclass
 class Results:
-    """What became of each test, by its name; `said` is the first line of what was wrong."""
+    """The result of each test, by its name; `said` is the first line of the error."""
 
     passed: set[str] = field(default_factory=set)
     said: dict[str, str] = field(default_factory=dict)
@@ -217,7 +217,7 @@ async def site_for(suite: Suite, directory: Path) -> AsyncIterator[Site]:
 
 
 async def results(suite: Suite, forms: Sequence[str]) -> dict[str, Results]:
-    """What became of the tests, in each form."""
+    """The results of the tests, in each form."""
     found: dict[str, Results] = {}
     with tempfile.TemporaryDirectory() as temporary:
         directory = Path(temporary)

@@ -1,4 +1,4 @@
-"""Write `grants/policy/policy.schema.json` anew, after operators or rights have changed."""
+"""Write `grants/policy/policy.schema.json` again, after operators or rights have changed."""
 
 from pathlib import Path
 

@@ -1,8 +1,8 @@
 """The authority's side of an enrollment, sans-IO.
 
-The code comes from the node itself, through the eyes of a person or a camera; everything else comes
-over the network and is compared with it. The node is enrolled when it says so, signed, about this
-very transcript; until then nobody is told that it is.
+The code comes from the node itself, read by a person or a camera; everything else comes over the
+network and is checked against it. The node is enrolled when it says so in a statement signed over
+this transcript; the authority does not report it as enrolled before.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,14 +38,14 @@ from ca.requests import IdentityRequest, check_request
 _ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
     Reason.REFUSED: (
         EnrollmentOver, "the node refused the offer",
-        "does it show another code by now, or is its clock wrong? `rossec node enroll` says why",
+        "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
     ),
     Reason.OVER: (
-        EnrollmentOver, "the node has ended the enrollment", "have it show a new code",
+        EnrollmentOver, "the node has ended the enrollment", "show a new code on the node",
     ),
     Reason.CONFLICT: (
-        ConflictingOffer, "the node got two different offers: somebody else has its code",
-        "nothing was accepted there; find out who, then have it show a new code",
+        ConflictingOffer, "the node received two different offers: another party has its code",
+        "the node accepted none; find the other party, then show a new code",
     ),
 }  # fmt: skip
 
@@ -94,11 +94,11 @@ WITHOUT_MESSAGE: Final = (
     (AuthorityState.OFFERED, AuthorityState.OVER, "too late"),
     (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER, "too late"),
 )
-"""What moves the authority besides messages."""
+"""The transitions that no message causes."""
 
 
 class AuthorityEnrollment:
-    """One enrollment of the node whose code was read; never used twice."""
+    """One enrollment of the node whose code was read; used once."""
 
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
         """Enroll the node with this `code`; `wildcard`: it may ask for a wildcard tail."""
@@ -119,7 +119,7 @@ class AuthorityEnrollment:
 
     @property
     def request(self) -> IdentityRequest:
-        """Who asks: compared with the code, the key proven.
+        """The request: checked against the code, with proof of possession.
 
         Raises:
             EnrollmentOver: there is no request yet.
@@ -130,15 +130,15 @@ class AuthorityEnrollment:
 
     @property
     def csr(self) -> bytes:
-        """The request as it came (DER)."""
+        """The request as received (DER)."""
         return self._csr
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take one message of the node.
+        """Process one message of the node.
 
         Raises:
-            EnrollmentRefused, RequestRefused: each flaw with its own leaf; a message that nobody
-                waits for changes nothing, everything else ends the enrollment.
+            EnrollmentRefused, RequestRefused: a subclass for each error; an unexpected message
+                changes nothing, every other error ends the enrollment.
         """
         self.tick(now)
         message = read(data)
@@ -154,22 +154,22 @@ class AuthorityEnrollment:
         assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
 
     def approve(self, now: int) -> None:
-        """A person, or whoever speaks for one, has seen `request` and said yes."""
+        """The operator, or an automatic rule, has approved `request`."""
         self.tick(now)
         self._move(AuthorityState.COMPARED, AuthorityState.APPROVED)
 
     def deny(self) -> None:
-        """A person said no."""
+        """The operator has denied the request."""
         self._move(AuthorityState.COMPARED, AuthorityState.OVER)
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
-        """What to send now, and again, to the letter, when the connection breaks.
+        """Return the offer to send, and to send again unchanged when the connection breaks.
 
         `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce`
         are 16 fresh random octets.
 
         Raises:
-            CertificateRefused: the chain does not hold.
+            CertificateRefused: the chain is invalid.
             EnrollmentRefused: not approved, too late, or the chain is for another request.
         """
         self.tick(now)
@@ -194,17 +194,17 @@ class AuthorityEnrollment:
         return self._deadline
 
     def tick(self, now: int) -> None:
-        """Time has passed.
+        """Check the deadline at `now`.
 
         Raises:
-            EnrollmentExpired: too much of it.
+            EnrollmentExpired: it is over.
         """
         if self.state in {AuthorityState.ENROLLED, AuthorityState.OVER}:
             return
         if self._deadline and now > self._deadline:
             self.state = AuthorityState.OVER
             raise EnrollmentExpired(
-                "the enrollment was not finished in time", "have the node show a new code"
+                "the enrollment was not finished in time", "show a new code on the node"
             )
 
     def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
@@ -213,12 +213,12 @@ class AuthorityEnrollment:
         self.state = end
 
     def _compare(self, message: Delivery, _: int) -> None:
-        """The hash first: nothing is parsed that the code does not vouch for."""
+        """Check the hash first: a request that does not match the code is not parsed."""
         self.state = AuthorityState.OVER
         if not self._code.matches(message.csr):
             raise RequestSwapped(
                 "the request is not the one the code was made for",
-                "it was swapped on its way, or this is another node: scan the code again",
+                "it was replaced on the network, or this is another node: scan the code again",
             )
         self._request = check_request(message.csr, self._domain, wildcard=self._wildcard)
         self._csr = message.csr
@@ -239,7 +239,7 @@ class AuthorityEnrollment:
             raise AcknowledgementRefused("a second, different answer of the node", "start again")
 
     def _done(self, message: Done, _: int) -> None:
-        if self.state is AuthorityState.ACKNOWLEDGED:  # a false word takes nothing back later
+        if self.state is AuthorityState.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing
             self.state = AuthorityState.OVER
         transcript.check_done(message.statement, self.request.public_key, self._transcript)
         self.state = AuthorityState.ENROLLED

@@ -1,8 +1,8 @@
 """A sheet of labels to print: one page of HTML per 24 nodes, each label an SVG in millimetres.
 
-A label vouches for a request and holds no secret, so it may hang on the robot for years. The layout
-is that of the common A4 sheets of 24 labels, 63.5 by 33.9 mm; everything is drawn in SVG, so that
-no browser moves anything, and the page can load and run nothing.
+A label authenticates a request and holds no secret, so it may stay on the robot. The layout is that
+of the common A4 sheets of 24 labels, 63.5 by 33.9 mm; everything is drawn in SVG, so that browsers
+do not change the layout, and the page cannot load or run anything.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ _PAGE: Final = (
 
 @dataclass(frozen=True)
 class Label:
-    """One label: the node's name, its key's fingerprint for people, the text of its code."""
+    """One label: the node's name, its key's fingerprint, the text of its code."""
 
     name: str
     fingerprint: str
@@ -63,12 +63,14 @@ def _label(position: int, label: Label) -> str:
 
 
 def _lines(label: Label) -> Iterator[str]:
-    """The name, cut into lines where it is long, and below it the fingerprint."""
+    """The name, split into lines if it is long, and below it the fingerprint."""
     name = [label.name[start : start + _LINE] for start in range(0, len(label.name), _LINE)]
     if len(name) > _LINES:
         name = [*name[: _LINES - 1], "..."]
     digits = label.fingerprint
-    groups = [digits[start : start + 10] for start in range(0, len(digits), 10)]  # two fours a line
+    groups = [
+        digits[start : start + 10] for start in range(0, len(digits), 10)
+    ]  # two groups of four a line
     for number, text in enumerate([*name, *groups]):
         weight = ' font-weight="bold"' if number < len(name) else ""
         yield (

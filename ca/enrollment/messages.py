@@ -1,7 +1,7 @@
-"""What travels during an enrollment: deterministic CBOR arrays, each in a frame of its own.
+"""The messages of an enrollment: deterministic CBOR arrays, each in a frame of its own.
 
-A frame is four octets of length and one message. Nothing here is believed: the messages come over
-a network nobody trusts, and only the state machines know what they are worth.
+A frame is a length of four octets and one message. Messages are untrusted here: the state machines
+authenticate them.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ MAX_CHAIN: Final = 2
 
 
 class Reason(IntEnum):
-    """Why a side gave up, told to the other one. Unauthenticated, so only a hint."""
+    """The reason for an abort, sent to the other side. Unauthenticated, so only a hint."""
 
     REFUSED = 1
     OVER = 2
@@ -32,22 +32,22 @@ _REASONS: Final = frozenset(Reason)
 
 @dataclass(frozen=True)
 class Fetch:
-    """Authority to node: give me your request."""
+    """Authority to node: asks for the request."""
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """Node to authority: my request, a CSR in DER."""
+    """Node to authority: the request, a CSR in DER."""
 
     csr: bytes
 
 
 @dataclass(frozen=True)
 class Offer:
-    """Authority to node: your identity, and whom to trust.
+    """Authority to node: the node's identity and its trust anchor.
 
     `chain` is the node's certificate and at most one intermediate (DER), `root` the trust anchor.
-    `tag` proves that the sender has seen the code; for label codes it is empty.
+    `tag` proves that the sender has read the code; for label codes it is empty.
     """
 
     chain: tuple[bytes, ...]
@@ -58,21 +58,21 @@ class Offer:
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """Node to authority: this is what I got, signed (`transcript.ACKNOWLEDGEMENT`)."""
+    """Node to authority: a signed acknowledgement of the offer (`transcript`)."""
 
     statement: bytes
 
 
 @dataclass(frozen=True)
 class Done:
-    """Node to authority: a person confirmed, I am enrolled, signed (`transcript.DONE`)."""
+    """Node to authority: a signed statement that the node is enrolled (`transcript`)."""
 
     statement: bytes
 
 
 @dataclass(frozen=True)
 class Abort:
-    """Either side: I end this."""
+    """Either side: ends the enrollment."""
 
     reason: Reason
 
@@ -94,14 +94,14 @@ def read(data: bytes) -> Message:
     try:
         message = _message(decode(data, limit=MAX_MESSAGE))
     except EncodingError as error:
-        raise EnrollmentMessageRefused(f"a message that is none: {error}") from error
-    if message is None or write(message) != data:  # True == 1, but it is not written so
-        raise EnrollmentMessageRefused("a message that is none of the enrollment's")
+        raise EnrollmentMessageRefused(f"invalid message: {error}") from error
+    if message is None or write(message) != data:  # True == 1, but it has another encoding
+        raise EnrollmentMessageRefused("not a message of the enrollment")
     return message
 
 
 def frame(message: bytes) -> bytes:
-    """A message as it travels: its length, then itself."""
+    """A message with its length in front."""
     return len(message).to_bytes(HEADER_SIZE) + message
 
 
@@ -113,7 +113,9 @@ def length(header: bytes) -> int:
     """
     size = int.from_bytes(header)
     if not 0 < size <= MAX_MESSAGE:
-        raise EnrollmentMessageRefused(f"a message of {size} octets, which no side sends")
+        raise EnrollmentMessageRefused(
+            f"a message of {size} octets where 1 to {MAX_MESSAGE} are allowed"
+        )
     return size
 
 
@@ -147,7 +149,7 @@ def _message(fields: Value) -> Message | None:
             return Abort(Reason(reason))
         case [int() as version, *_] if version != VERSION:
             raise EnrollmentMessageRefused(
-                f"the other side speaks version {version} of the enrollment",
+                f"the other side uses version {version} of the enrollment",
                 "update the older of the two sides",
             )
     return None

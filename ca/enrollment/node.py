@@ -1,9 +1,9 @@
 """The node's side of an enrollment, sans-IO.
 
-It shows a code, hands out its request to anybody, and answers *one* valid offer. What was offered
-counts for nothing until a person has confirmed it here. A second valid offer means that somebody
-else has the code, or is in the middle: both are dropped. Whoever has not seen a screen code gets
-five tries; everything ends by itself. `TABLE` is what may happen; anything else changes nothing.
+It shows a code, sends its request to any peer, and answers *one* valid offer. The offer has no
+effect until a person has confirmed it here. A second valid offer means that another party has the
+code, or is in the middle: both are dropped. Five offers with a wrong tag lock a screen code. Every
+state has a deadline. `TABLE` has all transitions; any other message changes nothing.
 """
 
 from collections.abc import Callable
@@ -71,14 +71,14 @@ WITHOUT_MESSAGE: Final = (
     (NodeState.PENDING, NodeState.OVER, "stop(), or too late"),
     (NodeState.CONFIRMED, NodeState.OVER, "stop()"),
 )
-"""What moves the node besides messages."""
+"""The transitions that no message causes."""
 
 
 @dataclass(frozen=True)
 class Pending:
-    """A valid offer that waits for a person.
+    """A valid offer to be confirmed by a person.
 
-    `chain` and `root` are DER; `anchor` is the root as it will be trusted; `digits` what the
+    `chain` and `root` are DER; `anchor` is the root as it will be trusted; `digits` are those the
     authority must show too.
     """
 
@@ -91,7 +91,7 @@ class Pending:
 
 
 class NodeEnrollment:
-    """One enrollment of one node; never used twice."""
+    """One enrollment of one node; used once."""
 
     def __init__(
         self,
@@ -107,11 +107,11 @@ class NodeEnrollment:
         """Offer `csr`, this node's own request.
 
         `secret` is that of the screen code, 16 fresh random octets, or empty for a label;
-        `contribution` are 16 fresh random octets, kept to itself until there is an offer; `expires`
+        `contribution` are 16 fresh random octets, not revealed before there is an offer; `expires`
         is the last second for an offer; `wildcard`: the request is for anonymous nodes too.
 
         Raises:
-            RequestRefused: `csr` is not in order.
+            RequestRefused: `csr` is invalid.
             EnrollmentRefused: wrong sizes.
         """
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
@@ -146,10 +146,10 @@ class NodeEnrollment:
         return self._pending
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
-        """Take one message; returns the answers. After a refusal the connection is to be closed.
+        """Process one message; returns the answers. On an error the connection must be closed.
 
         Raises:
-            EnrollmentRefused: each flaw with its own leaf; `state` tells whether all is over.
+            EnrollmentRefused: a subclass for each error; `state` says whether the enrollment ended.
         """
         self.tick(now)
         self._check_not_over()
@@ -167,10 +167,10 @@ class NodeEnrollment:
         return answers
 
     def confirm(self, digits: str, now: int) -> Pending:
-        """A person read `digits` at the authority: returns what is to be written to disk now.
+        """A person read `digits` at the authority: returns the offer to write to disk now.
 
         Raises:
-            DigitsRefused: they are not ours; after the third time all is over.
+            DigitsRefused: they are wrong; the third time ends the enrollment.
             EnrollmentRefused: there is no offer, or it is too late.
         """
         self.tick(now)
@@ -178,27 +178,27 @@ class NodeEnrollment:
         pending = self.pending
         if self.state is not NodeState.PENDING:
             raise EnrollmentOver("this was confirmed already")
-        if digits != pending.digits:  # no secret: they can be computed from what travelled
+        if digits != pending.digits:  # not secret: they can be computed from the messages
             self._count_bad_digits()
         self.state = NodeState.CONFIRMED
         return pending
 
     def activated(self) -> list[bytes]:
-        """What was confirmed is on the disk; returns what to tell the authority."""
+        """The confirmed identity is on the disk; returns the message for the authority."""
         if self.state is not NodeState.CONFIRMED:
             raise EnrollmentOver("nothing was confirmed")
         self.state = NodeState.ENROLLED
         return [self._done()]
 
     def stop(self, why: EnrollmentRefused) -> None:
-        """Drop everything; an enrolled node stays enrolled."""
+        """End the enrollment; an enrolled node stays enrolled."""
         if self.state not in {NodeState.ENROLLED, NodeState.OVER}:
             self.state, self.end_reason, self._pending = NodeState.OVER, why, None
 
     def tick(self, now: int) -> None:
-        """Time has passed."""
+        """Check the deadline at `now`."""
         if self.state in {NodeState.SHOWING, NodeState.PENDING} and now > self.expires:
-            self.stop(EnrollmentExpired("nobody finished the enrollment in time", _RESTART_HINT))
+            self.stop(EnrollmentExpired("the enrollment was not finished in time", _RESTART_HINT))
 
     def _check_not_over(self) -> None:
         if self.state is NodeState.OVER:
@@ -207,7 +207,7 @@ class NodeEnrollment:
     def _count_bad_digits(self) -> None:
         self._bad_digits += 1
         error = DigitsRefused(
-            "these are not the digits of the offer this node has",
+            "these are not the digits of the offer of this node",
             "possible attacker in between: if the authority shows these digits, do not continue",
         )
         if self._bad_digits >= MAX_BAD_DIGITS:
@@ -218,7 +218,7 @@ class NodeEnrollment:
         return [write(Delivery(self._csr))]
 
     def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
-        """The first valid offer; nothing is kept of one that is not."""
+        """Accept the first valid offer; an invalid one changes nothing."""
         transcript_hash = self._check_tag(offer)
         anchor = self._check_certificates(offer, now)
         self._pending = Pending(
@@ -233,14 +233,14 @@ class NodeEnrollment:
         return [self._acknowledged()]
 
     def _compare(self, offer: Offer, now: int) -> list[bytes]:
-        """The offer again, because the answer was lost; or a rival's."""
+        """Answer a repeated offer, whose answer was lost; refuse a different one."""
         if self._is_pending_offer(offer):
             return [self._acknowledged()]
         self._check_tag(offer)
         self._check_certificates(offer, now)
         error = ConflictingOffer(
-            "two different offers were made to this node: somebody else has its code",
-            f"nothing was accepted; find out who, then {_RESTART_HINT}",
+            "this node received two different offers: another party has its code",
+            f"nothing was accepted; find the other party, then {_RESTART_HINT}",
         )
         self.stop(error)
         raise error
@@ -266,7 +266,7 @@ class NodeEnrollment:
         transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
-                raise OfferRefused("an offer for a screen code, where a label is enough")
+                raise OfferRefused("an offer with a tag, but the code is a label")
         elif not transcript.verify_tag(self._secret, transcript_hash, offer.tag):
             self._count_bad_tag()
         return transcript_hash
@@ -274,7 +274,7 @@ class NodeEnrollment:
     def _count_bad_tag(self) -> None:
         if (
             self.state is NodeState.SHOWING
-        ):  # an offer that waits for a person is not to be disturbed
+        ):  # a wrong tag must not disturb an offer that waits for confirmation
             self._bad_tags += 1
         if self._bad_tags >= MAX_BAD_TAGS:
             error = EnrollmentLocked(
@@ -282,7 +282,7 @@ class NodeEnrollment:
             )
             self.stop(error)
             raise error
-        raise OfferRefused("an offer by somebody who has not seen the code")
+        raise OfferRefused("the sender of the offer has not read the code")
 
     def _check_certificates(self, offer: Offer, now: int) -> TrustAnchor:
         """The offer is exactly for this node's name and key."""
@@ -290,7 +290,7 @@ class NodeEnrollment:
             anchor = TrustAnchor.load(offer.root)
             identity = anchor.verify(offer.chain, now)
         except CAError as error:
-            raise OfferRefused(f"an offer that does not hold: {error}", error.hint) from error
+            raise OfferRefused(f"invalid offer: {error}", error.hint) from error
         own = self.request
         if identity.thumbprint != own.thumbprint:
             raise OfferRefused("an identity for another key")

@@ -1,1 +1,1 @@
-"""The authority at work: its home, signing, approvals, renewals, backups."""
+"""The authority's operations: its directory, signing, approvals, renewals, backups."""

@@ -1,8 +1,8 @@
-"""Where requests are decided: by the policy, or by a person where the policy wants one stored.
+"""The approval queue: grant requests are decided by the policy, or by a person.
 
-A shell around the authority, its policy and its inbox. Only `sign` needs the key. A person who
-does not answer in time has said no; so does the desk when a node asks for too much at once. Two
-people may sit at it: an answer is recorded together with the grants it gives, or not at all.
+Only `sign` needs the authority's key. A request that nobody answers in time is denied, as are those
+of a node that has too many pending. Two people may use the queue at the same time: an answer is
+recorded together with the grants it gives, or not at all.
 """
 
 import secrets
@@ -26,7 +26,7 @@ from rossec.authority.policyfile import PolicyFile
 from rossec.authority.requests import GrantRequestStore, StoredRequest
 from rossec.authority.signing import SigningAuthority
 
-MAX_PENDING: Final = 16  # prompts one node may have waiting
+MAX_PENDING: Final = 16  # prompts that one node may have pending
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
 
 VerdictChange = Callable[[Verdict], Verdict]
@@ -34,16 +34,16 @@ VerdictChange = Callable[[Verdict], Verdict]
 
 @dataclass(frozen=True)
 class PendingApproval:
-    """A wish that waits for a person, or only for the key: see `verdict`."""
+    """A requested right that waits for a person, or only for the key: see `verdict`."""
 
     stored: StoredRequest
     verdict: Verdict
 
 
 class ApprovalQueue:
-    """The authority's desk at `now`, deciding by `policy`.
+    """The pending grant requests at `now`, decided by `policy`.
 
-    `denied` counts what the last `approvals` answered with a no by itself.
+    `denied_automatically` counts the denials of the last call of `pending`.
     """
 
     def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
@@ -74,13 +74,13 @@ class ApprovalQueue:
         return request
 
     def read_inbox(self) -> list[str]:
-        """Take what lies in the inbox directory; returns what was wrong, a line each.
+        """Record the requests in the inbox directory; returns one line for each invalid one.
 
         Raises:
-            RecordUnusable: what could not be recorded stays in the inbox.
+            RecordUnusable: the requests stay in the inbox.
         """
-        trouble: list[str] = []
-        with self._store.transaction():  # another desk takes what this one has not
+        errors: list[str] = []
+        with self._store.transaction():  # excludes other commands
             paths = requests.inbox_files(self._home.path)
             for path in paths:
                 try:
@@ -88,13 +88,13 @@ class ApprovalQueue:
                 except RecordUnusable:
                     raise
                 except HintedError as error:
-                    trouble.append(f"{path.name}: {error}")
+                    errors.append(f"{path.name}: {error}")
         for path in paths:
             path.unlink(missing_ok=True)
-        return trouble
+        return errors
 
     def pending(self) -> list[PendingApproval]:
-        """What is not answered; what the policy denies, or nobody answered, is answered here."""
+        """The unanswered requests; those denied by the policy or too late are denied here."""
         with self._store.transaction():
             return self._pending()
 
@@ -119,7 +119,7 @@ class ApprovalQueue:
         return approvals
 
     def deny(self, approval: PendingApproval, reason: str) -> None:
-        """A person said no."""
+        """Record that a person denied the request."""
         self._requests.answer(approval.stored, DENIED, reason, self._now)
 
     def sign(
@@ -129,12 +129,12 @@ class ApprovalQueue:
         change: VerdictChange,
         reason: str,
     ) -> list[tuple[Draft, bytes]]:
-        """Sign what was decided, as `change` makes it; returns the grants with what they say.
+        """Sign the verdicts, modified by `change`; returns the grants with their drafts.
 
         Raises:
-            PolicyRefused: one of them is denied, or cannot be expressed; nothing is signed then.
-            StoreError: one was answered meanwhile, or its key revoked; nothing is signed then.
-            ConfigurationError: the policy is another one by now; nothing is signed then.
+            PolicyRefused: one is denied, or cannot be expressed as a grant; nothing is signed.
+            StoreError: one was answered meanwhile, or its key revoked; nothing is signed.
+            ConfigurationError: the policy was changed meanwhile; nothing is signed.
         """
         chosen = list(approvals)
         verdicts = [change(approve(approval.verdict)) for approval in chosen]
@@ -169,6 +169,6 @@ def _denial_reason(verdict: Verdict) -> str:
 
 
 def seconds_left_today(now: int) -> int:
-    """Seconds left of this day, where this machine is."""
+    """Seconds until midnight, local time."""
     local = time.localtime(now)
     return max(60, 86400 - (local.tm_hour * 3600 + local.tm_min * 60 + local.tm_sec))

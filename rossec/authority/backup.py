@@ -1,10 +1,10 @@
-"""Back an authority up into one file, and restore it where that loses nothing by accident.
+"""Back up an authority into one file, and restore it without losing data by accident.
 
-A shell. Restoring proves the backup first, beside its target: the key opens and fits its
-certificate, the log verifies. An authority that is there already is replaced only if the operator
-names its trust domain, and newer entries are given up only if the operator says how many. What was
-signed after the backup is unknown to it, so a new epoch of revocation lists begins, and a signed
-list kept by the master or a node brings back the revocations that are missing.
+A restore verifies the backup first, next to its target: the key opens and matches its certificate,
+the log verifies. An existing authority is replaced only if the operator names its trust domain, and
+newer log entries are lost only if the operator gives their number. The backup lacks what was signed
+after it, so a new epoch of revocation lists begins, and a signed list from the master or a node
+restores the missing revocations.
 """
 
 import contextlib
@@ -33,15 +33,15 @@ _PUBLIC: Final = ".pem"
 
 @dataclass(frozen=True)
 class Restored:
-    """What was restored: how many log entries, of which state of the authority."""
+    """The result of a restore: the directory, and the number of log entries."""
 
     home: AuthorityHome
     entries: int
-    restored_revocations: int  # revocations brought back from a list
+    restored_revocations: int  # revocations added from a newer list
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
-    """The backup of an authority, of this moment, under `passphrase`."""
+    """Return a backup of the authority, encrypted with `passphrase`."""
     content = {
         str(path): (home.path / path).read_bytes()
         for path in sorted(each.relative_to(home.path) for each in home.path.rglob("*"))
@@ -66,21 +66,21 @@ def restore(
     newest_list: bytes | None = None,
     entries: bytes | None = None,
 ) -> Restored:
-    """Put an authority back into ROSSEC_HOME `home`.
+    """Restore an authority into ROSSEC_HOME `home`.
 
     Args:
         home: ROSSEC_HOME.
         data: the backup.
         passphrase: of the backup.
         now: the time.
-        secret: what opens the key, if that is not the same passphrase (a token's PIN).
+        secret: the passphrase or PIN of the key, if it is another one.
         over: the trust domain of the authority that may be replaced.
-        forget: how many log entries of it the backup lacks, and may be lost.
+        forget: the number of its log entries that the backup lacks, and that may be lost.
         newest_list: a signed revocation list, or tree, that may be newer than the backup.
-        entries: of the tree, which does not name them itself.
+        entries: those of the tree, which does not contain them.
 
     Raises:
-        BackupRefused: no backup, not whole, or not in these words.
+        BackupRefused: not a backup, incomplete, or `over` or `forget` do not match.
         RevocationRefused: the list, tree or entries are not the authority's.
         PassphraseRefused: the passphrase is wrong.
         LogDamaged: the backup's own log does not verify.
@@ -108,10 +108,10 @@ def restore(
 
 
 def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
-    """The authority in a backup, if key, certificate and record are whole and of one another.
+    """The authority in a backup, if key, certificate and record are valid and match.
 
     Raises:
-        BackupRefused: a part is missing, or is not what it must be.
+        BackupRefused: a part is missing or invalid.
         PassphraseRefused, LogDamaged: as `restore`.
     """
     try:
@@ -124,8 +124,10 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
             open_tree(newest, key) if is_tree(newest) else open_list(newest, key)
     except (PassphraseRefused, LogDamaged):
         raise
-    except (HintedError, ValueError) as error:  # also: not one certificate where one belongs
-        raise BackupRefused(f"what is in the backup is no authority: {error}", _HINT) from error
+    except (HintedError, ValueError) as error:  # ValueError: not exactly one certificate
+        raise BackupRefused(
+            f"the backup does not contain a valid authority: {error}", _HINT
+        ) from error
     return authority
 
 
@@ -133,7 +135,7 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
 def _locked(target: Path) -> Iterator[None]:
     """Lock the record at `target` from its comparison with the backup until it is moved away."""
     with contextlib.ExitStack() as stack:
-        with contextlib.suppress(HintedError):  # no whole authority: `_read` says so
+        with contextlib.suppress(HintedError):  # an incomplete authority: `_read` reports it
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
             stack.enter_context(store.transaction())
         yield
@@ -149,16 +151,16 @@ def _write(directory: Path, content: dict[str, bytes]) -> None:
 def _check_replacement(
     there: AuthorityHome, found: SigningAuthority, over: str | None, forget: int
 ) -> None:
-    """The one that is there gives way to the backup only knowingly."""
+    """Refuse to replace an existing authority unless `over` and `forget` match."""
     anchor, held = _read(there)
     if over != anchor.domain:
         raise BackupRefused(
             f"there is an authority in {there.path}",
-            f"to replace it with the backup say --over {there.domain}",
+            f"to replace it with the backup: --over {there.domain}",
         )
     if anchor.thumbprint != found.authority.anchor.thumbprint:
         raise BackupRefused(
-            f"the authority in {there.path} is another one than that of the backup",
+            f"the authority in {there.path} is not the one in the backup",
             "restore it into another ROSSEC_HOME",
         )
     backed = found.store.log.entries()
@@ -167,26 +169,26 @@ def _check_replacement(
     if lost != forget:
         raise BackupRefused(
             f"the backup lacks {lost} entries of the log in {there.path}",
-            f"it is older; to lose them for good say --forget {lost}",
+            f"it is older; to lose them permanently: --forget {lost}",
         )
 
 
 def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
-    """Who is there, and what it did."""
+    """The trust anchor and the log of an existing authority."""
     try:
         with contextlib.closing(there.store()) as store:
             return there.anchor(), store.log.entries()
     except HintedError as error:
         raise BackupRefused(
-            f"what is in {there.path} is no whole authority: {error}",
-            "move that directory away and restore again: its newest entries cannot be compared",
+            f"the authority in {there.path} is incomplete: {error}",
+            "move that directory away and restore again: its log cannot be compared",
         ) from error
 
 
 def _revoked_by(
     data: bytes | None, entries: bytes | None, authority: SigningAuthority
 ) -> frozenset[bytes]:
-    """What a signed statement revokes; none: nothing."""
+    """The entries that a signed statement revokes, if there is one."""
     key = authority.authority.anchor.public_key
     if data is None:
         return frozenset()
@@ -194,8 +196,8 @@ def _revoked_by(
         return open_list(data, key).entries
     if entries is None:
         raise BackupRefused(
-            "the newest revocations are a tree, which does not say what is in it",
-            "name its entries too, with --entries: the master keeps them as revocations.entries",
+            "the newest revocations are a tree, which does not contain its entries",
+            "give its entries with --entries: the master has them in revocations.entries",
         )
     listing = TreeEntries.read(entries)
     listing.check(open_tree(data, key))
@@ -205,7 +207,7 @@ def _revoked_by(
 def _start_new_epoch(
     authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
-    """A new epoch, and what was revoked since; an intermediate has neither."""
+    """Start a new epoch and add missing revocations; an intermediate has neither."""
     authority.store.log_event("restored", "record", f"from {entries} entries", now)
     if not authority.authority.is_root:
         return 0

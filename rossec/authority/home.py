@@ -1,4 +1,4 @@
-"""The directory of an authority: its key, its certificate, its record; `unlocked` signs."""
+"""The directory of an authority: its key, its certificate, its record; `signing` signs."""
 
 import contextlib
 import secrets
@@ -23,15 +23,15 @@ from rossec.authority.signing import OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
-ENTRIES: Final = "revocations.entries"  # of a tree, beside the statement in a master's home
-KEY_URI: Final = "ca.uri"  # names the key of an authority that has it in a token
+ENTRIES: Final = "revocations.entries"  # of a tree, next to the statement in a master's home
+KEY_URI: Final = "ca.uri"  # names the key, if it is in a token
 _MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024
 OWN_LIFETIME: Final = 366 * 86400
 
 
 class AuthorityHome:
-    """The directory of the authority: its key, its certificate, its record of what it signed."""
+    """The directory of the authority: its key, its certificate, its record."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -54,14 +54,14 @@ class AuthorityHome:
     def create(
         cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
     ) -> Self:
-        """Make a new authority with its own node `/ca` and an empty revocation list.
+        """Create a new authority with its own node `/ca` and an empty revocation list.
 
-        Its key is in a file encrypted under `passphrase`; with `uri` it is made in that token, and
-        `passphrase` is the PIN.
+        Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token,
+        and `passphrase` is the PIN.
 
         Raises:
-            TokenRefused: the token does not make the key.
-            ConfigurationError: there is one already; it is not touched.
+            TokenRefused: the token cannot generate the key.
+            ConfigurationError: there is one already; it is not changed.
         """
         path = home / "ca"
         if path.exists():
@@ -72,7 +72,7 @@ class AuthorityHome:
         key = key_files.generate()
         signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
         root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
-        # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
+        # In a temporary directory: an interrupted creation leaves nothing at `path`.
         staging = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         try:
             _build(staging, signer, root, now)
@@ -102,7 +102,7 @@ class AuthorityHome:
         return Store.open(self.path / "ca.db")
 
     def node(self) -> NodeHome:
-        """The node as which its tools speak to the master."""
+        """The node whose identity its tools use to call the master."""
         return NodeHome(self.path / "node", OWN_NODE)
 
     def unlock(self, passphrase: str) -> SigningAuthority:
@@ -126,11 +126,11 @@ class AuthorityHome:
 
     @property
     def is_intermediate(self) -> bool:
-        """Whether it signs below a root that is elsewhere."""
+        """Whether it is an intermediate of a root on another host."""
         return self.intermediate() is not None
 
     def own_key(self) -> ec.EllipticCurvePublicKey:
-        """The key it signs with itself: the root's, or its own as an intermediate."""
+        """The key it signs with: that of the root or of the intermediate."""
         anchor, der = self.anchor(), self.intermediate()
         return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
 
@@ -161,25 +161,27 @@ class AuthorityHome:
         """
         data = self.revocation_list()
         if not is_tree(data):
-            raise ConfigurationError("the newest revocations are no tree", "see: rossec ca publish")
+            raise ConfigurationError(
+                "the newest revocations are not a tree", "see: rossec ca publish"
+            )
         tree = open_tree(data, self.anchor().public_key)
         with contextlib.suppress(RevocationRefused):
             return list_contents.tree_entries(self.store(), tree).encoded()
-        # Of an older version, which kept them beside the record and could lose one of the two.
+        # Written by an older version, which stored them outside the record.
         missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
-        kept = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
-        TreeEntries.read(kept).check(tree)
-        return kept
+        data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
+        TreeEntries.read(data).check(tree)
+        return data
 
     def count_unlisted(self, now: int) -> int:
-        """How many revocations are recorded and in no signed list; an intermediate has none."""
+        """The number of recorded revocations that are not in the signed list."""
         if self.is_intermediate:
             return 0
         return len(list_contents.missing_entries(self.store(), self.anchor().public_key, now))
 
 
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
-    """Everything of a new authority but its key."""
+    """Create everything of a new authority except its key."""
     files.make_private_directory(path)
     with contextlib.closing(Store.create(path / "ca.db")) as store:
         unlocked = SigningAuthority(Authority(signer, root), store, path)
@@ -191,14 +193,14 @@ def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
-    """What two people compare to be sure of an authority."""
+    """The fingerprint of an authority, to compare out of band."""
     return format_fingerprint(anchor.thumbprint)
 
 
 def format_fingerprint(thumbprint: bytes) -> str:
-    """The fingerprint of a key, for reading aloud: half its thumbprint, in fours.
+    """The fingerprint of a key for people: half its thumbprint, in groups of four.
 
-    128 bits: enough, as a forger needs a second key with the same half, not just any two.
+    128 bits are enough: an attacker needs a second preimage, not a collision.
     """
     digits = thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))

@@ -1,6 +1,6 @@
-"""The beginning of an intermediate on its host: a key and a request here, the rest after the root.
+"""Set up an intermediate on its host: a key and a request first, then what the root signed.
 
-A shell. Until the root has signed, the directory holds no `ca.pem` and so is no authority yet.
+Until the root has signed, the directory has no `ca.pem` and is not an authority yet.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ REQUEST: Final = "intermediate.csr"
 
 
 def begin(home: Path, domain: str, passphrase: str) -> Path:
-    """Make the key of an intermediate and its request, to carry to the root; returns its path.
+    """Create the key of an intermediate and its request for the root; returns its path.
 
     Raises:
         ConfigurationError: there is an authority here already.
@@ -30,7 +30,7 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
     path = home / "ca"
     if (path / "ca.pem").exists():
         raise ConfigurationError(
-            f"there is an authority in {path}", "an intermediate lives in a ROSSEC_HOME of its own"
+            f"there is an authority in {path}", "an intermediate needs a ROSSEC_HOME of its own"
         )
     files.make_private_directory(path)
     key = key_files.generate()
@@ -41,11 +41,11 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
 
 
 def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
-    """Take over what the root signed; a newer certificate for the same key replaces the older.
+    """Install what the root signed; a newer certificate for the same key replaces the older.
 
     Raises:
-        CertificateRefused: no intermediate, or not valid now.
-        IssueRefused: of another key than the one here.
+        CertificateRefused: not an intermediate, or not valid now.
+        IssueRefused: for another key than the one here.
         ConfigurationError: below another root than before.
     """
     path = home / "ca"
@@ -56,7 +56,7 @@ def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediat
     Authority(signer, root, der)
     if (path / "ca.pem").exists() and AuthorityHome(path).anchor().thumbprint != anchor.thumbprint:
         raise ConfigurationError(
-            "this is the intermediate of another root", "begin anew in another ROSSEC_HOME"
+            "this is the intermediate of another root", "start again in another ROSSEC_HOME"
         )
     if not (path / "ca.db").exists():
         Store.create(path / "ca.db").close()

@@ -1,8 +1,8 @@
-"""What the signed list of revocations has to hold, and whether the newest one does.
+"""The entries that the signed revocation list must have, and those that the newest one lacks.
 
-Asked of the record alone: of everything revoked, what could still hold. A list is behind when one
-of these entries is not in it; in which order they were written down says nothing. A tree does not
-name its entries; they are those of the record when they lead to the root that was signed.
+They are computed from the record: everything revoked that could still be valid. A list is outdated
+when it lacks one of these entries; their order does not matter. A tree does not contain its
+entries; they are those of the record if they give the signed root.
 """
 
 from typing import Final
@@ -15,28 +15,28 @@ from ca.revocation.tree import RevocationTree, TreeEntries
 from ca.store.record import Store
 from grants import document
 
-SKEW: Final = 60  # seconds another host's clock may be behind
+SKEW: Final = 60  # seconds that another host's clock may be behind
 
 
 def required_entries(store: Store, now: int) -> frozenset[bytes]:
-    """What a list that is signed at `now` has to hold.
+    """The entries of a list signed at `now`.
 
-    Grants that no renewal can bring back need not be on it any longer. A node that relies on a list
-    refuses to have a clock behind it, so whoever lacks the entry finds the grant expired (RFC 9770
-    lets entries go in the same way). Keys stay: they are few, and a certificate renewed by the
-    master may outlive all that are recorded here.
+    Grants that have expired and cannot be renewed are left out. A node refuses a list from its
+    future, so a node without the entry finds the grant expired (RFC 9770 removes entries in the
+    same way). Keys stay: they are few, and a certificate renewed by the master may be valid longer
+    than those recorded here.
     """
     ended = (row.id for row in store.revoked_grants() if document.peek(row.data).cap + SKEW < now)
     return store.revoked_entries() - frozenset(ended)
 
 
 def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
-    """What the newest signed list lacks; everything, where that cannot be told.
+    """The entries that the newest signed list lacks; all, where that is unknown.
 
     `key` is the authority's.
 
     Raises:
-        RevocationRefused: the list in the record is none of the authority's.
+        RevocationRefused: the list in the record is not signed by the authority.
     """
     with store.read_transaction():
         data = store.newest_list()
@@ -45,10 +45,10 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
 
 
 def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
-    """The entries of a tree in the record, as they were when it was signed.
+    """The entries of a signed tree, from the record.
 
     Raises:
-        RevocationRefused: the record holds others, and does not say which they were.
+        RevocationRefused: those in the record do not give its root.
     """
     listing = TreeEntries(required_entries(store, tree.issued))
     listing.check(tree)

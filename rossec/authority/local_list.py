@@ -1,7 +1,7 @@
-"""What the authority has signed that lives on this host, if one does: its master need not be told.
+"""The newest revocation list of an authority on the master's host, read without a delivery.
 
-The authority's own modules are imported only where there is one: a master elsewhere carries neither
-a database nor the policy's reader.
+The authority's modules are imported only if there is one: other masters load neither the database
+nor the policy's reader.
 """
 
 from pathlib import Path
@@ -25,7 +25,7 @@ class LocalList:
         self._seen: _Stamp = ()
 
     def newest(self) -> tuple[bytes, bytes] | None:
-        """The newest list or tree, with the entries of a tree; None: no authority is here.
+        """The newest list or tree, with the entries of a tree; None: there is no authority.
 
         Raises:
             ConfigurationError: nothing was signed yet, or the entries are missing.
@@ -33,14 +33,14 @@ class LocalList:
         authority = self._authority()
         if authority is None:
             return None
-        stamp = self._stamp()  # before it is read: what is written meanwhile is news again
+        stamp = self._stamp()  # before reading: later writes are then seen as a change
         data = authority.revocation_list()
         found = data, authority.tree_entries() if is_tree(data) else b""
-        self._seen = stamp  # and what could not be read is read again
+        self._seen = stamp  # not set after an error: it is read again
         return found
 
     def newest_if_changed(self) -> tuple[bytes, bytes] | None:
-        """As `newest`, if the record was written since it was last looked at."""
+        """As `newest`, if the record was written since the last call."""
         return self.newest() if self._stamp() != self._seen else None
 
     def _authority(self) -> "AuthorityHome | None":

@@ -1,7 +1,7 @@
-"""The policy of an authority: where it lies, and how it is read with the message types known here.
+"""The policy file of an authority, read with the message types known on this host.
 
-A shell around `grants.policy.read`. By default the file is `policy.yaml` beside the authority's
-key; without one there is no policy, and nobody gets anything by it.
+It adds I/O to `grants.policy.read`. By default the file is `policy.yaml` next to the authority's
+key; without a file there is no policy, and it permits nothing.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ NAME: Final = "policy.yaml"
 
 @dataclass(frozen=True)
 class PolicyFile:
-    """A policy with its text and its place."""
+    """A policy with its text and its path."""
 
     path: Path
     text: str
@@ -30,11 +30,11 @@ class PolicyFile:
 
     @classmethod
     def read(cls, path: Path, *, own: bool = False) -> Self:
-        """Read the policy in `path`; with `own`, only if nobody else can write it.
+        """Read the policy in `path`; with `own`, only if no other user can write it.
 
         Raises:
-            ConfigurationError: there is no such file, or it is no text.
-            PathRefused: somebody else could have written it.
+            ConfigurationError: there is no such file, or it is not UTF-8.
+            PathRefused: another user could have written it.
             PolicyRefused: with all its mistakes.
         """
         missing = ConfigurationError(
@@ -50,40 +50,40 @@ class PolicyFile:
         return cls(path, text, parse_policy(text, str(path)))
 
     def replace(self, text: str) -> "PolicyFile":
-        """Write another text, which is read first: a policy with mistakes is never written.
+        """Replace the text, which is checked first: a policy with mistakes is never written.
 
         Raises:
             PolicyRefused: with all its mistakes.
-            ConfigurationError: somebody else has changed the file; it is not touched.
+            ConfigurationError: the file was changed meanwhile; it is not written.
         """
         policy = parse_policy(text, str(self.path))
         with files.locked_directory(self.path.parent):
-            if self.path.exists():  # else it is a new one
+            if self.path.exists():  # otherwise it is a new file
                 self.check_unchanged()
-            files.replace(self.path.resolve(), text.encode(), 0o644)  # behind a link
+            files.replace(self.path.resolve(), text.encode(), 0o644)  # the target of a link
         return PolicyFile(self.path, text, policy)
 
     def check_unchanged(self) -> None:
-        """Return if the file still says what was read: what was decided by it may be done.
+        """Return if the file still has the text that was read.
 
         Raises:
-            ConfigurationError: somebody else has changed it.
+            ConfigurationError: it was changed meanwhile.
         """
         gone = ConfigurationError(f"{self.path} is gone, nothing was done", "write a policy first")
         if files.read(self.path, MAX_SIZE, gone) != self.text.encode():
             raise ConfigurationError(
-                f"{self.path} was changed while this command was at work, nothing was done",
-                "run the command again: it then goes by what the file says now",
+                f"{self.path} was changed while this command was running, nothing was done",
+                "run the command again: it then uses the new policy",
             )
 
     @property
     def decider(self) -> Decider:
-        """Decides by it."""
+        """The decider for this policy."""
         return Decider(self.policy)
 
 
 def place(home: Path, given: Path | None) -> Path:
-    """Where the policy is: as given, else beside the authority's key."""
+    """The path of the policy: as given, else next to the authority's key."""
     return given if given is not None else home / "ca" / NAME
 
 

@@ -1,8 +1,8 @@
 """Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
 
-A shell on top of an open authority. A node asks with its old key (`ca.renewal`) and is answered
-once per request; an operator renews by name, for the key the name has. Who it is is looked up in
-the transaction that records the successor: a key that is revoked meanwhile gets none.
+A node signs the request with its old key (`ca.renewal`) and gets one answer per request; an
+operator renews by name, for the current key of the name. The old identity is looked up in the
+transaction that records the successor: a key that is revoked meanwhile gets none.
 """
 
 import secrets
@@ -35,11 +35,11 @@ def renew(
 ) -> bytes:
     """Answer a node's renewal (`ca.renewal.sign_renewal`) with its new bundle (PEM).
 
-    `check(entry, now)` raises for what is revoked; by default the authority's record says it, which
-    a host that only holds an intermediate cannot know: it passes `Revocations.check`.
+    `check(entry, now)` raises for revoked entries; the default uses the authority's record. The
+    host of an intermediate has no such record and passes `Revocations.check`.
 
     Raises:
-        RenewalRefused: not in order, not due, or the identity was renewed by another key before.
+        RenewalRefused: invalid, not due, or the identity was renewed by another key before.
         CertificateRefused, RequestRefused, Revoked: as `ca.renewal.open_renewal`.
     """
     with authority.store.transaction():
@@ -70,9 +70,9 @@ def _renew(
 def renew_by_name(
     authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME
 ) -> bytes:
-    """Certify the key that `name` has once more; returns the node's new bundle (PEM).
+    """Certify the current key of `name` again; returns the node's new bundle (PEM).
 
-    What an intermediate enrolled hangs on this authority itself from then on, and keeps its key.
+    A node enrolled by an intermediate is then certified by this authority, for the same key.
 
     Raises:
         StoreError: the name has no valid identity.
@@ -90,7 +90,7 @@ def renew_by_name(
 
 
 def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Identity:
-    """The identity of a row; it is verified through the intermediate that signed it, if one did."""
+    """The identity of a row, verified with the intermediate that signed it, if any."""
     signer = authority.store.identities.issuer(row)
     if signer is None:
         return authority.verify(row.der, now)
@@ -98,7 +98,7 @@ def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Ide
 
 
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
-    """Renew the authority's own node, also one that has expired; returns until when it is good."""
+    """Renew the authority's own node, even if expired; returns its `not_after`."""
     own = NodeHome(authority.path / "node", OWN_NODE)
     key = KeySigner(key_files.load_private(own.path / "node.key"))
     request = build_request(key, authority.domain, OWN_NODE)
@@ -106,7 +106,7 @@ def renew_own_node(authority: SigningAuthority, now: int) -> int:
 
 
 def own_node_is_due(authority: SigningAuthority, now: int) -> bool:
-    """Whether two thirds of the own node's life are over; an intermediate's host has none."""
+    """Whether the authority's own node is due for renewal; an intermediate has none."""
     certificates = authority.store.identities.by_name(OWN_NODE)
     return bool(certificates) and now >= _renew_at(certificates[-1])
 
@@ -119,7 +119,7 @@ def sign_intermediate(
     may_enroll: bool,
     lifetime: int = INTERMEDIATE_LIFETIME,
 ) -> tuple[str, bytes]:
-    """Sign and record an intermediate; returns the name it is revoked by, and its bundle (PEM).
+    """Sign and record an intermediate; returns its name for revocation, and its bundle (PEM).
 
     Raises:
         RequestRefused, IssueRefused: as `ca.authority.Authority.issue_intermediate`.
@@ -139,20 +139,21 @@ def sign_intermediate(
 def import_identity(
     authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
 ) -> tuple[Identity, bool]:
-    """Record an identity that an intermediate of this root signed; whether it was not known yet.
+    """Record an identity signed by an intermediate of this root; the boolean says if it is new.
 
-    `replaced` are names that may come with another key than they have here; that one is revoked.
+    `replaced` are names whose current key may be replaced; that key is revoked.
 
     Raises:
         CertificateRefused: not a valid identity of this root.
         StoreError: its key, or the intermediate's, is revoked or unknown here.
-        KeyChanged, NameCovered: the name is somebody else's.
-        ConfigurationError: this is no root, or the name is the authority's own.
+        KeyChanged, NameCovered: the name belongs to another key.
+        ConfigurationError: this is not a root, or the name is the authority's own.
     """
     identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
         raise ConfigurationError(
-            f"{identity.name} is not taken over here", "only a root imports, and never its own node"
+            f"{identity.name} cannot be imported here",
+            "only a root imports, and never its own node",
         )
     store, row = authority.store, certificate_row(identity)
     with store.transaction():
@@ -170,14 +171,14 @@ def import_identity(
 
 
 def _check_issuers(store: Store, identity: Identity) -> None:
-    """Its intermediate is one that this root made, and has not taken back."""
+    """Check that its intermediate was signed by this root and is not revoked."""
     made = {row.thumbprint for row in store.certificates() if row.name.startswith(INTERMEDIATE)}
     for issuer in identity.issuers:
         store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
         if issuer not in made:
             raise StoreError(
                 f"the intermediate of {identity.name} is not in this record",
-                "was the record restored from an older backup? make the intermediate anew",
+                "was the record restored from an older backup? make a new intermediate",
             )
 
 

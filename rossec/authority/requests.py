@@ -1,8 +1,7 @@
-"""Requests for grants in the authority's record: what was stored, and what was answered.
+"""The grant request store: requests for grants in the authority's record, and their answers.
 
-A shell. Two more tables in the record, append-only like the rest: an answer is a new row, given
-once. Requests arrive as files: carried by anybody, or laid into the inbox by a node of the same
-ROSSEC_HOME.
+It adds two tables to the record, append-only like the others: an answer is a new row. Requests
+arrive as files: given by the operator, or written to the inbox by a node of the same ROSSEC_HOME.
 """
 
 import sqlite3
@@ -18,7 +17,7 @@ from rossec import files
 from rossec.errors import ConfigurationError
 
 MAX_FILE: Final = 16 * 1024
-MAX_INBOX: Final = 256  # files looked at in one go
+MAX_INBOX: Final = 256  # files read at once
 _SCHEMA: Final = (
     """CREATE TABLE IF NOT EXISTS grant_request (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
@@ -38,7 +37,7 @@ _SCHEMA: Final = (
 
 
 class StoredRequest(NamedTuple):
-    """One requested that is in the record and not answered."""
+    """One requested right in the record, not answered yet."""
 
     request: GrantRequest
     at: int
@@ -51,10 +50,10 @@ class StoredRequest(NamedTuple):
 
 
 class GrantRequestStore:
-    """The requests in one record."""
+    """The grant requests in one record."""
 
     def __init__(self, database: Database) -> None:
-        """In the record that `database` is, so that an answer can be one step with its grants."""
+        """Use the record in `database`, so that an answer shares a transaction with its grants."""
         self._database = database
         with self._transaction() as db:
             for statement in _SCHEMA:
@@ -62,7 +61,7 @@ class GrantRequestStore:
 
     @classmethod
     def open(cls, authority: Path) -> Self:
-        """The inbox of the authority in this directory."""
+        """Open the record of the authority in this directory."""
         return cls(Database.open(authority / "ca.db"))
 
     def close(self) -> None:
@@ -73,14 +72,14 @@ class GrantRequestStore:
         """Record a verified request.
 
         Raises:
-            StoreError: it is there already.
+            StoreError: it is recorded already.
         """
         with self._transaction() as db:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
 
     def answer(self, stored: StoredRequest, answer: str, reason: str, now: int) -> None:
-        """Record the answer to one requested.
+        """Record the answer to one requested right.
 
         Raises:
             StoreError: it was answered already.
@@ -91,7 +90,7 @@ class GrantRequestStore:
             db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def unanswered(self) -> list[StoredRequest]:
-        """Every requested without an answer, oldest first."""
+        """Every requested right without an answer, oldest first."""
         answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
@@ -111,12 +110,12 @@ class GrantRequestStore:
             raise
         except StoreError as error:
             raise StoreError(
-                "that was asked or answered before", "see: rossec grant pending"
+                "the request is already recorded or answered", "see: rossec grant pending"
             ) from error
 
 
 def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
-    """Put a request where the authority of the same ROSSEC_HOME looks."""
+    """Write a request to the inbox of the authority of the same ROSSEC_HOME."""
     files.make_private_directory(authority / "inbox")
     path = authority / "inbox" / f"{request.id.hex()}.request"
     files.replace(path, data)
@@ -124,10 +123,10 @@ def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
 
 
 def inbox_files(authority: Path) -> list[Path]:
-    """The files in the inbox, oldest name first; at most `MAX_INBOX`."""
+    """The files in the inbox, sorted by name; at most `MAX_INBOX`."""
     return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
 
 
 def read_request(path: Path) -> bytes:
-    """A request file, bounded."""
+    """Read a request file, with a size limit."""
     return files.read(path, MAX_FILE, ConfigurationError(f"there is no {path}"))

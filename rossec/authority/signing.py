@@ -1,8 +1,8 @@
-"""The authority with its key unlocked: what it signs, and the record of it.
+"""The authority with its key unlocked: it signs, and records what it signs.
 
-Nothing is handed out that is not recorded first. Two commands may be at work at once: whatever is
-decided by the record (a number, who is alive, what is to be listed) is decided, signed and recorded
-in one transaction, and so is a revocation with the list that says it.
+Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
+the record (a list number, the valid identities, the entries of a list) are made, signed and
+recorded in one transaction, and so is a revocation with its list.
 """
 
 import secrets
@@ -28,9 +28,9 @@ from rossec import files
 from rossec.authority import list_contents
 from rossec.errors import ConfigurationError
 
-SKEW: Final = list_contents.SKEW  # what is signed holds at once, on a host whose clock is behind
+SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
 _DELEGATIONS: Final = "delegations"
-OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
+OWN_NODE: Final = "/ca"  # the identity of the authority's tools
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
 _LIST_REFRESH: Final = 7 * 86400
@@ -66,12 +66,12 @@ class SigningAuthority:
     ) -> bytes:
         """Approve a request, sign and record its identity; returns the node's bundle (PEM).
 
-        One request has one answer: asked again, it gets the same. With `wildcard` the identity is
-        for anonymous nodes as well. `replace_key` is the request's name once more, if it may take
-        over from another key; that one is revoked, and the list is to be delivered.
+        A repeated request gets the same certificate. With `wildcard` the identity is for anonymous
+        nodes as well. `replace_key` is the request's name again, if its key may replace another
+        one; that key is revoked, and the list must be delivered.
 
         Raises:
-            KeyChanged, NameContested, NameCovered: the name is somebody else's.
+            KeyChanged, NameContested, NameCovered: the name belongs to another key.
             RequestClosed: it was denied, or its identity is not valid any more.
         """
         asked = check_request(request, self.domain, wildcard=wildcard)
@@ -90,7 +90,7 @@ class SigningAuthority:
         return self.issue_approved(row, now, lifetime)
 
     def issue_approved(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
-        """Sign and record the identity an approved request asks for; returns the node's bundle.
+        """Sign and record the identity of an approved request; returns the node's bundle.
 
         Raises:
             RequestClosed: it is not approved.
@@ -109,22 +109,22 @@ class SigningAuthority:
         return self.bundle(der)
 
     def verify(self, der: bytes, now: int) -> Identity:
-        """The identity in a leaf that this authority signed, now or as the root before."""
+        """The identity in a leaf signed by this authority, or by the root directly."""
         try:
             return self.authority.anchor.verify([der, *self.authority.chain], now)
         except ForeignCertificate:
             return self.authority.anchor.verify([der], now)
 
     def bundle(self, der: bytes) -> bytes:
-        """What a node installs: its leaf, the intermediate if there is one, the root (PEM)."""
+        """The bundle a node installs: leaf, intermediate if there is one, root (PEM)."""
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
     def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
-        """Hand out once more what was issued for a request: the first answer may be lost."""
+        """The bundle issued for a request before, as the first answer may be lost."""
         if row not in self.store.identities.valid(row.name, now) or row.wildcard is not wildcard:
             raise RequestClosed(
-                f"this request of {row.name} was answered, and that is not valid or meant any more",
-                "have the node make a new request",
+                f"this request of {row.name} was answered, but that identity is invalid or differs",
+                "make a new request on the node",
             )
         return self.bundle(row.der)
 
@@ -132,7 +132,7 @@ class SigningAuthority:
         """Sign and record a grant.
 
         Raises:
-            ConfigurationError: this is an intermediate; nobody would take a grant from it.
+            ConfigurationError: this is an intermediate, whose grants no node accepts.
             StoreError: its key was revoked since the draft was made.
         """
         self._check_root("sign grants")
@@ -147,10 +147,10 @@ class SigningAuthority:
         return data
 
     def issue_delegation(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
-        """Let the master with the key `holder` renew grants; recorded before it is handed out.
+        """Let the master with the key `holder` renew grants; recorded before it is delivered.
 
         Raises:
-            RenewalMalformed: for too long.
+            RenewalMalformed: the lifetime is too long.
         """
         self.refresh_list(now)
         begin = now - SKEW
@@ -164,7 +164,7 @@ class SigningAuthority:
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every delegation that has not expired; returns the list, and how many.
+        """Revoke every delegation that has not expired; returns the list, and their number.
 
         Raises:
             ConfigurationError: there is none.
@@ -182,20 +182,20 @@ class SigningAuthority:
             return self._revoke(living, reason, now), len(living)
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
-        """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
+        """Revoke a grant id or key thumbprint, and sign a new list."""
         self._check_root()
         return self._revoke(frozenset({entry}), reason, now)
 
     def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every living key of `name`; returns the list, signed anew, and how many keys.
+        """Revoke every key of `name`; returns the new list, and the number of keys.
 
         Raises:
             ConfigurationError: there is none, or it is the authority's own.
         """
         if name == OWN_NODE:
             raise ConfigurationError(
-                f"{name} is the authority's own node: without it no list reaches the master",
-                "a stolen authority must be made anew, in another ROSSEC_HOME",
+                f"{name} is the authority's own node, which delivers lists to the master",
+                "if the authority was stolen, create a new one in another ROSSEC_HOME",
             )
         sought = name if name.startswith(INTERMEDIATE) else check_name(name)
         with self.store.transaction():
@@ -206,21 +206,21 @@ class SigningAuthority:
             self.refresh_list(now)
         certified = self.store.certified_name(name, now)
         raise ConfigurationError(
-            f"{name} has no living identity to revoke",
+            f"{name} has no valid identity to revoke",
             "see: rossec ca show; to deliver the list again: rossec ca publish"
             if certified == name
-            else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
+            else f"it is one of the anonymous nodes of {certified}: revoking that revokes all",
         )
 
     def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
-        """Record what is revoked and sign the list that says so: both, or neither."""
+        """Record revocations and sign the new list, in one transaction."""
         with self.store.transaction():
             for entry in sorted(entries):
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
 
     def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
-        """The list, or where it has grown too long a tree of it."""
+        """Sign the list, or a tree if it has too many entries."""
         if len(listed.entries) <= MAX_ENTRIES:
             return sign_list(self.signer, listed)
         size, root = TreeEntries(listed.entries).size_and_root
@@ -228,9 +228,9 @@ class SigningAuthority:
         return sign_tree(self.signer, tree)
 
     def refresh_list(self, now: int) -> None:
-        """Sign the list anew when it lacks something that is revoked, and long before it expires.
+        """Sign a new list if it lacks a revocation, and long before it expires.
 
-        Every command that has the key does this: what another one left behind is made good.
+        Every command that has the key does this, and so completes an interrupted one.
         """
         if not self.authority.is_root:
             return
@@ -242,10 +242,10 @@ class SigningAuthority:
                 self.sign_list(now)
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
-        """Sign the list of everything revoked that could still hold, with the next number.
+        """Sign the list of all revocations that still matter, with the next number.
 
-        With `new_epoch` it beats every list of before, also those this record does not know: the
-        epoch is the time, so that one backup restored twice does not number two lists alike.
+        With `new_epoch` it is newer than every list before, also those this record lacks: the epoch
+        is the time, so that a backup restored twice does not use the same number twice.
 
         Raises:
             ConfigurationError: this is an intermediate.
@@ -263,12 +263,10 @@ class SigningAuthority:
 
     def _check_root(self, act: str = "revoke") -> None:
         if not self.authority.is_root:
-            raise ConfigurationError(
-                f"an intermediate cannot {act}", "that is for the root: do it there"
-            )
+            raise ConfigurationError(f"an intermediate cannot {act}", "do it at the root")
 
     def sign_head(self, now: int) -> bytes:
-        """Sign the state of the log: whoever keeps it can tell whether the past was rewritten."""
+        """Sign the head of the log, which shows whether the log was rewritten since."""
         with self.store.transaction():
             head = sign_head(self.signer, self.store.log.head(now))
             self.store.log.add_head(head, now)
@@ -276,7 +274,7 @@ class SigningAuthority:
 
 
 def certificate_row(identity: Identity) -> CertificateRow:
-    """How an identity is recorded."""
+    """The row that records an identity."""
     return CertificateRow(
         identity.serial, identity.name, identity.thumbprint, identity.certificate,
         identity.not_before, identity.not_after,

@@ -6,7 +6,15 @@ import pytest
 
 from rossec.errors import CallerMismatch
 from rossec.participant.slave_api import MASTER
-from tests.support.attacker import EVE, call, credentials, expect_refused, fields_for, knock, listen
+from tests.support.attacker import (
+    EVE,
+    call,
+    credentials,
+    expect_refused,
+    fields_for,
+    listen,
+    send_header,
+)
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
 
@@ -33,7 +41,7 @@ def eve(site: Site) -> Site:
 @pytest.mark.attack("anonymous-tail")
 async def test_a_certified_suffix_is_accepted(eve: Site, witness: Witness) -> None:
     fields = fields_for("/eve_1", TOPIC, eve.enroll(EVE).grants())
-    heard = await knock(witness.topic_port, credentials(eve), fields, at_most=1)
+    heard = await send_header(witness.topic_port, credentials(eve), fields, at_most=1)
     assert "error" not in heard.fields
 
 
@@ -44,7 +52,7 @@ async def test_a_topic_under_another_name(
 ) -> None:
     listen(caplog)
     fields = fields_for(name, TOPIC, eve.enroll(EVE).grants())
-    heard = await knock(witness.topic_port, credentials(eve), fields)
+    heard = await send_header(witness.topic_port, credentials(eve), fields)
     expect_refused(heard, caplog, CallerMismatch, f"certified as {EVE} calls itself {name}")
 
 
@@ -54,7 +62,7 @@ async def test_a_suffix_without_a_certified_wildcard(
 ) -> None:
     site.subscribe(EVE, TOPIC)
     fields = fields_for("/eve_1", TOPIC, site.enroll(EVE).grants())
-    heard = await knock(witness.topic_port, credentials(site), fields)
+    heard = await send_header(witness.topic_port, credentials(site), fields)
     expect_refused(heard, caplog, CallerMismatch, f"certified as {EVE} calls itself /eve_1")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ca.keys.signer import KeySigner
-from rossec.master.operation.audit import AuditFile, chained
+from rossec.master.operation.audit import AuditFile, with_hash
 from rossec.master.operation.audit_mark import mark
 from rossec.participant.slave_api import MASTER
 from tests.support.commands import Shell, refused
@@ -59,7 +59,7 @@ def test_an_audit_without_its_beginning(audit: Audit, cut: int) -> None:
 def test_another_beginning_by_another_key(audit: Audit) -> None:
     rest = [json.loads(line) for line in audit.lines[2:]]
     before = rest[0]["before"]
-    forged = chained(mark(new_signer(), before, 1000.0), before)
+    forged = with_hash(mark(new_signer(), before, 1000.0), before)
     audit.keep(json.dumps(forged), *audit.lines[2:])
     refused(audit.shell("audit", "--verify"), "before line 2 of the audit something is missing")
     audit.keep(json.dumps(forged))
@@ -73,7 +73,7 @@ def test_a_line_of_the_master_before_the_remainder(audit: Audit) -> None:
     begun = json.loads(lines[0])
     begun["before"] = json.loads(lines[2])["before"]
     del begun["hash"]
-    audit.keep(json.dumps(chained(begun, begun["before"])), *lines[2:])
+    audit.keep(json.dumps(with_hash(begun, begun["before"])), *lines[2:])
     refused(audit.shell("audit", "--verify"), "before line 2 of the audit something is missing")
 
 

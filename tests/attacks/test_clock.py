@@ -25,7 +25,7 @@ from rossec.participant.connections import STALE_GRACE
 from rossec.participant.slave_api import MASTER
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
-from tests.support.attacker import EVE, credentials, fields_for, knock, signed
+from tests.support.attacker import EVE, credentials, fields_for, send_header, signed
 from tests.support.caller import caller
 from tests.support.fleet import SECURE, environment, program
 from tests.support.site import Site
@@ -82,13 +82,13 @@ async def test_without_a_master_a_node_is_stale_at_once(
 ) -> None:
     site.subscribe(EVE, TOPIC)
     fields = fields_for(EVE, TOPIC, [signed(site)])
-    assert (await knock(witness.topic_port, credentials(site), fields, 2000)).after
+    assert (await send_header(witness.topic_port, credentials(site), fields, 2000)).after
     revocations = witness.robot.revocations
     await stop_master(site)
     revocations.check_fresh(clock.now())
     hand.set = -HOUR
     await until(lambda: _is_stale(revocations.check_fresh))
-    heard = await knock(witness.topic_port, credentials(site), fields)
+    heard = await send_header(witness.topic_port, credentials(site), fields)
     assert "is not confirmed by the master" in heard.error
 
 
@@ -182,13 +182,13 @@ async def test_a_connection_of_rospy_ends_with_its_grant(site: Site, tmp_path: P
         words = await robot.publisher("/words", "std_msgs/String", latch=True)
         words.publish(words.create(data="still"))
         async with program(environment(site, tmp_path), HANDLED, told=True) as viewer:
-            await viewer.hears("HEARD still")
+            await viewer.read_until("HEARD still")
             await stop_master(site)
             await viewer.tell(f"{-HOUR} 0")
-            await viewer.hears("the host's clock went back")
+            await viewer.read_until("the host's clock went back")
             await viewer.tell(f"{-HOUR} {LIFE + 1}")
             expired = "(/words): its grant or its certificate has expired"
-            await viewer.hears(f"closed the connection with /robot {expired}")
+            await viewer.read_until(f"closed the connection with /robot {expired}")
 
 
 @pytest.mark.attack("clock-set-back")

@@ -12,7 +12,7 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
-from tests.support.attacker import EVE, HOST, call, credentials, knock
+from tests.support.attacker import EVE, HOST, call, credentials, send_header
 from tests.support.caller import caller
 from tests.support.site import Site
 from tests.support.witness import Witness
@@ -43,7 +43,7 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
 def ports(near: Sidecar, protocol: WireProtocol) -> list[int]:
     """The ports of /robot2 on the network."""
     exports = near._agent_for("/robot2")._ingress.ports
-    return [door.port for place, door in exports._ports.items() if place.protocol is protocol]
+    return [public.port for place, public in exports._ports.items() if place.protocol is protocol]
 
 
 async def offered(site: Site, near: Sidecar, topic: object) -> Any:
@@ -74,7 +74,9 @@ async def test_a_header_without_a_grant_is_refused_alike(
             said = set()
             for name in (there, ABSENT):
                 asked = {"callerid": EVE, kind: name, "type": "*", "md5sum": "*", "probe": "1"}
-                said.add((await knock(port, credentials(site), asked)).error.replace(name, "X"))
+                said.add(
+                    (await send_header(port, credentials(site), asked)).error.replace(name, "X")
+                )
             assert len(said) == 1, said
     assert (robot.calls, robot.headers) == ([], [])
 

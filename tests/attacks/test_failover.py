@@ -8,7 +8,7 @@ from rossec import clock
 from rossec.clock import Clock, counter
 from rossec.node import Node
 from rossec.participant.publisher_grace import GRACE
-from tests.support.absent import Absent
+from tests.support.blocked import BlockedNodes
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, until
 
@@ -34,7 +34,7 @@ async def test_resetting_sessions_does_not_extend_a_registration(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The publisher is no longer registered; its accomplice breaks the viewer's sessions."""
-    absent, ahead = Absent(monkeypatch), Ahead(monkeypatch)
+    absent, ahead = BlockedNodes(monkeypatch), Ahead(monkeypatch)
     site.publish("/robot", TOPIC)
     site.subscribe("/viewer", TOPIC)
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
@@ -58,7 +58,7 @@ async def test_a_publisher_that_is_not_named_is_still_authorized(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its right ends while the master does not name it."""
-    absent = Absent(monkeypatch)
+    absent = BlockedNodes(monkeypatch)
     right = site.publish("/robot", TOPIC)
     site.subscribe("/viewer", TOPIC)
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:

@@ -29,8 +29,8 @@ from tests.support.attacker import (
     dial,
     expect_refused,
     fields_for,
-    knock,
     revoke,
+    send_header,
     signed,
 )
 from tests.support.fleet import SECURE, environment, program
@@ -75,9 +75,9 @@ async def test_a_stolen_leaf_after_its_intermediate_is_revoked(
     intermediate = below(site, EVE)
     stolen = site.enroll(EVE).credentials()
     fields = fields_for(EVE, TOPIC, [signed(site)])
-    assert (await knock(witness.topic_port, stolen, fields, LIMIT)).after
+    assert (await send_header(witness.topic_port, stolen, fields, LIMIT)).after
     await revoke(site, witness, intermediate)
-    heard = await knock(witness.topic_port, stolen, fields)
+    heard = await send_header(witness.topic_port, stolen, fields)
     expect_refused(heard, caplog, Revoked, "is revoked")
     assert site.master is not None
     with pytest.raises(ChannelError):
@@ -197,13 +197,13 @@ async def test_a_connection_of_two_rospy_programs_below_it_is_closed(
     intermediate = below(site, "/talker", "/hearer")
     env = environment(site, tmp_path / "logs")
     async with program(env, HEARER) as hearer, program(env, TALKER) as talker:
-        await hearer.hears("HEARD")
+        await hearer.read_until("HEARD")
         await send_list(site, site.revoke(intermediate))
         for one in (talker, hearer):
-            await one.hears("the revocation list without a timestamp", WITHIN)
+            await one.read_until("the revocation list without a timestamp", WITHIN)
         hearer.said = ""
         with pytest.raises(TimeoutError):
-            await hearer.hears("HEARD", within=3)
+            await hearer.read_until("HEARD", within=3)
 
 
 @pytest.mark.attack("revoked-intermediate")

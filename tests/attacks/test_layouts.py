@@ -121,7 +121,7 @@ async def test_rospy_uses_the_class_it_reads_with(
         await publisher.wait_for_subscribers()
         for message in (FAST, CALM):
             publisher.publish_bytes(message)
-        await robot.hears("HEARD 0.25 0.25")
+        await robot.read_until("HEARD 0.25 0.25")
     lines = [line for line in robot.said.splitlines() if line.startswith("HEARD")]
     expected = {CLAMPED: ["HEARD 0.5 1000.0", "HEARD 0.25 0.25"], TURNING: ["HEARD 0.25 0.25"]}
     assert lines == [line + " False" * (reads == "any") for line in expected[topic]]

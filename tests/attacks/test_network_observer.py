@@ -10,7 +10,7 @@ import pytest
 from rossec.errors import PeerRefused
 from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
-from tests.support.attacker import EVE, HOST, credentials, dial, fields_for, knock, signed
+from tests.support.attacker import EVE, HOST, credentials, dial, fields_for, send_header, signed
 from tests.support.site import Site
 from tests.support.witness import FRAME, POSE, TOPIC, Witness
 
@@ -61,7 +61,7 @@ async def test_f8_an_observer_sees_neither_names_nor_grants(site: Site, witness:
             recorder, TOPIC.encode(), POSE.encode(), b"/eve", b"Grants", grant[-64:], grant[:64]
         )
     async with recording(witness.topic_port) as (recorder, port):
-        heard = await knock(port, credentials(site), fields_for(EVE, TOPIC, [grant]), 2000)
+        heard = await send_header(port, credentials(site), fields_for(EVE, TOPIC, [grant]), 2000)
         assert FRAME.encode() in heard.after
         holds_none(recorder, TOPIC.encode(), FRAME.encode(), b"PoseStamped", b"/eve", grant[-64:])
 
@@ -72,7 +72,7 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
 ) -> None:
     """The peer may complete the handshake with certificates of its own."""
     assert site.master is not None
-    stranger = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
+    intruder = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
     shown: list[tuple[bytes, ...]] = []
 
     def look(chain: tuple[bytes, ...], now: int) -> Any:
@@ -80,7 +80,7 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
         return site.anchor.verify(chain, now)
 
     async def heard(port: int, opening: WireProtocol) -> bytes:
-        stream = await connect(HOST, port, stranger, look, opening=opening)
+        stream = await connect(HOST, port, intruder, look, opening=opening)
         return await stream.receive()
 
     for port, opening in (

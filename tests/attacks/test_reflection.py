@@ -203,10 +203,10 @@ rospy.spin()
 async def test_a_rospy_program(site: Site, tmp_path: Path) -> None:
     entitle(site, NAME, {Right.PUBLISH: (TOPIC,), Right.SUBSCRIBE: (TOPIC,)})
     async with program(environment(site, tmp_path / "logs"), HEARS, told=True) as robot:
-        uri = (await robot.hears("AT ")).split()[1]
+        uri = (await robot.read_until("AT ")).split()[1]
         async with redirecting(parse_uri(uri)[1]) as port:
             await register_redirect(site, port)
-            await robot.hears(OWN)
+            await robot.read_until(OWN)
             await robot.tell("go on")
-            await robot.hears("LINKS 1 ")
+            await robot.read_until("LINKS 1 ")
     assert [robot.said.count(f"HEARD {number}") for number in range(5)] == [1] * 5

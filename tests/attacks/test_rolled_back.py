@@ -15,7 +15,7 @@ from ca.errors import Revoked
 from rossec.participant.slave_api import MASTER
 from rossec.ros.settings import parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
-from tests.support.attacker import EVE, credentials, expect_refused, fields_for, knock, listen
+from tests.support.attacker import EVE, credentials, expect_refused, fields_for, listen, send_header
 from tests.support.caller import caller
 from tests.support.fleet import SECURE, environment, program
 from tests.support.site import Site
@@ -43,7 +43,7 @@ async def in_sidecar(site: Site, _: Path) -> AsyncIterator[None]:
 @contextlib.asynccontextmanager
 async def in_rospy(site: Site, folder: Path) -> AsyncIterator[None]:
     async with program(environment(site, folder), ROSPY) as robot:
-        await robot.hears("READY")
+        await robot.read_until("READY")
         yield
 
 
@@ -83,6 +83,6 @@ async def test_a_master_set_back_gets_the_newer_list_from_nodes(
             words = await fresh.publisher(WORDS, TYPE, latch=True)
             words.publish(words.create(data="hello"))
             fields = fields_for(EVE, WORDS, [allowed])
-            heard = await knock(fresh.topic_endpoint()[1], credentials(site), fields)
+            heard = await send_header(fresh.topic_endpoint()[1], credentials(site), fields)
             expect_refused(heard, caplog, Revoked, "revoked")
             assert fresh.revocations.data == newest

@@ -27,13 +27,13 @@ from rossec.ros import header
 from tests.support.attacker import (
     EVE,
     HOST,
-    Heard,
+    Reply,
     call,
     credentials,
     dial,
     expect_no_room,
     fields_for,
-    knock,
+    send_header,
 )
 from tests.support.victim import (
     COMMAND,
@@ -58,14 +58,14 @@ async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Vict
         yield victim
 
 
-async def heard(victim: Victim, fields: dict[str, Any], name: str = EVE) -> Heard:
+async def heard(victim: Victim, fields: dict[str, Any], name: str = EVE) -> Reply:
     """The answer to a header; others are not disturbed."""
-    answer = await knock(victim.port, credentials(victim.site, name), fields)
+    answer = await send_header(victim.port, credentials(victim.site, name), fields)
     await victim.goes_on(3)
     return answer
 
 
-def expect_refusal(answer: Heard, *words: str) -> None:
+def expect_refusal(answer: Reply, *words: str) -> None:
     assert set(answer.fields) == {"error"}
     assert answer.error.startswith("rossec: ")
     assert answer.after == b"", "not a byte of data"
@@ -193,7 +193,7 @@ async def test_silent_connections_block_no_other(
 async def admitted(victim: Victim, name: str, *grants: bytes) -> bytes:
     """The header with which a subscriber is admitted, and what followed it at once."""
     fields = fields_for(name, STATE, list(grants))
-    answer = await knock(victim.port, credentials(victim.site, name), fields, at_most=2000)
+    answer = await send_header(victim.port, credentials(victim.site, name), fields, at_most=2000)
     assert "error" not in answer.fields, answer.fields
     return b"".join(answer.fields.values())
 

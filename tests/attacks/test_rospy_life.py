@@ -88,10 +88,10 @@ async def pair(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[
             program(env, ROBOT, told=True) as robot,
             program(env, VIEWER, told=True) as viewer,
         ):
-            await robot.hears("READY")
-            await viewer.hears("ANSWER done")
+            await robot.read_until("READY")
+            await viewer.read_until("ANSWER done")
             if "HEARD still" not in viewer.said:
-                await viewer.hears("HEARD still")
+                await viewer.read_until("HEARD still")
             yield robot, viewer
             for running in (robot, viewer):
                 assert running.process.stdin is not None
@@ -106,8 +106,8 @@ async def test_a_forked_child_cannot_send(pair: tuple[Program, Program]) -> None
         f"HEARD {topic} from the parent" in viewer.said for topic in ("queued", "direct")
     ):
         await robot.tell("fork")
-        assert "a forked process has no connections" in await robot.hears("CHILD")
-        await viewer.hears("HEARD")
+        assert "a forked process has no connections" in await robot.read_until("CHILD")
+        await viewer.read_until("HEARD")
     assert "from the child" not in viewer.said
     assert "lost" not in viewer.said
 
@@ -117,11 +117,11 @@ async def test_idle_connections_renew_their_keys(pair: tuple[Program, Program]) 
     """No message and no call for many periods of renewal: no connection is made again."""
     robot, viewer = pair
     await viewer.tell("call")
-    await viewer.hears("ANSWER done")
+    await viewer.read_until("ANSWER done")
     with pytest.raises(TimeoutError):
-        await viewer.hears("HEARD still", within=5)
+        await viewer.read_until("HEARD still", within=5)
     await viewer.tell("call")
-    await viewer.hears("ANSWER done")
+    await viewer.read_until("ANSWER done")
     assert viewer.said.count("HEARD still") == 1
     for word in ("lost", "Traceback", "follow"):
         assert word not in robot.said + viewer.said, robot.said + viewer.said
@@ -163,15 +163,15 @@ async def test_queued_messages_of_a_revoked_publisher_are_discarded(tmp_path: Pa
         env = environment(site, tmp_path / "logs")
         async with program(env, DREAMER) as dreamer, program(env, CHATTERER):
             for _ in range(20):
-                await dreamer.hears("HEARD")
+                await dreamer.read_until("HEARD")
             data = site.revoke(grant)
             assert site.master is not None
             own = credentials(site, "/carrier")
             await call(site.master.uri, own, "rossec.updateRevocations", "/carrier", data)
-            await dreamer.hears("closed the connection with /chatterer")
+            await dreamer.read_until("closed the connection with /chatterer")
             dreamer.said = ""
             with pytest.raises(TimeoutError):
-                await dreamer.hears("\0", within=1)
+                await dreamer.read_until("\0", within=1)
     assert dreamer.said.count("HEARD") <= 1, "the one that was being heard"
 
 
@@ -202,6 +202,6 @@ async def test_a_flooded_publisher_is_connected_afterwards(
             with monkeypatch.context() as siege:
                 siege.setattr(topics, "_admit", lambda _: None)
                 async with program(environment(site, tmp_path / "logs"), PATIENT) as patient:
-                    await patient.hears("cannot connect to 127.0.0.1")
+                    await patient.read_until("cannot connect to 127.0.0.1")
                     siege.undo()
-                    await patient.hears("HEARD at last")
+                    await patient.read_until("HEARD at last")

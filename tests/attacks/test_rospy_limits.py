@@ -129,7 +129,7 @@ async def target(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Targ
         site.grant(EVE, Right.CALL, SERVICE, restriction=SELDOM)
         site.grant(EVE, Right.PUBLISH, COMMAND, restriction=SELDOM)
         async with program(environment(site, directory / "logs"), ROBOT) as robot:
-            port = int((await robot.hears("AT ")).split()[1])
+            port = int((await robot.read_until("AT ")).split()[1])
             yield Target(site, robot, port)
 
 
@@ -193,6 +193,6 @@ async def test_a_key_that_publishes_under_many_names_has_one_rate(target: Target
             publisher.publish(publisher.create(data=f"go {place}"))
             links = tuple(publisher.links)
             await until(lambda: not any(link._queue for link in links))  # noqa: B023 - at once
-        assert await target.robot.hears("COMMANDED") == "COMMANDED go 0"
+        assert await target.robot.read_until("COMMANDED") == "COMMANDED go 0"
         with pytest.raises(TimeoutError):
-            await target.robot.hears("COMMANDED", within=1.5)
+            await target.robot.read_until("COMMANDED", within=1.5)

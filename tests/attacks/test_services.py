@@ -25,7 +25,15 @@ from rossec.participant.service_handshake import ExpectedService, server_header
 from rossec.participant.service_types import service_type
 from rossec.ros import header
 from rossec.ros import service as wire
-from tests.support.attacker import EVE, HOST, credentials, expect_refused, knock, listen, signed
+from tests.support.attacker import (
+    EVE,
+    HOST,
+    credentials,
+    expect_refused,
+    listen,
+    send_header,
+    signed,
+)
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -78,7 +86,7 @@ async def test_a_caller_without_a_right_learns_nothing(
     """The answers for a service that exists and one that does not differ in its name alone."""
     said = []
     for service in (SERVICE, "/lamp/no"):
-        heard = await knock(port_of(lamp), credentials(site), asking([], service, **probe))
+        heard = await send_header(port_of(lamp), credentials(site), asking([], service, **probe))
         expect_refused(heard, caplog, GrantMissing, "call")
         said.append(heard.error.replace(service, "?"))
     assert said[0] == said[1]
@@ -92,7 +100,7 @@ async def test_other_rights_do_not_allow_a_call(
     for right in Right:
         if right is not Right.CALL:
             grants = [signed(site, right=right, pattern=SERVICE)]
-            heard = await knock(port_of(lamp), credentials(site), asking(grants))
+            heard = await send_header(port_of(lamp), credentials(site), asking(grants))
             expect_refused(heard, caplog, GrantMissing, "no grant for call")
     assert lamp_calls == []
 
@@ -100,14 +108,16 @@ async def test_other_rights_do_not_allow_a_call(
 @pytest.mark.attack("service-no-grant")
 async def test_only_authorized_callers_learn_what_exists(site: Site, lamp: Node) -> None:
     grants = [may_call(site, "/lamp/*")]
-    heard = await knock(port_of(lamp), credentials(site), asking(grants, probe="1"))
+    heard = await send_header(port_of(lamp), credentials(site), asking(grants, probe="1"))
     assert heard.fields["type"] == BOOL.encode()
     assert heard.after == b""
-    heard = await knock(port_of(lamp), credentials(site), asking(grants, "/lamp/no", probe="1"))
+    heard = await send_header(
+        port_of(lamp), credentials(site), asking(grants, "/lamp/no", probe="1")
+    )
     assert heard.error == "rossec: /lamp does not provide /lamp/no"
-    heard = await knock(port_of(lamp), credentials(site), asking(grants, md5sum="0" * 32))
+    heard = await send_header(port_of(lamp), credentials(site), asking(grants, md5sum="0" * 32))
     assert "has the md5sum" in heard.error
-    heard = await knock(port_of(lamp), credentials(site), asking(grants, topic="/lamp/on"))
+    heard = await send_header(port_of(lamp), credentials(site), asking(grants, topic="/lamp/on"))
     assert "for a topic and for a service" in heard.error
     assert lamp_calls == []
 

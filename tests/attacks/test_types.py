@@ -21,7 +21,7 @@ from rossec.participant.slave_api import RULES as SLAVE_RULES
 from rossec.ros.xmlrpc import Fault
 from tests.fuzz.mutants import dumps, mutants
 from tests.fuzz.statements import seal
-from tests.support.attacker import EVE, credentials, dial, fields_for, knock, signed
+from tests.support.attacker import EVE, credentials, dial, fields_for, send_header, signed
 from tests.support.site import Site
 from tests.support.witness import TOPIC, Witness, until
 
@@ -136,7 +136,7 @@ async def test_a_node_parses_every_presented_grant(
 ) -> None:
     for grant in odd_grants(site)[::7]:
         fields = fields_for(EVE, TOPIC, [grant])
-        await knock(witness.topic_port, credentials(site), fields, at_most=1)
+        await send_header(witness.topic_port, credentials(site), fields, at_most=1)
     assert crashes(caplog) == []
     await witness.goes_on()
 

@@ -47,9 +47,9 @@ from tests.support.attacker import (
     expect_refused,
     fields_for,
     flip,
-    knock,
     refusals,
     revoke,
+    send_header,
     signed,
 )
 from tests.support.site import DAY, Site
@@ -141,7 +141,9 @@ async def test_an_invalid_grant_is_refused_with_its_own_error(
     kind: type[GrantError],
     said: str,
 ) -> None:
-    heard = await knock(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [make(site)]))
+    heard = await send_header(
+        witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [make(site)])
+    )
     expect_refused(heard, caplog, kind, said)
 
 
@@ -149,7 +151,7 @@ async def test_an_invalid_grant_is_refused_with_its_own_error(
 async def test_a_valid_grant_is_accepted(site: Site, witness: Witness) -> None:
     """The control: all others are refused for their flaw only."""
     fields = fields_for(EVE, TOPIC, [signed(site)])
-    heard = await knock(witness.topic_port, credentials(site), fields, at_most=4096)
+    heard = await send_header(witness.topic_port, credentials(site), fields, at_most=4096)
     assert "error" not in heard.fields
     assert FRAME.encode() in heard.after
     await until(lambda: len(witness.publisher.links) == 1)
@@ -160,7 +162,7 @@ async def test_a_valid_grant_is_accepted(site: Site, witness: Witness) -> None:
 async def test_nodes_without_a_grant_are_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, grants: list[bytes] | None
 ) -> None:
-    heard = await knock(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, grants))
+    heard = await send_header(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, grants))
     expect_refused(heard, caplog, GrantMissing, "subscribe")
 
 
@@ -172,7 +174,7 @@ async def test_an_invalid_list_of_grants_is_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, presented: bytes
 ) -> None:
     fields = {**fields_for(EVE, TOPIC, None), "rossec_grants": presented}
-    heard = await knock(witness.topic_port, credentials(site), fields)
+    heard = await send_header(witness.topic_port, credentials(site), fields)
     expect_refused(heard, caplog, GrantMalformed, "grants")
 
 
@@ -181,7 +183,7 @@ async def test_too_many_grants_are_refused_unopened(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     fields = fields_for(EVE, TOPIC, [signed(site)] * 17)
-    heard = await knock(witness.topic_port, credentials(site), fields)
+    heard = await send_header(witness.topic_port, credentials(site), fields)
     expect_refused(heard, caplog, GrantMalformed, "at most 16")
 
 
@@ -208,7 +210,7 @@ async def test_a_revoked_grant_is_refused_and_so_is_its_malleated_twin(
     await revoke(site, witness, grant)
     for data in (grant, twin):
         fields = fields_for(EVE, TOPIC, [data])
-        heard = await knock(witness.topic_port, credentials(site), fields)
+        heard = await send_header(witness.topic_port, credentials(site), fields)
         expect_refused(heard, caplog, GrantRevoked, "revoked")
 
 
@@ -218,7 +220,7 @@ async def test_a_revoked_node_is_refused_everywhere(
 ) -> None:
     eve, grant = credentials(site), signed(site)
     await revoke(site, witness, site.identity(EVE).thumbprint)
-    heard = await knock(witness.topic_port, eve, fields_for(EVE, TOPIC, [grant]))
+    heard = await send_header(witness.topic_port, eve, fields_for(EVE, TOPIC, [grant]))
     expect_refused(heard, caplog, Revoked, "revoked")
     answer = await call(witness.robot.uri, eve, "requestTopic", EVE, TOPIC, [["TCPROS"]])
     assert isinstance(answer, list)
@@ -273,10 +275,10 @@ async def test_a_peer_of_another_authority_is_refused_in_the_handshake(
 ) -> None:
     """It has the viewer's own name, certified by its own authority for the same domain."""
     other = Site(site.root.parent / "other", site.anchor.domain)
-    stranger = credentials(other, "/viewer")
+    intruder = credentials(other, "/viewer")
     grants = [site.subscribe("/viewer", TOPIC)]  # copied from the viewer's disk
     with pytest.raises(PeerRefused) as caught:
-        await knock(witness.topic_port, stranger, fields_for("/viewer", TOPIC, grants))
+        await send_header(witness.topic_port, intruder, fields_for("/viewer", TOPIC, grants))
     assert str(caught.value).isprintable()
     refused = refusals(caplog)[-1]
     assert isinstance(refused, IdentityRefused)
@@ -284,7 +286,7 @@ async def test_a_peer_of_another_authority_is_refused_in_the_handshake(
     assert site.master is not None
     for uri in (witness.robot.uri, site.master.uri):
         with pytest.raises(PeerRefused):
-            await call(uri, stranger, "requestTopic", "/viewer", TOPIC, [["TCPROS"]])
+            await call(uri, intruder, "requestTopic", "/viewer", TOPIC, [["TCPROS"]])
         assert isinstance(refusals(caplog)[-1].__cause__, ForeignCertificate)
 
 
@@ -294,7 +296,7 @@ async def test_a_name_that_is_not_the_certified_one_is_refused(
 ) -> None:
     """N6: Eve shows the viewer's grants and claims to be the viewer."""
     fields = fields_for("/viewer", TOPIC, site.enroll("/viewer").grants())
-    heard = await knock(witness.topic_port, credentials(site), fields)
+    heard = await send_header(witness.topic_port, credentials(site), fields)
     expect_refused(heard, caplog, CallerMismatch, "/eve calls itself /viewer")
 
 
@@ -305,7 +307,7 @@ async def test_a_header_without_caller_or_topic_is_refused(
     for missing in ("callerid", "topic"):
         fields = fields_for(EVE, TOPIC, [signed(site)])
         del fields[missing]
-        heard = await knock(witness.topic_port, credentials(site), fields)
+        heard = await send_header(witness.topic_port, credentials(site), fields)
         expect_refused(heard, caplog, ConnectionHeaderRefused, missing)
 
 
@@ -326,7 +328,7 @@ async def test_an_authorized_subscriber_needs_the_same_type(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     fields = fields_for(EVE, TOPIC, [signed(site)], md5sum="0" * 32)
-    heard = await knock(witness.topic_port, credentials(site), fields)
+    heard = await send_header(witness.topic_port, credentials(site), fields)
     expect_refused(heard, caplog, ConnectionHeaderRefused, "carries")
 
 
@@ -343,7 +345,7 @@ async def test_without_a_grant_the_refusal_does_not_tell_what_exists(
     answers = []
     for topic in (TOPIC, missing):
         fields = fields_for(EVE, topic, grants, **changes)
-        heard = await knock(witness.topic_port, credentials(site), fields)
+        heard = await send_header(witness.topic_port, credentials(site), fields)
         assert not heard.after
         answers.append({**heard.fields, "error": heard.error.replace(topic, "TOPIC").encode()})
     assert answers[0] == answers[1]

@@ -19,7 +19,7 @@ from rossec.channel.edhoc.known import KnownCertificates, reference
 from rossec.errors import HandshakeFailed, OwnCredentialUnknown, PeerRefused
 from rossec.net.aio import SecureStream, connect, serve
 from rossec.node import Node
-from tests.support.attacker import EVE, HOST, credentials, fields_for, knock
+from tests.support.attacker import EVE, HOST, credentials, fields_for, send_header
 from tests.support.site import Site
 from tests.support.witness import TOPIC, Witness
 
@@ -53,7 +53,7 @@ async def refused(witness: Witness, own: Credentials, named: Value, shown: bytes
     """How the robot answers a key under that name; `shown` is the certificate it signs."""
     forged = Named(own.signer, (shown,), named=named)
     with pytest.raises(PeerRefused) as caught:
-        await knock(witness.topic_port, forged, fields_for(VIEWER, TOPIC, None))
+        await send_header(witness.topic_port, forged, fields_for(VIEWER, TOPIC, None))
     await witness.goes_on()
     return caught.value
 
@@ -174,7 +174,7 @@ async def reached(
 async def test_a_responder_that_names_the_certificate_of_another(
     site: Site, witness: Witness
 ) -> None:
-    """Eve answers at the robot's address, named by the certificate hash that her caller cached."""
+    """Eve answers at the robot's address with its certificate's hash, cached by her caller."""
     robot, eve = site.enroll("/robot").credentials(), credentials(site)
     own, remembered = site.enroll("/caller").credentials(), KnownCertificates()
     await reached(site, witness, own, remembered)

@@ -1,4 +1,4 @@
-"""Every benchmark can be started: a moved function must not wait for somebody to need a figure."""
+"""Every benchmark can be started: a broken import must not stay unnoticed."""
 
 import importlib
 

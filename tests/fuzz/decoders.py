@@ -1,4 +1,4 @@
-"""What is fuzzed: every decoder that sees a stranger's bytes, with the seeds to begin from.
+"""What is fuzzed: every decoder of bytes from unauthenticated peers, with its seeds.
 
 A target returns, or raises one of our own errors; anything else is a finding. Seeds are real bytes:
 messages of a handshake between two connections, of RFC 9529, and of plain peers.
@@ -126,7 +126,7 @@ def _waiting_authority() -> AuthorityEnrollment:
     return authority
 
 
-WAITING: Final = [_waiting_authority()]  # made anew only when it gave up: that takes a while
+WAITING: Final = [_waiting_authority()]  # made again only after it failed, because that is slow
 
 
 def _enrolling_node(data: bytes) -> None:
@@ -167,6 +167,6 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
 
 
 def run(name: str, data: bytes) -> None:
-    """Feed one input; our own errors are right answers."""
+    """Feed one input; our own errors are expected."""
     with suppress(HintedError):
         DECODERS[name][0](data)

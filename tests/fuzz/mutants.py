@@ -1,8 +1,8 @@
-"""Values of every other type in every place of a valid structure: CBOR that is whole, and wrong.
+"""Values of every other type in every place of a valid structure: well-formed, invalid CBOR.
 
-Bytes at random end at the first check of form. Here the form is right and one thing in it is not:
+Random bytes fail at the first check of form. Here the form is valid and one item is not:
 each part is replaced by a value of every type, left out, doubled, or put under another key. Byte
-strings that hold CBOR themselves are gone into.
+strings that hold CBOR are changed inside as well.
 """
 
 import struct
@@ -18,7 +18,7 @@ from ca.errors import EncodingError
 
 @dataclass(frozen=True)
 class Raw:
-    """Bytes that stand in a structure as they are."""
+    """Bytes that are encoded as they are."""
 
     data: bytes
 
@@ -50,7 +50,7 @@ KEYS: Final[tuple[Any, ...]] = (0, -1, 1 << 60, "", "rate", True, None, b"k", 0.
 
 
 def dumps(value: Any) -> bytes:
-    """CBOR with what is raw as it is; maps in canonical order."""
+    """CBOR with `Raw` as it is; maps in canonical order."""
     match value:
         case Raw(data):
             return data
@@ -72,7 +72,7 @@ def cbor_head(major: int, count: int) -> bytes:
 
 
 def mutants(value: Any) -> Iterator[Any]:
-    """`value` with one thing in it changed, again and again; itself is the last."""
+    """`value` with one item changed, in every way; unchanged as the last."""
     yield from _changed(value)
     yield value
 

@@ -1,4 +1,4 @@
-"""Every decoder of CBOR, with a valid structure to change, and the way to what lies behind it.
+"""Every decoder of CBOR, with a valid structure to change, and how to reach it.
 
 A target takes the bytes of a changed structure, signs them where its decoder asks for a signature,
 and decodes. It returns, or raises one of our own errors.
@@ -51,18 +51,18 @@ class Decoder(NamedTuple):
 
 
 def seal(profile: Profile, signer: Signer, body: bytes) -> bytes:
-    """`body` under a good signature, whatever it is."""
+    """`body` under a valid signature."""
     signature = signer.sign(profile._signed_frame + encode(body))
     return b"\xd2" + encode([profile.protected, {}, body, signature])
 
 
 def framed(data: bytes) -> Any:
-    """A statement as the structure that it is, without its tag."""
+    """A statement without its tag."""
     return decode(data[1:], limit=1 << 20)
 
 
 def payload(profile: Profile, data: bytes) -> Any:
-    """What a statement says."""
+    """The payload of a statement."""
     return profile.peek(data, limit=1 << 20)
 
 
@@ -93,7 +93,7 @@ POSE: Final = layout.parse(_POSE.name, _POSE.definition)
 
 
 def _used(grant: Grant) -> None:
-    """What is done with a grant that holds: it is shown, and its restrictions are put together."""
+    """Use a valid grant: present it, and combine its restrictions."""
     for permission in grant.permissions:
         restriction = permission.restriction
         if restriction is not None:

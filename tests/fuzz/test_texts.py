@@ -1,4 +1,4 @@
-"""Texts that are whole and wrong: XML-RPC's elements in every place, policies with every type."""
+"""Well-formed, invalid texts: XML-RPC's elements in every place, policies with every type."""
 
 import json
 from collections.abc import Callable, Iterator

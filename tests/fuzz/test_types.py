@@ -10,8 +10,8 @@ from tests.fuzz.statements import DECODERS
 
 
 @pytest.mark.parametrize("name", DECODERS)
-def test_what_is_valid_is_read(name: str) -> None:
-    """Else what is wrong would be refused for another reason, and nothing be tested."""
+def test_valid_structures_are_decoded(name: str) -> None:
+    """Else the changed ones would be refused for another reason."""
     seeds, target = DECODERS[name]
     for seed in seeds:
         target(dumps(seed))

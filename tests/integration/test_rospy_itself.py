@@ -40,7 +40,7 @@ async def test_a_rospy_program_reaches_itself(tmp_path: Path) -> None:
             },
         )  # fmt: skip
         async with program(environment(site, tmp_path / "logs"), ITSELF) as robot:
-            await robot.hears("DONE")
+            await robot.read_until("DONE")
     assert "HEARD to itself" in robot.said
     assert robot.said.count("ANSWER said to itself") == 2
     assert "Traceback" not in robot.said

@@ -94,7 +94,7 @@ async def plain(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple
         stock.rosmaster(directory) as uri,
         program(stock.environment(uri, directory), PLAIN_NODE) as node,
     ):
-        _, api, port = (await node.hears("AT ")).split()
+        _, api, port = (await node.read_until("AT ")).split()
         yield uri, api, int(port)
 
 
@@ -121,7 +121,7 @@ async def test_a_secured_program_reports_a_plain_peer(
     entitle(site, "/client", {Right.SUBSCRIBE: ("/plain/words",), Right.CALL: ("/plain/work",)})
     await introduce(site, api, port)
     async with program(environment(site, tmp_path), SECURED_CLIENT) as client:
-        await client.hears("WAITED")
+        await client.read_until("WAITED")
         said = client.said
     is_plain = "the peer is a plain ROS node and says: no topic or service name detected"
     assert "FAILED unable to connect to service: rossec: " + is_plain in said
@@ -193,7 +193,7 @@ async def test_a_secured_program_reports_a_plain_master(
     env = environment(victim.site, tmp_path, ROS_MASTER_URI=plain[0], ROSSEC_NODE="/client")
     victim.site.enroll("/client")
     async with program(env, SECURED_LOST) as lost:
-        line = await lost.hears("no answer from the master")
+        line = await lost.read_until("no answer from the master")
         assert "the peer is a plain HTTP server and says: HTTP/1.1 501" in line
-        failed = await lost.hears("FAILED")
+        failed = await lost.read_until("FAILED")
         assert "rossec: " in failed

@@ -55,7 +55,7 @@ def only(part: str, *conditions: str, **rules: str) -> Restriction:
 async def answers(site: Site, directory: Path, name: str) -> list[str]:
     """What a caller of that name prints: three calls anew, three over a kept connection."""
     async with program(environment(site, directory / name), CALLER, name) as caller:
-        await caller.hears("DONE")
+        await caller.read_until("DONE")
         lines = caller.said.splitlines()
     assert "Traceback" not in caller.said
     return [line for line in lines if line.startswith(("ANSWER", "FAILED"))]
@@ -67,12 +67,12 @@ async def test_a_caller_sends_and_gets_what_its_grant_allows(tmp_path: Path) -> 
         site.grant("/off", Right.CALL, LAMP, restriction=only("Request", "!msg.data"))
         site.grant("/dull", Right.CALL, LAMP, restriction=only("Response", message="clear"))
         async with program(environment(site, tmp_path / "lamp"), PROVIDER) as lamp:
-            await lamp.hears("READY")
+            await lamp.read_until("READY")
             off = await answers(site, tmp_path, "off")
             dull = await answers(site, tmp_path, "dull")
-            await lamp.hears("refused /off")
+            await lamp.read_until("refused /off")
             while lamp.said.count("SWITCHED") < 4 + 6:
-                await lamp.hears("SWITCHED")
+                await lamp.read_until("SWITCHED")
     assert [line.split()[:3] for line in off] == 2 * [
         ["ANSWER", "False", "True"], ["FAILED", "True", "service"], ["ANSWER", "False", "True"],
     ]  # fmt: skip
@@ -86,7 +86,7 @@ async def test_a_caller_enforces_the_grant_of_its_provider(tmp_path: Path) -> No
         site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("Request", "!msg.data"))
         entitle(site, "/boss", {Right.CALL: (LAMP,)})
         async with program(environment(site, tmp_path / "lamp"), PROVIDER) as lamp:
-            await lamp.hears("READY")
+            await lamp.read_until("READY")
             boss = await answers(site, tmp_path, "boss")
     assert [line.split()[:2] for line in boss] == 2 * [
         ["ANSWER", "False"], ["FAILED", "True"], ["ANSWER", "False"],

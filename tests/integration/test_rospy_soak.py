@@ -87,7 +87,7 @@ def descriptors(running: Program) -> int:
 async def report(listener: Program) -> tuple[int, int, int]:
     """Messages received, gaps among them, threads."""
     await listener.tell("now")
-    _, count, gaps, threads = (await listener.hears("REPORT")).split()
+    _, count, gaps, threads = (await listener.read_until("REPORT")).split()
     return int(count), int(gaps), int(threads)
 
 
@@ -109,8 +109,8 @@ async def test_a_day_passes_without_unreported_losses(tmp_path: Path) -> None:
             program(env, TALKER, told=True) as talker,
             program(env, LISTENER, told=True) as listener,
         ):
-            await talker.hears("READY")
-            await listener.hears("READY")
+            await talker.read_until("READY")
+            await listener.read_until("READY")
             begin, step = time.monotonic(), 0
             early, fds = (0, 0), (0, 0)
             while time.monotonic() < begin + SECONDS:

@@ -74,7 +74,7 @@ def test_what_a_node_has_seen_revoked_stays_revoked(home: Path) -> None:
 
 def test_the_masters_audit_is_read(home: Path) -> None:
     lines = (home / "nodes" / "master" / "audit.log").read_text().splitlines()
-    entries, damaged = audit.salvage(lines)
+    entries, damaged = audit.read_entries(lines)
     assert (len(entries), damaged) == (4, [])
     assert audit.verify(entries) == entries[-1]["hash"]
 

@@ -1,4 +1,4 @@
-"""What an attacker does: the secure protocol by hand, with whatever identity and grants it has."""
+"""An attacker: the secure protocol by hand, with any identity and grants."""
 
 import contextlib
 import dataclasses
@@ -31,8 +31,8 @@ EVE: Final = "/eve"
 
 
 @dataclass(frozen=True)
-class Heard:
-    """All that came back: the fields of the connection header, and what followed it."""
+class Reply:
+    """A reply: the fields of the connection header, and what followed it."""
 
     fields: Mapping[str, bytes]
     after: bytes
@@ -54,9 +54,9 @@ def fields_for(
     return fields
 
 
-async def knock(
+async def send_header(
     port: int, credentials: Credentials, fields: Mapping[str, str | bytes], at_most: int = 1 << 20
-) -> Heard:
+) -> Reply:
     """Send a connection header to a topic port and take everything that comes until the end."""
     stream = await connect(HOST, port, credentials, accept_any)
     data = b""
@@ -70,7 +70,7 @@ async def knock(
     finally:
         stream.abort("heard enough")
     end = 4 + int.from_bytes(data[:4], "little")
-    return Heard(header.decode(data[4:end]), data[end:])
+    return Reply(header.decode(data[4:end]), data[end:])
 
 
 async def dial(uri: str, credentials: Credentials) -> SecureStream[UnverifiedPeer]:
@@ -89,11 +89,11 @@ async def call(uri: str, credentials: Credentials, method: str, *params: object)
 
 
 async def expect_no_room(stream: SecureStream[Any], size: int) -> None:
-    """A unit of `size` is not taken from who merely has an identity: it ends the connection."""
+    """A unit of `size` from a peer without a right ends the connection."""
     with contextlib.suppress(ChannelError):  # it may end before all is sent
         await stream.send(bytes(size))
     with pytest.raises(ChannelError):
-        await stream.receive()  # a refusal that can be read would mean that all of it was kept
+        await stream.receive()  # a readable refusal would mean that all of it was buffered
     stream.abort("done")
 
 
@@ -104,7 +104,7 @@ def refusals(caplog: pytest.LogCaptureFixture) -> list[HintedError]:
 
 
 def listen(caplog: pytest.LogCaptureFixture) -> None:
-    """Take notice of refusals at every level."""
+    """Record refusals at every level."""
     caplog.set_level(logging.INFO, "rossec")
 
 
@@ -129,7 +129,7 @@ def drafted(
 
 
 def signed(site: Site, signer: Signer | None = None, **changes: Any) -> bytes:
-    """A grant for Eve; only the authority's own signer makes a good one."""
+    """A grant for Eve; only the authority's signer makes a valid one."""
     return document.sign(signer or site.authority.signer, drafted(site, **changes))
 
 
@@ -141,7 +141,7 @@ def flip(data: bytes, position: int, mask: int = 1) -> bytes:
 
 
 async def revoke(site: Site, witness: Witness, grant_or_key: bytes) -> None:
-    """Revoke, carry the list to the master, and wait until both nodes know."""
+    """Revoke, send the list to the master, and wait until both nodes have it."""
     data = site.revoke(grant_or_key)
     await witness.robot._session.call("rossec.updateRevocations", data)
     nodes = witness.robot, witness.viewer
@@ -149,9 +149,9 @@ async def revoke(site: Site, witness: Witness, grant_or_key: bytes) -> None:
 
 
 def expect_refused(
-    heard: Heard, caplog: pytest.LogCaptureFixture, kind: type[HintedError], said: str
+    heard: Reply, caplog: pytest.LogCaptureFixture, kind: type[HintedError], said: str
 ) -> None:
-    """The refused heard one readable line and no message; the refusing side says `kind`."""
+    """The refused peer got one readable line and no message; the refusing side logs `kind`."""
     assert set(heard.fields) == {"error"}
     assert heard.error.startswith("rossec: ")
     assert said in heard.error

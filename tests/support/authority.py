@@ -20,7 +20,7 @@ DAY = 86400
 
 
 @dataclass(frozen=True)
-class Member:
+class EnrolledNode:
     """An enrolled node."""
 
     identity: Identity
@@ -60,18 +60,18 @@ class Site:
         self.anchor = TrustAnchor.load(root)
         self._numbers = itertools.count(1)
 
-    def enroll(self, name: str, *, wildcard: bool = False) -> Member:
+    def enroll(self, name: str, *, wildcard: bool = False) -> EnrolledNode:
         signer = KeySigner(generate())
         request = build_request(signer, self.domain, name)
         certificate = self.authority.issue(
             request, now=self.now, serial=secrets.randbits(127), wildcard=wildcard
         )
         identity = self.anchor.verify([certificate], self.now)
-        return Member(identity, Credentials(signer, (certificate,)))
+        return EnrolledNode(identity, Credentials(signer, (certificate,)))
 
     def grant(
         self,
-        to: Member,
+        to: EnrolledNode,
         rights: Mapping[str, Right],
         *,
         lifetime: int = DAY,
@@ -92,7 +92,7 @@ class Site:
         return sign(self.signer, draft)
 
     def delegation(
-        self, to: Member, *, lifetime: int = DAY, start: int = -60, domain: str = ""
+        self, to: EnrolledNode, *, lifetime: int = DAY, start: int = -60, domain: str = ""
     ) -> bytes:
         """Let `to`, the master, renew grants for an hour at a time."""
         begin = self.now + start
@@ -102,11 +102,11 @@ class Site:
         )  # fmt: skip
         return sign_delegation(self.signer, draft)
 
-    def revoke(self, *entries: bytes | Member, lifetime: int = DAY) -> bytes:
+    def revoke(self, *entries: bytes | EnrolledNode, lifetime: int = DAY) -> bytes:
         """The next list; entries are grants as signed, ids, or members."""
         ids = (
             entry.thumbprint
-            if isinstance(entry, Member)
+            if isinstance(entry, EnrolledNode)
             else entry
             if len(entry) in {16, 32}
             else grant_id(entry)

@@ -48,5 +48,5 @@ def serving(root: Path, name: str, prepare: Prepare, setup: Setup) -> Iterator[S
 
 
 def command(site: Site, *words: str) -> int:
-    """Run one command line against the site; what it says is pytest's to capture."""
+    """Run one command line against the site; pytest captures its output."""
     return run(list(words), site.environ)

@@ -1,4 +1,4 @@
-"""Callers of the master's API with exactly the grants they were given."""
+"""Callers of the master's API with exactly the grants given."""
 
 import contextlib
 from collections.abc import AsyncIterator, Mapping
@@ -45,7 +45,7 @@ class Caller:
 
 
 def refusal(answer: Any) -> str:
-    """Assert that the answer is ours, and no; its text."""
+    """Assert that the answer is a refusal of ours; its text."""
     code, status, value = answer
     assert code == -1, answer
     assert status.startswith("rossec: "), answer

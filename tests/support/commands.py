@@ -13,7 +13,7 @@ PASSPHRASE = "four random words here"
 
 @dataclass(frozen=True)
 class Said:
-    """What a command answered."""
+    """The result of a command."""
 
     code: int
     out: str
@@ -57,7 +57,7 @@ class Shell:
 
 
 def refused(said: Said, error: str, hint: str = "", code: int = 1) -> None:
-    """Assert that a command was refused in rossec's voice."""
+    """Assert that a command failed with an error of rossec."""
     assert said.code == code, said
     lines = said.err.splitlines()
     assert lines[0].startswith("rossec: error: "), said.err

@@ -86,7 +86,7 @@ REPLACEMENT = build_request(NEW, "home", "/held")
 
 
 def replace(authority: SigningAuthority, directory: Path) -> None:
-    """A node that was set up anew takes its name over from its old key, which is revoked."""
+    """A node that was reinstalled takes its name over from its old key, which is revoked."""
     bundle = authority.issue(REPLACEMENT, NOW, replace_key="/held")
     (directory / "out.pem").write_bytes(bundle)
 
@@ -108,19 +108,19 @@ def act(scenario: Scenario, directory: Path) -> None:
 
 
 def check(directory: Path, before: int) -> None:
-    """What must hold, however the process before died."""
+    """What must hold, however the previous process ended."""
     with closing(opened(directory).store) as store:
         store.log.audit(ROOT.public_key)
         ders = [row.der for row in store.certificates()]
         assert before <= len(ders) <= before + 1, "an identity was lost, or there are two"
         for out in directory.glob("*.pem"):
             data = out.read_bytes()
-            if data.count(b"END CERTIFICATE") == 2:  # else the hand-out itself was cut
+            if data.count(b"END CERTIFICATE") == 2:  # else it was killed while handing out
                 assert from_pem(data)[0] in ders, f"{out.name} was handed out and is not recorded"
 
 
 def check_listed(directory: Path) -> None:
-    """Whatever the record says is revoked stands in a list that was signed."""
+    """Every revocation in the record is in a signed list."""
     with closing(opened(directory).store) as store:
         newest = store.newest_list()
         revoked = store.revoked_entries()

@@ -25,7 +25,7 @@ _numbers = itertools.count(1)
 
 
 def fresh(size: int = 16) -> bytes:
-    """Octets that come only once."""
+    """Octets that are not repeated."""
     return next(_numbers).to_bytes(size)
 
 
@@ -88,7 +88,7 @@ def acknowledged(
 class WaitingRobot:
     """A robot in a thread of its own that waits to be enrolled, and a person who confirms.
 
-    `person` is given the offer that waits and returns the digits to confirm, or None to walk away.
+    `person` is given the offer that waits and returns the digits to confirm, or None to cancel.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Secured rospy programs as processes of their own, and what they are told."""
+"""Secured rospy programs as processes of their own, with their input."""
 
 import asyncio
 import contextlib
@@ -33,13 +33,13 @@ def entitle(site: Site, name: str, rights: Mapping[Right, tuple[str, ...]]) -> N
 
 
 class Program:
-    """A running program, and all it has said."""
+    """A running program, and all its output."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self.process = process
         self.said = ""
 
-    async def hears(self, words: str, within: float = 30.0) -> str:
+    async def read_until(self, words: str, within: float = 30.0) -> str:
         """Read until a line holds `words`; that line."""
         assert self.process.stdout is not None
         async with asyncio.timeout(within):
@@ -68,7 +68,7 @@ class Program:
 async def program(
     env: Mapping[str, str], source: str, *arguments: str, told: bool = False
 ) -> AsyncIterator[Program]:
-    """Run Python `source`, told what to do on its standard input or not; it is ended after."""
+    """Run Python `source`, with standard input or without; it is ended after."""
     process = await asyncio.create_subprocess_exec(
         *stock.python(source, *arguments), env=dict(env), limit=1 << 20,
         stdin=asyncio.subprocess.PIPE if told else asyncio.subprocess.DEVNULL,
@@ -87,7 +87,7 @@ async def program(
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """As a person would: with an interrupt first, so that what counts coverage is heard."""
+    """As a person would: with an interrupt first, so that coverage is written."""
     if process.returncode is None:
         _signal(process.terminate)
         with contextlib.suppress(TimeoutError):

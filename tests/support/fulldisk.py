@@ -1,8 +1,8 @@
-"""`python -m tests.support.fulldisk DIRECTORY`: what each command says when the disk is full.
+"""`python -m tests.support.fulldisk DIRECTORY`: what each command prints when the disk is full.
 
 Mounts a small file system at DIRECTORY, which needs a mount namespace of its own (`unshare -m`),
 makes an authority and a node there, fills it to the last byte, and runs the commands. Prints as
-JSON what they said and whether anything had changed when there was room again.
+JSON what they printed, and whether anything had changed afterwards.
 """
 
 import contextlib
@@ -49,7 +49,7 @@ class Disk:
         return self.root / "nodes" / "robot"
 
     def run(self, *command: str) -> tuple[int, str]:
-        """Exit code, and what was said on stderr."""
+        """Exit code, and stderr."""
         err, out = io.StringIO(), io.StringIO()
         secret = command[:2] in {("ca", "sign"), ("ca", "revoke"), ("grant", "sign")}
         more = ("--passphrase-file", str(self._secret)) if secret else ()

@@ -1,4 +1,4 @@
-"""Golden transcripts: every byte of a conversation, from fixed keys and dice.
+"""Golden transcripts: every byte of a connection, from fixed keys and randomness.
 
 `python -m tests.support.golden` writes tests/vectors/channel.json; a difference to what is stored
 there is a change of the wire format, which needs a new version of the protocol.
@@ -94,7 +94,7 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
 
 
 def main() -> None:
-    """Store what the code says today."""
+    """Store what the code produces."""
     FILE.write_text(json.dumps(transcripts(), indent=1) + "\n")
 
 

@@ -62,7 +62,7 @@ class Hosts:
 
 @contextlib.contextmanager
 def two_hosts() -> Iterator[Hosts]:
-    """Make them, and take them away afterwards."""
+    """Make them, and remove them afterwards."""
     mapped = () if os.geteuid() == 0 else _MAPPED
     mine = () if os.geteuid() == 0 else _MINE
     with contextlib.ExitStack() as stack:

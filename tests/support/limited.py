@@ -38,7 +38,7 @@ class Eve:
         self.grant = grant
 
     async def connect(self) -> SecureStream[Identity]:
-        """One more; the publisher knows of it."""
+        """One more connection; returns once the publisher has it."""
         before = len(self.publisher.links)
         stream = await connect(
             HOST, self.port, self.site.enroll(EVE).credentials(), self.site.anchor.verify
@@ -48,7 +48,7 @@ class Eve:
         return stream
 
     async def heard(self, *streams: SecureStream[Identity]) -> list[list[bytes]]:
-        """All that each was sent, which the publisher ends."""
+        """All that each was sent; the publisher closes the connections."""
         links = tuple(self.publisher.links)
         await until(lambda: not any(link._queue for link in links))
         for link in links:
@@ -77,7 +77,7 @@ def number(value: float) -> bytes:
 async def publishing(
     site: Site, *restrictions: Restriction, latch: bool = False
 ) -> AsyncIterator[Eve]:
-    """/robot publishes numbers; Eve may hear them as every one of the restrictions says."""
+    """/robot publishes numbers; Eve may subscribe under each of the restrictions."""
     site.publish("/robot", TOPIC)
     grants = [site.subscribe(EVE, TOPIC, item) for item in restrictions]
     async with site.node("/robot") as robot:

@@ -34,10 +34,10 @@ class SecureListener(Generic[PeerT]):
         self._count = HalfOpenCount(half_open)
 
     def accept(self) -> tuple[SecureSocket[PeerT], Any]:
-        """Return the next connection and its address; callers beyond the caps are dropped.
+        """Return the next connection and its address; callers over the limits are dropped.
 
         Raises:
-            OSError: as of sockets.
+            OSError: as `socket.socket`.
         """
         while True:
             sock, where = self._socket.accept()
@@ -68,11 +68,11 @@ class SecureListener(Generic[PeerT]):
         self._socket.setsockopt(*arguments)
 
     def getsockname(self) -> Any:
-        """Where it listens."""
+        """The address it listens on."""
         return self._socket.getsockname()
 
     def shutdown(self, how: int) -> None:
-        """As of sockets: wakes whoever waits in `accept`."""
+        """As `socket.socket`: a blocked `accept` returns."""
         self._socket.shutdown(how)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """Two secured rospy programs that use everything of rospy, under every kind of name.
 
 `python -m tests.support.matrix DIRECTORY HOST` runs them with a master on HOST, one variant of
-names after the other, and prints what the client saw. It is a program so that it can be recorded.
+names after the other, and prints what the client received. As a program, it can be recorded.
 """
 
 import asyncio
@@ -145,13 +145,13 @@ def entitle_both(site: Site, variant: Variant) -> None:
 
 
 async def play(site: Site, logs: Path, variant: Variant, **more: str) -> list[str]:
-    """Run the pair; the lines in which the client says what it saw."""
+    """Run the pair; the lines in which the client prints what it received."""
     entitle_both(site, variant)
     env = environment(site, logs, **more)
     async with program(env, SERVER, *variant.arguments("server")) as server:
-        await server.hears("SERVING")
+        await server.read_until("SERVING")
         async with program(env, CLIENT, *variant.arguments("client"), "_volume:=11") as client:
-            await client.hears("DONE", within=60)
+            await client.read_until("DONE", within=60)
         assert "rossec: " not in server.said + client.said, server.said + client.said
         return [line for line in client.said.splitlines() if line.startswith("SEEN")]
 

@@ -57,7 +57,7 @@ def scalar(private: bytes) -> ec.EllipticCurvePrivateKey:
 
 
 def fixed(private: bytes) -> Random:
-    """Dice that make `P256Exchange` choose this private key."""
+    """Randomness that makes `P256Exchange` choose this private key."""
     return (int.from_bytes(private) - 1).to_bytes
 
 

@@ -1,4 +1,4 @@
-"""A record as version 1 of the tables had it, with something of everything in it."""
+"""A record as version 1 of the tables had it, with a row in every table."""
 
 import os
 import sqlite3

@@ -1,4 +1,4 @@
-"""Ordinary rospy programs that know nothing of rossec: what a robot's own are made of."""
+"""Ordinary rospy programs without rossec, as robots have them."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""How a plain program behind a sidecar comes to a publisher's messages."""
+"""Subscribes a plain program behind a sidecar to a publisher."""
 
 from rossec.channel.opening import WireProtocol
 from rossec.participant.header_fields import Fields

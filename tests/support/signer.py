@@ -1,7 +1,7 @@
 """`python -m tests.support.signer ROOT`: one of several operators at the same authority.
 
-Opens the authority below ROOT as every command does, says so, then does at once what each line of
-its input says (`revoke NAME`), and answers with a line: the number of the list, or what was wrong.
+Opens the authority below ROOT as every command does, prints a line, then runs each line of its
+input (`revoke NAME`) at once, and prints the number of the list, or the error.
 """
 
 import sys

@@ -61,7 +61,7 @@ class Site:
 
     @property
     def anchor(self) -> TrustAnchor:
-        """Whom the nodes trust."""
+        """The trust anchor of the nodes."""
         return self.authority.authority.anchor
 
     @property

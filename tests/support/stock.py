@@ -37,7 +37,7 @@ def environment(master_uri: str, directory: Path) -> dict[str, str]:
 
 
 async def run(env: dict[str, str], *command: str) -> tuple[int | None, str]:
-    """Run to its end; its exit code and all it said."""
+    """Run to its end; its exit code and output."""
     async with process(env, *command) as running:
         async with asyncio.timeout(30):
             said, _ = await running.communicate()

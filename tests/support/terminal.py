@@ -1,7 +1,7 @@
 """A person at a terminal: `python -m tests.support.terminal ANSWER... -- COMMAND...`.
 
 Each prompt (output that ends with a colon and a space) gets the next answer; `^C` is Ctrl-C,
-pressed again when nothing comes of it. What the command says is passed on; its exit code becomes
+pressed again when nothing happens. The output of the command is forwarded; its exit code becomes
 this program's.
 """
 
@@ -33,7 +33,7 @@ def main(answers: Iterator[str], command: list[str]) -> int:
 
 
 def _read(terminal: int, typed: bytes) -> bytes:
-    """What is said next; a program that was not yet reading may have missed a Ctrl-C."""
+    """The next output; a program that was not yet reading may have missed a Ctrl-C."""
     while typed == _INTERRUPT and not select.select([terminal], [], [], _PATIENCE)[0]:
         os.write(terminal, typed)
     try:

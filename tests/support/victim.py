@@ -1,4 +1,4 @@
-"""A secured rospy node that is attacked, and a viewer beside it that must not notice."""
+"""A secured rospy node that is attacked, and a viewer beside it that must not be disturbed."""
 
 import asyncio
 import contextlib
@@ -69,11 +69,11 @@ class Victim:
 
     @property
     def said(self) -> str:
-        """All it has said so far."""
+        """All its output so far."""
         return self.program.said
 
     async def goes_on(self, messages: int = 10) -> None:
-        """More messages arrive, all numbers in order; the robot has obeyed nobody."""
+        """More messages arrive, all numbers in order; the robot has executed no command."""
         wanted = len(self.numbers) + messages
         await until(lambda: len(self.numbers) >= wanted, within=20)
         first = self.numbers[0]
@@ -103,7 +103,7 @@ async def attacked(directory: Path) -> AsyncIterator[Victim]:
         site.subscribe("/viewer", STATE)
         env = environment(site, directory / "logs")
         async with program(env, ROBOT) as robot, site.node("/viewer") as viewer:
-            _, uri, port = (await robot.hears("AT ")).split()
+            _, uri, port = (await robot.read_until("AT ")).split()
             sight = await viewer.subscriber(STATE, TYPE, queue_size=100_000)
             victim = Victim(site, robot, uri, int(port), viewer, sight, [])
             reading = asyncio.create_task(_read(robot))  # noqa: TID251 - cancelled below
@@ -118,7 +118,7 @@ async def attacked(directory: Path) -> AsyncIterator[Victim]:
 
 async def _read(running: Program) -> None:
     with contextlib.suppress(AssertionError):
-        await running.hears("\0", within=3600)
+        await running.read_until("\0", within=3600)
 
 
 def slave_port(victim: Victim) -> int:

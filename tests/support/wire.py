@@ -151,7 +151,7 @@ class End:
 
 @dataclass
 class Wire:
-    """Two ends; `pump` carries bytes until both are silent.
+    """Two ends; `pump` carries bytes until neither sends.
 
     `meddle(sender, flight)` may change a flight; flights are numbered by `sent` of the sender.
     """
@@ -162,7 +162,7 @@ class Wire:
     meddle: Callable[[End, bytes], bytes] = lambda end, data: data
 
     def pump(self) -> "Wire":
-        """Carry everything both ways until nothing moves."""
+        """Carry everything both ways until nothing is left."""
         moved = True
         while moved:
             moved = False

@@ -1,4 +1,4 @@
-"""A pair of nodes that must not notice anything: numbered messages, none lost, one connection."""
+"""A pair of nodes that must not be disturbed: numbered messages, none lost, one connection."""
 
 import asyncio
 import contextlib
@@ -67,14 +67,14 @@ async def undisturbed(site: Site) -> AsyncIterator[Witness]:
                 await witness.goes_on()
                 yield witness
                 await witness.goes_on()
-                assert pose.links == links, "the pair had to connect again, or somebody else did"
+                assert pose.links == links, "the pair reconnected, or another peer connected"
             finally:
                 for task in tasks:
                     task.cancel()
 
 
 async def until(holds: Callable[[], object], within: float = 30.0) -> None:
-    """Wait for a state that nothing announces; fail when it does not come."""
+    """Poll for a condition; fail when it is not met in time."""
     end = time.monotonic() + within
     while not holds():
         assert time.monotonic() < end, "it did not come to hold in time"

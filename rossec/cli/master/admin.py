@@ -6,7 +6,7 @@ import click
 
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.home import NodeHome
-from rossec.master.operation.admin import ask
+from rossec.master.operation.admin import send_command
 from rossec.ros.names import MASTER
 from rossec.terminal import printable, say, say_json
 
@@ -18,7 +18,7 @@ ADMIN_SOCKET: Final = "admin.sock"
 @pass_environment
 def status(environment: Environment, as_json: bool) -> None:
     """Show the status of the running master; it must have been started with --admin."""
-    answer = ask(_home(environment).path / ADMIN_SOCKET, "status")
+    answer = send_command(_home(environment).path / ADMIN_SOCKET, "status")
     if as_json:
         say_json(answer)
         return
@@ -30,7 +30,7 @@ def status(environment: Environment, as_json: bool) -> None:
 @pass_environment
 def stop(environment: Environment) -> None:
     """Stop the running master in order; it must have been started with --admin."""
-    ask(_home(environment).path / ADMIN_SOCKET, "stop")
+    send_command(_home(environment).path / ADMIN_SOCKET, "stop")
     say("the master ends")
 
 

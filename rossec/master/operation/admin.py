@@ -102,7 +102,7 @@ def _raw_socket(sock: Any) -> socket.socket:
     return found
 
 
-def ask(path: Path, command: str) -> dict[str, Any]:
+def send_command(path: Path, command: str) -> dict[str, Any]:
     """Send a command to the master that listens at `path`.
 
     Raises:

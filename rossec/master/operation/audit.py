@@ -40,19 +40,23 @@ _log = logging.getLogger("rossec.master.audit")
 Entry = dict[str, Any]
 
 
-def chained(entry: Entry, before: str) -> Entry:
+def with_hash(entry: Entry, before: str) -> Entry:
     """The entry with its hash."""
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"))
-    data = f"{before}\n{text}".encode(errors="surrogatepass")  # of a line that is not from here
+    data = f"{before}\n{text}".encode(
+        errors="surrogatepass"
+    )  # a foreign line may contain surrogates
     return {**entry, "hash": hashlib.sha256(data).hexdigest()}
 
 
 def encode(entry: Entry) -> str:
-    """One line, without its end."""
+    """One line, without the line break."""
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
-def salvage(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
+def read_entries(
+    lines: Iterable[str], max_damaged: int | None = None
+) -> tuple[list[Entry], list[int]]:
     """The valid entries, and the numbers of the damaged lines.
 
     Reading ends after `max_damaged` damaged lines.
@@ -93,7 +97,7 @@ def verify(entries: Iterable[Entry], before: str | None = None) -> str:
         link = rest.get("before")
         if not isinstance(link, str) or (last is not None and link != last):
             raise ConfigurationError(f"before line {number} of the audit something is missing")
-        if chained(rest, link) != entry:
+        if with_hash(rest, link) != entry:
             raise ConfigurationError(f"line {number} of the audit was changed")
         last = entry["hash"]
     return FIRST if last is None else last
@@ -134,7 +138,7 @@ class AuditFile(logging.Handler):
         try:
             self._reopen_if_moved()
             self._write_mark(round(now, 3))
-            self._append(chained({**entry, "before": self._last}, self._last))
+            self._append(with_hash({**entry, "before": self._last}, self._last))
             self._torn, self._failing = 0, False
         except (OSError, PathRefused) as error:
             self._fail(error)
@@ -158,7 +162,7 @@ class AuditFile(logging.Handler):
     def _write_mark(self, at: float) -> None:
         """Begin an empty file with a line that is signed by the master."""
         if self._signer is not None and os.fstat(self._file).st_size == 0:
-            self._append(chained(mark(self._signer, self._last, at), self._last))
+            self._append(with_hash(mark(self._signer, self._last, at), self._last))
 
     def _append(self, entry: Entry) -> None:
         line = f"{encode(entry)}\n".encode()
@@ -196,5 +200,5 @@ class AuditFile(logging.Handler):
         if torn:
             os.ftruncate(self._file, size - torn)
         lines = tail[: len(tail) - torn].decode(errors="replace").splitlines()
-        entries, _ = salvage(lines)  # the first may be incomplete
+        entries, _ = read_entries(lines)  # the first may be incomplete
         return (entries[-1]["hash"] if entries else FIRST), torn

@@ -32,7 +32,7 @@ Entry = dict[str, Any]
 
 
 def mark(signer: Signer, before: str, at: float) -> Entry:
-    """The first line of a file, not yet chained; `before` is the hash it continues from."""
+    """The first line of a file, without its hash; `before` is the hash it continues from."""
     text = _FIRST_FILE if before == FIRST else _NEXT_FILE
     point = signer.public_key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
     entry: Entry = {"at": at, "before": before, "level": "info", "text": text, _KEY: point.hex()}

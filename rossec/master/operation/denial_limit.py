@@ -17,7 +17,7 @@ from typing import Final
 from rossec.master.operation.audit import LEFT_OUT
 
 DENIALS: Final = "rossec.audit.denials"
-MOST_NODES: Final = 4096
+MAX_NODES: Final = 4096
 
 
 @dataclass
@@ -80,7 +80,7 @@ class DenialRateLimit(logging.Filter):
         if budget is None:
             limit, reserved = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
             budget = self._nodes[node] = NodeBudget(limit, reserved)
-            if len(self._nodes) > MOST_NODES:
+            if len(self._nodes) > MAX_NODES:
                 self._nodes.popitem(last=False)
         self._nodes.move_to_end(node)
         return budget

@@ -305,7 +305,7 @@ def require(caller: Caller, right: Right, name: str) -> None:
         caller.access.require(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        needs = f"{caller.display_name} needs the right {label(right)} on {name}"
+        needs = f"{caller.display_name} needs the right {right.label} on {name}"
         raise Refused(f"{needs}: {error}{hint}", (right, name)) from error
 
 
@@ -336,8 +336,3 @@ def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) ->
         raise Refused(
             f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key"
         )
-
-
-def label(right: Right) -> str:
-    """The right as grants spell it."""
-    return (right.name or str(int(right))).lower().replace("_", "-")

@@ -19,7 +19,7 @@ from rossec.master.rights.access_rules import Caller, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
-MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
+MAX_FAILURES: Final = 256  # refused grants of one key in FAILURE_WINDOW; each costs a verification
 FAILURE_WINDOW: Final = 60  # seconds
 EMPTY_REACH: Final = Reach(())
 

@@ -92,7 +92,7 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
     tree, entries = home.revocation_list(), home.tree_entries()
     assert is_tree(tree)
-    with pytest.raises(BackupRefused, match="a tree, which does not say") as caught:
+    with pytest.raises(BackupRefused, match="a tree, which does not contain") as caught:
         restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree)
     assert "--entries" in caught.value.hint
     for wrong in (TreeEntries([b"x" * 32]).encoded(), b"garbage"):
@@ -156,7 +156,7 @@ def test_an_older_state_is_refused_unless_it_is_said(home: AuthorityHome) -> Non
 def test_another_authority_is_never_replaced(home: AuthorityHome, tmp_path: Path) -> None:
     other = AuthorityHome.create(tmp_path / "other", "home", PASSPHRASE, NOW)
     data = back_up(other, PASSPHRASE)
-    with pytest.raises(BackupRefused, match="is another one than that of the backup"):
+    with pytest.raises(BackupRefused, match="is not the one in the backup"):
         restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
 
 
@@ -212,7 +212,7 @@ def test_a_home_below_a_directory_called_grants(authority: Path, tmp_path: Path)
 def test_what_is_damaged_is_moved_away_by_hand(home: AuthorityHome, lost: str) -> None:
     data = back_up(home, PASSPHRASE)
     (home.path / lost).unlink()
-    with pytest.raises(BackupRefused, match="is no whole authority") as caught:
+    with pytest.raises(BackupRefused, match="is incomplete") as caught:
         restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
     assert "move that directory away" in caught.value.hint
     home.path.rename(home.path.with_name("damaged"))
@@ -235,13 +235,16 @@ def test_the_entries_beside_a_tree_are_found(
     over = (*plain, "--forget", forget, "--list", str(kept / "revocations.cose"))
     refused(shell.unlocked(*over), "a tree", "--entries")
     (kept / "other").write_bytes(home.tree_entries())
-    refused(shell.unlocked(*over, "--entries", str(shell.secret)), "not a listing")
+    refused(
+        shell.unlocked(*over, "--entries", str(shell.secret)),
+        "not the entries of a revocation tree",
+    )
     (kept / "other").rename(kept / "revocations.entries")
     done = shell.unlocked(*over)
     assert "1 revocations newer than the backup" in done.out
 
 
-def test_nobody_revokes_into_a_record_that_is_being_replaced(
+def test_no_revocation_goes_into_a_record_that_is_being_replaced(
     home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the comparison with the backup until it has moved, and not into what was moved."""

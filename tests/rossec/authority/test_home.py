@@ -106,7 +106,7 @@ def test_the_names_nobody_may_share_are_the_masters_and_its_own() -> None:
 def test_a_list_that_was_not_signed_for_a_revocation_is_signed_next(home: AuthorityHome) -> None:
     unlocked = home.unlock(PASSPHRASE)
     unlocked.store.revoke(b"d" * 32, "then it was killed", NOW)
-    with pytest.raises(ConfigurationError, match="no living identity") as caught:
+    with pytest.raises(ConfigurationError, match="no valid identity") as caught:
         unlocked.revoke_identity("/robot7", "again", NOW)
     assert "rossec ca publish" in caught.value.hint
     assert b"d" * 32 in open_list(home.revocation_list(), home.own_key()).entries
@@ -149,7 +149,7 @@ def test_too_many_revocations_become_a_tree(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     home = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
-    with pytest.raises(ConfigurationError, match="are no tree"):
+    with pytest.raises(ConfigurationError, match="are not a tree"):
         home.tree_entries()
     opened = home.unlock(PASSPHRASE)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 1)

@@ -80,7 +80,7 @@ def test_one_renewal_one_answer(site: Site) -> None:
     assert len(site.authority.store.identities.by_name("/robot")) == 2
     site.authority.revoke(check_request(build_request(key, "home", "/robot"), "home").thumbprint,
                           "lost", LATER)  # fmt: skip
-    with pytest.raises(RequestClosed, match="not valid or meant any more"):
+    with pytest.raises(RequestClosed, match="that identity is invalid or differs"):
         renew(site.authority, asked, LATER + 100)
 
 

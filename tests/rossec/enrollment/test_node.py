@@ -38,7 +38,7 @@ class Caller:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
 
-    async def receives(self) -> Message:
+    async def read_until(self) -> Message:
         async with asyncio.timeout(20):
             return read(await wire.receive(self.reader))
 
@@ -146,10 +146,10 @@ async def test_an_answer_that_was_lost_comes_again() -> None:
 async def test_a_rival_ends_it_for_both() -> None:
     async with waiting() as stage:
         _, _, first = await stage.offered()
-        await first.receives()
+        await first.read_until()
         _, _, second = await stage.offered(OTHER)
-        assert await first.receives() == Abort(Reason.CONFLICT)
-        assert await second.receives() == Abort(Reason.CONFLICT)
+        assert await first.read_until() == Abort(Reason.CONFLICT)
+        assert await second.read_until() == Abort(Reason.CONFLICT)
         with pytest.raises(ConflictingOffer):
             await stage.ends(NodeState.ENROLLED)
         assert await second.is_left()
@@ -172,7 +172,7 @@ async def test_offers_without_the_secret_lock_the_code() -> None:
         for offer in offers:
             caller = await stage.caller()
             caller.says(offer)
-            answer = await caller.receives()
+            answer = await caller.read_until()
             assert isinstance(answer, Abort)
             reasons.append(answer.reason)
         assert reasons == [Reason.REFUSED] * 4 + [Reason.OVER]
@@ -190,7 +190,7 @@ async def test_garbage_ends_its_connection_only() -> None:
         ):
             stranger = await stage.caller()
             stranger.writer.write(garbage)
-            assert await stranger.receives() == Abort(Reason.REFUSED)
+            assert await stranger.read_until() == Abort(Reason.REFUSED)
             assert await stranger.is_left()
         quitter = await stage.caller()
         quitter.writer.write(b"\0\0")
@@ -209,13 +209,13 @@ async def test_a_silent_caller_is_not_waited_for() -> None:
 async def test_an_answered_caller_stays_connected() -> None:
     async with waiting() as stage:
         _, offer, answered = await stage.offered()
-        first = await answered.receives()
+        first = await answered.read_until()
         stage.node._patience = 0.05
         answered.says(offer)
-        assert await answered.receives() == first
+        assert await answered.read_until() == first
         await asyncio.sleep(0.2)  # longer than the patience with strangers
         stage.node.stop(EnrollmentOver("enough"))
-        assert await answered.receives() == Abort(Reason.OVER)
+        assert await answered.read_until() == Abort(Reason.OVER)
 
 
 async def test_few_callers_at_a_time() -> None:
@@ -223,7 +223,7 @@ async def test_few_callers_at_a_time() -> None:
         callers = [await stage.caller() for _ in range(4)]
         for caller in callers:
             caller.says(write(Fetch()))
-            await caller.receives()
+            await caller.read_until()
         fifth = await stage.caller()
         assert await fifth.is_left()
         callers[0].writer.close()
@@ -232,7 +232,7 @@ async def test_few_callers_at_a_time() -> None:
             sixth = await stage.caller()
             sixth.says(write(Fetch()))
             with suppress(EOFError, ConnectionError):
-                await sixth.receives()
+                await sixth.read_until()
                 break
 
 
@@ -261,7 +261,7 @@ async def test_an_identity_that_cannot_be_written_is_not_trusted() -> None:
             stage.node.confirm("no", full)
         with pytest.raises(OSError, match="no space"):
             stage.node.confirm(authority.digits, full)
-        assert await caller.receives() == Abort(Reason.OVER)
+        assert await caller.read_until() == Abort(Reason.OVER)
         with pytest.raises(EnrollmentOver, match="could not be written: no space"):
             await stage.ends(NodeState.ENROLLED)
 

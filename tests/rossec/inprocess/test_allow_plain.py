@@ -132,8 +132,8 @@ async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
             program(stock.environment(uri, tmp_path), STOCK) as plain,
             program(environment(site, tmp_path), SECURED) as robot,
         ):
-            _, api, port = (await plain.hears("AT")).split()
-            _, own, own_port = (await robot.hears("AT")).split()
+            _, api, port = (await plain.read_until("AT")).split()
+            _, own, own_port = (await robot.read_until("AT")).split()
             await register_plain(site, api, int(port))
             with xmlrpc.client.ServerProxy(uri) as master:
                 for method, *params in (
@@ -142,11 +142,11 @@ async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
                     ("registerService", "/robot/ask", f"rosrpc://{HERE}:{own_port}", own),
                 ):
                     await asyncio.to_thread(getattr(master, str(method)), "/robot", *params)
-            await robot.hears("CALLED done in clear")
-            await plain.hears("CALLED answered in clear")
+            await robot.read_until("CALLED done in clear")
+            await plain.read_until("CALLED answered in clear")
             for one, words in ((robot, "HEARD in clear"), (plain, "HEARD open to all")):
                 if words not in one.said:
-                    await one.hears(words)
+                    await one.read_until(words)
             with xmlrpc.client.ServerProxy(own) as robot_api:
                 ask = robot_api.requestTopic
                 answer = await asyncio.to_thread(ask, "/x", "/robot/closed", [["TCPROS"]])

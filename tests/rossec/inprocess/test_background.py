@@ -9,7 +9,7 @@ from grants.model import Right
 from rossec.master.rights import statements
 from rossec.master.state.registry import Kind
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
-from tests.support.absent import Absent
+from tests.support.blocked import BlockedNodes
 from tests.support.fleet import SECURE, environment, program
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until
@@ -59,7 +59,7 @@ async def test_expired_grants_and_ageing_identities_are_renewed(tmp_path: Path) 
         publisher = await robot.publisher(WORDS, TYPE, latch=True)
         publisher.publish(publisher.create(data="hello"))
         async with program(environment(site, tmp_path), LISTENER) as listener:
-            await listener.hears("HEARD hello")
+            await listener.read_until("HEARD hello")
             [link] = publisher.links
             assert len(link.decision.grant_ids) == 3  # the grant, the delegation, the delegate
             await until(lambda: site.identity("/listener").not_after > before.not_after, within=30)
@@ -71,7 +71,7 @@ async def test_expired_grants_and_ageing_identities_are_renewed(tmp_path: Path) 
             await until(
                 lambda: any(link.stream.peer.issuers for link in publisher.links), within=30
             )
-            await listener.hears("HEARD hello")
+            await listener.read_until("HEARD hello")
     assert "Traceback" not in listener.said
 
 
@@ -85,13 +85,13 @@ async def test_connections_end_when_the_list_is_not_confirmed(
         publisher = await robot.publisher(WORDS, TYPE, latch=True)
         publisher.publish(publisher.create(data="hello"))
         async with program(environment(site, tmp_path), HASTY) as listener:
-            await listener.hears("HEARD hello")
+            await listener.read_until("HEARD hello")
             monkeypatch.setattr(statements, "MAX_AGE", 1)  # of what the master says from now on
             await robot._session.call("rossec.updateRevocations", site.revoke(bytes(32)))
-            await listener.hears("UPDATED")
+            await listener.read_until("UPDATED")
             assert site.master is not None
             await site.master.close()
-            closed = await listener.hears(
+            closed = await listener.read_until(
                 "closed the connection with /robot (/robot/words): ", within=90
             )
             assert "the last confirmation expired" in closed
@@ -130,7 +130,7 @@ async def test_refused_registrations_are_repeated_with_a_grant(tmp_path: Path) -
     site.enroll("/robot")
     site.subscribe("/listener", WORDS)
     async with site.running(), program(environment(site, tmp_path), EARLY) as robot:
-        await robot.hears("READY")
+        await robot.read_until("READY")
         async with site.node("/listener") as listener:
             words = await listener.subscriber(WORDS, TYPE)
             site.publish("/robot", WORDS)
@@ -174,7 +174,7 @@ async def test_a_publisher_that_is_not_registered_again_yet_is_reconnected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The master was restarted and names no publisher; then the connection breaks."""
-    absent = Absent(monkeypatch)
+    absent = BlockedNodes(monkeypatch)
     site = Site(tmp_path / "site")
     site.publish("/robot", WORDS)
     site.subscribe("/listener", WORDS)
@@ -182,7 +182,7 @@ async def test_a_publisher_that_is_not_registered_again_yet_is_reconnected(
         publisher = await robot.publisher(WORDS, TYPE, latch=True)
         publisher.publish(publisher.create(data="hello"))
         async with program(environment(site, tmp_path), LISTENER) as listener:
-            await listener.hears("HEARD hello")
+            await listener.read_until("HEARD hello")
             absent.names = {"/robot"}
             await site.restart_master()
             assert site.master is not None
@@ -190,5 +190,5 @@ async def test_a_publisher_that_is_not_registered_again_yet_is_reconnected(
             await until(lambda: registry.registered_nodes(Kind.SUBSCRIBER, WORDS))
             for link in tuple(publisher.links):
                 link.stream.abort("a test")
-            await listener.hears("HEARD hello")
+            await listener.read_until("HEARD hello")
             assert registry.registered_nodes(Kind.PUBLISHER, WORDS) == ()

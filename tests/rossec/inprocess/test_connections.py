@@ -18,7 +18,7 @@ from rossec.participant.access import FIELD
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
-from tests.support.attacker import HOST, call, credentials, dial, fields_for, knock
+from tests.support.attacker import HOST, call, credentials, dial, fields_for, send_header
 from tests.support.site import coarse
 from tests.support.victim import SERVICE, STATE, TYPE, Victim, attacked
 from tests.support.witness import until
@@ -41,7 +41,7 @@ async def refusal(victim: Victim, **fields: str) -> str:
     """The error that a visitor with every right gets for a header."""
     grants = encode(list(victim.site.enroll(GUEST).grants()))
     own = credentials(victim.site, GUEST)
-    answer = await knock(victim.port, own, {"callerid": GUEST, FIELD: grants, **fields})
+    answer = await send_header(victim.port, own, {"callerid": GUEST, FIELD: grants, **fields})
     await victim.goes_on(2)
     return answer.error
 
@@ -64,7 +64,7 @@ async def test_an_unknown_name_or_another_type_is_refused(victim: Victim) -> Non
 async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None:
     grant = victim.site.subscribe("/misfit", STATE, coarse())
     own = credentials(victim.site, "/misfit")
-    answer = await knock(victim.port, own, fields_for("/misfit", STATE, [grant]))
+    answer = await send_header(victim.port, own, fields_for("/misfit", STATE, [grant]))
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
     grant = victim.site.grant("/misfit", Right.CALL, SERVICE, restriction=coarse())
     fields: Fields = {
@@ -73,7 +73,7 @@ async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None
         "md5sum": "*",
         FIELD: encode([grant]),
     }
-    answer = await knock(victim.port, own, fields)
+    answer = await send_header(victim.port, own, fields)
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
 
 
@@ -93,7 +93,7 @@ async def test_a_service_is_probed_and_called_on_a_persistent_connection(victim:
     own = credentials(victim.site, GUEST)
     grants = encode(list(victim.site.enroll(GUEST).grants()))
     fields: Fields = {"callerid": GUEST, "service": SERVICE, "md5sum": "*", FIELD: grants}
-    answer = await knock(victim.port, own, {**fields, "probe": "1"})
+    answer = await send_header(victim.port, own, {**fields, "probe": "1"})
     assert answer.fields["callerid"] == b"/robot"
     stream = await connect(HOST, victim.port, own, victim.site.anchor.verify)
     await stream.send(header.encode({**fields, "persistent": "1"}))

@@ -68,7 +68,7 @@ async def test_a_node_works_before_it_is_initialized(site: Site, tmp_path: Path,
     given, named, arguments, more = WAYS[way]
     source = EARLY % (given, named)
     async with program(environment(site, tmp_path / "h"), HELPER) as helper:
-        await helper.hears("READY")
+        await helper.read_until("READY")
         env = environment(site, tmp_path / "r", **more)
         async with program(env, source, *arguments) as robot:
             await says(
@@ -79,7 +79,7 @@ async def test_a_node_works_before_it_is_initialized(site: Site, tmp_path: Path,
 
 async def says(running: Program, *lines: str) -> None:
     for line in lines:
-        assert (await running.hears(line.split()[0])).startswith(line)
+        assert (await running.read_until(line.split()[0])).startswith(line)
 
 
 NAMELESS = """
@@ -110,8 +110,8 @@ async def test_a_call_without_a_name_raises_with_a_hint(site: Site, tmp_path: Pa
     )
     async with program(environment(site, tmp_path), NAMELESS) as nameless:
         for what in ("GET", "SET", "WAIT", "CALL", "PROXY", "MASTER"):
-            assert await nameless.hears(what) == f"{what} {said}"
-        await nameless.hears("DONE")
+            assert await nameless.read_until(what) == f"{what} {said}"
+        await nameless.read_until("DONE")
 
 
 ANOTHER = """
@@ -169,7 +169,7 @@ async def test_proxies_that_a_program_makes_itself(site: Site, tmp_path: Path) -
     source = PROXIES.replace("master =", 'rospy.set_param("/speed", 1)\n'
         'rospy.set_param("/deep/speed", 2)\nmaster =')  # fmt: skip
     async with program(environment(site, tmp_path / "h"), HELPER) as helper:
-        await helper.hears("READY")
+        await helper.read_until("READY")
         async with program(environment(site, tmp_path / "o"), source) as operator:
             await says(
                 operator, "STATE True", "FOUND /deep/speed", "MET [1, 'Parameter [/deep/speed]'",
@@ -193,4 +193,4 @@ server.shutdown()
 
 async def test_a_server_outside_ros_is_called_unsecured(site: Site, tmp_path: Path) -> None:
     async with program(environment(site, tmp_path), OTHERS) as other:
-        await other.hears("HEARD plain")
+        await other.read_until("HEARD plain")

@@ -8,7 +8,7 @@ from grants.document import open_grant
 from grants.model import Right
 from rossec.errors import LimitExceeded
 from rossec.inprocess.live_connections import PEER_CONNECTIONS, LiveConnection, LiveConnections
-from tests.support.authority import DAY, Member, Site
+from tests.support.authority import DAY, EnrolledNode, Site
 
 
 @dataclass
@@ -16,7 +16,7 @@ class Stream:
     peer: Identity
 
 
-def live_connection(site: Site, member: Member, lifetime: int = DAY) -> LiveConnection:
+def live_connection(site: Site, member: EnrolledNode, lifetime: int = DAY) -> LiveConnection:
     grant = site.grant(member, {"/t": Right.SUBSCRIBE}, lifetime=lifetime)
     opened = open_grant(grant, site.anchor.public_key, site.now, domain="home")
     decision = authorize(

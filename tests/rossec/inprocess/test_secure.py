@@ -200,13 +200,13 @@ async def test_a_program_requests_a_grant_and_gets_it(tmp_path: Path) -> None:
         site = victim.site
         site.enroll("/asker", wildcard=True)
         async with program(environment(site, tmp_path / "a"), ASKER) as asker:
-            assert (await asker.hears("HAS")) == "HAS False"
+            assert (await asker.read_until("HAS")) == "HAS False"
             requests = list((site.root / "nodes" / "asker" / "requests").iterdir())
             assert requests
             site.subscribe("/asker", STATE)
-            assert (await asker.hears("HAS")) == "HAS True"
-            await asker.hears("NO there is no right 'dance'")
-            await asker.hears("HEARD")
+            assert (await asker.read_until("HAS")) == "HAS True"
+            await asker.read_until("NO there is no right 'dance'")
+            await asker.read_until("HEARD")
         await victim.goes_on()
 
 
@@ -274,10 +274,10 @@ async def test_the_ros_tools_work_in_a_secured_program(tmp_path: Path) -> None:
         site.grant("/operator", Right.GRAPH, "/**")
         site.grant("/operator", Right.CALL, "/robot/reset")
         async with program(environment(site, tmp_path / "o"), TOOLS) as operator:
-            await operator.hears("PING True")
-            await operator.hears(f"Pid: {victim.program.process.pid}")
-            await operator.hears("TYPE std_srvs/Trigger")
-            await operator.hears("BAD {}")
-            await operator.hears("NO int exceeds XML-RPC limits")
-            await operator.hears("KILLED (['/robot'], [])")
+            await operator.read_until("PING True")
+            await operator.read_until(f"Pid: {victim.program.process.pid}")
+            await operator.read_until("TYPE std_srvs/Trigger")
+            await operator.read_until("BAD {}")
+            await operator.read_until("NO int exceeds XML-RPC limits")
+            await operator.read_until("KILLED (['/robot'], [])")
         await until(lambda: "ENDED" in victim.said)

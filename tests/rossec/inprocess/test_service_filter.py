@@ -12,7 +12,7 @@ from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_types import service_type
 from rossec.ros import service as wire
 from rossec.ros.header import frame
-from tests.support.recall import HOLDER, fresh
+from tests.support.memory_scopes import HOLDER, fresh
 
 NOW = 1_000_000
 ON, OFF = frame(b"\1"), frame(b"\0")

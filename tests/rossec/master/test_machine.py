@@ -25,7 +25,7 @@ from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.participant.graph_view import GraphView
 from tests.rossec.master.fakes import call_api
-from tests.support.authority import Member, Site
+from tests.support.authority import EnrolledNode, Site
 
 NODES: Final = ("/a", "/b", "/watcher")
 TOPICS: Final = ("/t", "/ns/u")
@@ -55,7 +55,9 @@ class Master(RuleBasedStateMachine):
         super().__init__()
         self.site = Site(now=1_800_000_000)
         self.now = self.site.now
-        self.registered_nodes: dict[str, Member] = {name: self.site.enroll(name) for name in NODES}
+        self.registered_nodes: dict[str, EnrolledNode] = {
+            name: self.site.enroll(name) for name in NODES
+        }
         self.master = self.site.enroll("/master")
         signer = self.master.credentials.signer
         delegate = Delegate(self.site.anchor, signer)
@@ -69,7 +71,7 @@ class Master(RuleBasedStateMachine):
         )
         self.signed: list[tuple[str, bytes]] = []
         self.presented: dict[str, dict[bytes, bytes]] = {name: {} for name in NODES}
-        self.revoked: list[bytes | Member] = []
+        self.revoked: list[bytes | EnrolledNode] = []
         self.dead: set[str] = set()  # names whose key is revoked
         self.view = GraphView()
 

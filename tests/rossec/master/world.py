@@ -16,7 +16,7 @@ from rossec.master.server.server import MasterServer
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.ros.settings import parse_uri
-from tests.support.authority import Member, Site
+from tests.support.authority import EnrolledNode, Site
 
 T = "std_msgs/String"
 EVERYTHING = {"/**": Right(255)}
@@ -25,7 +25,7 @@ EVERYTHING = {"/**": Right(255)}
 class SlaveNode:
     """An enrolled node: a control connection, and a slave API that records its calls."""
 
-    def __init__(self, world: "World", member: Member) -> None:
+    def __init__(self, world: "World", member: EnrolledNode) -> None:
         self.world = world
         self.member = member
         self.received: list[tuple[Any, ...]] = []
@@ -86,7 +86,7 @@ class World:
         await node.start(rights)
         return node
 
-    async def call_as(self, member: Member) -> RpcClient:
+    async def call_as(self, member: EnrolledNode) -> RpcClient:
         host, port = parse_uri(self.server.uri)
         stream = await connect(
             host, port, member.credentials, self.site.anchor.verify, opening=WireProtocol.HTTP

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from rossec.master.state.registry import Kind
-from tests.support.absent import Absent
+from tests.support.blocked import BlockedNodes
 from tests.support.site import Site
 from tests.support.witness import TOPIC, undisturbed, until
 
@@ -26,7 +26,7 @@ async def test_a_subscriber_that_reconnects_first_keeps_its_connections(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every message arrives, over the same connection (`undisturbed`)."""
-    absent = Absent(monkeypatch)
+    absent = BlockedNodes(monkeypatch)
     async with undisturbed(site) as witness:
         absent.names = {"/robot"}
         await site.restart_master()

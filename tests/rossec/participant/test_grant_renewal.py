@@ -31,7 +31,7 @@ from rossec.participant.grant_renewal import (
     due_at,
     renew,
 )
-from tests.support.authority import DAY, Member, Site
+from tests.support.authority import DAY, EnrolledNode, Site
 
 HOUR = 3600
 P = {"/t": Right.PUBLISH}
@@ -54,7 +54,7 @@ class World:
         self.delegate.take(self.site.delegation(self.master))
         self.later = 0
 
-    def at(self, later: int, data: bytes = b"", master: Member | None = None) -> int:
+    def at(self, later: int, data: bytes = b"", master: EnrolledNode | None = None) -> int:
         """Let time pass, with a fresh timestamp."""
         master = master or self.master
         self.list = data or self.list
@@ -67,7 +67,9 @@ class World:
         self.access.update_revocations(data, stamp, master.identity, now, lambda _: None)
         return now
 
-    def hold(self, lifetime: int = HOUR, cap: int = DAY, holder: Member | None = None) -> bytes:
+    def hold(
+        self, lifetime: int = HOUR, cap: int = DAY, holder: EnrolledNode | None = None
+    ) -> bytes:
         data = self.site.grant(holder or self.node, P, lifetime=lifetime, cap=cap)
         self.access.hold(data)
         return data

@@ -3,7 +3,7 @@
 from grants.decision import Decision
 from grants.model import Right
 from rossec.participant.limit_memory import memory_scope
-from tests.support.recall import HOLDER
+from tests.support.memory_scopes import HOLDER
 
 
 def test_the_memory_outlives_the_node() -> None:

@@ -11,7 +11,7 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConfigurationError, ServiceRefused
 from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_types import service_type
-from tests.support.recall import HOLDER, fresh
+from tests.support.memory_scopes import HOLDER, fresh
 
 KIND = service_type("std_srvs/SetBool")
 ON, OFF = b"\1", b"\0"

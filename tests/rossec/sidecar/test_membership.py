@@ -11,7 +11,7 @@ from rossec.errors import HangUp, RossecError
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
-from tests.support.absent import Absent
+from tests.support.blocked import BlockedNodes
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -43,7 +43,7 @@ async def test_a_publisher_not_yet_registered_again_is_kept_for_a_grace_period(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """roscpp disconnects from publishers that the master does not name."""
-    absent = Absent(monkeypatch)
+    absent = BlockedNodes(monkeypatch)
     stream, source = await connect(pair)
     absent.names = {"/talker"}
     await pair.site.restart_master()

@@ -92,9 +92,9 @@ def test_only_a_root_imports_and_never_its_own_node(shell: Shell, host: Shell) -
     installed(shell, host)
     host.enroll("/robot")
     said = host.unlocked("ca", "import", carried(host, host), "--yes")
-    refused(said, "/robot is not taken over here", "only a root imports")
+    refused(said, "/robot cannot be imported here", "only a root imports")
     own = str(shell.root / "ca" / "node" / "node.pem")
-    refused(shell.unlocked("ca", "import", own, "--yes"), "/ca is not taken over here")
+    refused(shell.unlocked("ca", "import", own, "--yes"), "/ca cannot be imported here")
 
 
 def test_the_root_renews_what_it_imported(shell: Shell, host: Shell) -> None:

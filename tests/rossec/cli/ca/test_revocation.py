@@ -10,7 +10,7 @@ def test_an_identity_can_be_revoked(shell: Shell) -> None:
     assert said.out == "revoked /robot, 1 key (list 2)\n"
     refused(said, "did not take the list", "rossec ca publish", code=3)
     assert listed(shell) == {key_of(shell, "/robot")}
-    refused(shell.unlocked(*REVOKE), "/robot has no living identity to revoke", "rossec ca show")
+    refused(shell.unlocked(*REVOKE), "/robot has no valid identity to revoke", "rossec ca show")
     grant = ("grant", "sign", "/robot", "--publish", "/p")
     refused(shell.unlocked(*grant), "/robot has no valid identity", "rossec node request /robot")
     request = str(shell.node("/robot") / "node.csr")
@@ -20,7 +20,7 @@ def test_an_identity_can_be_revoked(shell: Shell) -> None:
 
 
 def test_an_unknown_or_invalid_name_is_not_revoked(shell: Shell) -> None:
-    refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no living identity")
+    refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no valid identity")
     refused(shell.unlocked("ca", "revoke", "robot"), "not an absolute ROS name", "/robot1/camera")
     refused(shell.unlocked("ca", "revoke", "/ca"), "the authority's own node", "made anew")
     assert listed(shell) == frozenset()

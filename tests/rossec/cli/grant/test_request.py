@@ -57,7 +57,7 @@ def test_a_request_is_sent_as_a_file(site: Shell, tmp_path: Path) -> None:
     ask(site, "--publish", "/heat", "--out", str(out))
     said = site.unlocked("grant", "decide", str(out))
     assert "1 allowed, 0 for you: see" in said.out
-    refused(site.unlocked("grant", "decide", str(out)), "asked or answered before", "pending")
+    refused(site.unlocked("grant", "decide", str(out)), "already recorded or answered", "pending")
 
 
 def test_a_person_is_shown_everything(site: Shell) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.master.operation import admin as module
-from rossec.master.operation.admin import AdminPort, ask
+from rossec.master.operation.admin import AdminPort, send_command
 
 
 def answer() -> Mapping[str, object]:
@@ -39,10 +39,10 @@ async def test_the_user_of_the_master_is_answered(
 ) -> None:
     caplog.set_level(logging.INFO, "rossec.audit")
     assert mode(path) == 0o600
-    assert await asyncio.to_thread(ask, path, "status") == {"calls": 5}
+    assert await asyncio.to_thread(send_command, path, "status") == {"calls": 5}
     assert f"user {os.getuid()} asks for status" in caplog.text
     with pytest.raises(ConfigurationError, match="refused"):
-        await asyncio.to_thread(ask, path, "format the disk")
+        await asyncio.to_thread(send_command, path, "format the disk")
 
 
 async def test_another_user_gets_no_answer(
@@ -53,7 +53,7 @@ async def test_another_user_gets_no_answer(
 
     monkeypatch.setattr(module, "require_user", refuse)
     with pytest.raises(ConfigurationError, match=r"does not answer|refused"):
-        await asyncio.to_thread(ask, path, "status")
+        await asyncio.to_thread(send_command, path, "status")
     assert "refused at the administrator's port: user 7" in caplog.text
 
 
@@ -71,7 +71,7 @@ def exchange(path: Path, data: bytes) -> bytes:
 async def test_garbage_ends_the_connection(path: Path, data: bytes) -> None:
     with contextlib.suppress(ConnectionError):
         assert await asyncio.to_thread(exchange, path, data) == b""
-    assert await asyncio.to_thread(ask, path, "status") == {"calls": 5}
+    assert await asyncio.to_thread(send_command, path, "status") == {"calls": 5}
 
 
 async def test_a_silent_connection_is_closed(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,13 +89,13 @@ async def test_only_one_master_listens_and_a_stale_socket_is_replaced(path: Path
         dead.bind(str(left))
     port = AdminPort(left, {"status": answer})
     await port.start()
-    assert await asyncio.to_thread(ask, left, "status") == {"calls": 5}
+    assert await asyncio.to_thread(send_command, left, "status") == {"calls": 5}
     await port.close()
 
 
 def test_a_command_without_a_running_master_fails(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="does not answer") as caught:
-        ask(tmp_path / "admin.sock", "status")
+        send_command(tmp_path / "admin.sock", "status")
     assert "--admin" in caught.value.hint
 
 

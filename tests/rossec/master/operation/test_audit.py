@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.operation.audit import LEFT_OUT, AuditFile, Entry, chained, salvage, verify
+from rossec.master.operation.audit import (
+    LEFT_OUT,
+    AuditFile,
+    Entry,
+    read_entries,
+    verify,
+    with_hash,
+)
 from rossec.master.operation.audit_mark import FIRST, check_beginning
 from tests.support.pki import new_signer
 
@@ -30,7 +37,7 @@ class Book:
         self.file.emit(logging.makeLogRecord({"msg": text, "levelname": "WARNING"}))
 
     def entries(self, path: Path | None = None) -> list[Entry]:
-        found, damaged = salvage((path or self.path).read_text().splitlines())
+        found, damaged = read_entries((path or self.path).read_text().splitlines())
         assert not damaged
         return found
 
@@ -60,7 +67,7 @@ def test_every_change_is_detected(book: Book) -> None:
     with pytest.raises(ConfigurationError, match=r"before line 2 .* missing"):
         verify([one, three])
     with pytest.raises(ConfigurationError, match="missing"):
-        verify([one, chained({"before": "x", "text": "in between"}, "x"), two])
+        verify([one, with_hash({"before": "x", "text": "in between"}, "x"), two])
     with pytest.raises(ConfigurationError, match="before line 1"):
         verify([two, three], FIRST)
     with pytest.raises(ConfigurationError, match="missing"):
@@ -84,7 +91,7 @@ def test_a_malformed_line_is_damaged_and_hides_no_other(book: Book, line: str) -
     book.write("one")
     book.write("two")
     one, two = book.path.read_text().splitlines()
-    found, damaged = salvage([one, line, two])
+    found, damaged = read_entries([one, line, two])
     assert [entry["text"] for entry in found] == ["one", "two"]
     assert damaged == [2]
 
@@ -113,7 +120,7 @@ def test_the_chain_continues_after_a_damaged_line(book: Book) -> None:
     book.open()
     book.write("two")
     one, _, two = book.path.read_text().splitlines()
-    verify(salvage([one, two])[0], FIRST)
+    verify(read_entries([one, two])[0], FIRST)
 
 
 def test_the_chain_continues_in_a_new_file_after_rotation(book: Book) -> None:
@@ -198,7 +205,7 @@ def test_each_file_begins_with_a_line_of_the_master(tmp_path: Path) -> None:
     again.emit(note)
     again.close()
     parts = [
-        salvage((tmp_path / name).read_text().splitlines())[0]
+        read_entries((tmp_path / name).read_text().splitlines())[0]
         for name in ("audit.log.1", "audit.log")
     ]
     assert [[entry["text"] for entry in part] for part in parts] == [
@@ -210,7 +217,7 @@ def test_each_file_begins_with_a_line_of_the_master(tmp_path: Path) -> None:
 
 def test_a_line_of_lone_surrogates_is_a_changed_line() -> None:
     line = json.dumps({"hash": "x", "text": "", "level": "info", "at": 1, "before": "\ud800"})
-    entries, damaged = salvage([line])
+    entries, damaged = read_entries([line])
     assert damaged == []
     with pytest.raises(ConfigurationError, match="line 1 of the audit was changed"):
         verify(entries)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import pytest
 
 from rossec.master.operation.audit import LEFT_OUT
-from rossec.master.operation.denial_limit import DENIALS, MOST_NODES, DenialRateLimit
+from rossec.master.operation.denial_limit import DENIALS, MAX_NODES, DenialRateLimit
 
 
 class Lines:
@@ -65,9 +65,9 @@ def test_the_next_line_records_how_many_were_left_out(lines: Lines) -> None:
 
 
 def test_the_number_of_nodes_is_bounded(lines: Lines) -> None:
-    for number in range(MOST_NODES + 10):
+    for number in range(MAX_NODES + 10):
         lines(f"/n{number}")
-    assert len(lines.limit._nodes) == MOST_NODES
+    assert len(lines.limit._nodes) == MAX_NODES
 
 
 @pytest.mark.parametrize("args", [(), {"a": 1}])

@@ -1,4 +1,4 @@
-"""Memories of limited rights that begin with the test."""
+"""Memory scopes of limited rights that begin with the test."""
 
 from types import SimpleNamespace
 from typing import Any, Final
@@ -10,5 +10,5 @@ HOLDER: Final[Any] = SimpleNamespace(holder=bytes(32))
 
 
 def fresh(clock: int = 0) -> MemoryScope:
-    """A node that remembers nothing yet."""
+    """The empty memory of a node."""
     return MemoryScope(MemoryStore(lambda: clock), ("/node",))

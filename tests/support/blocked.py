@@ -1,4 +1,4 @@
-"""Nodes whose way to the master is blocked, by their names: who comes back first is the test's."""
+"""Blocks nodes from the master, by name: the test chooses which connects again first."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import pytest
 from rossec.participant.master_session import MasterSession
 
 
-class Absent:
+class BlockedNodes:
     """While a name is in `names` its node does not reach the master; `tries` counts attempts."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,7 +18,7 @@ class Absent:
         async def attempt(session: MasterSession) -> Any:
             if session._name in self.names:
                 self.tries += 1
-                raise OSError("somebody is in the way")
+                raise OSError("blocked")
             return await stock(session)
 
         monkeypatch.setattr(MasterSession, "open", attempt)
