@@ -51,7 +51,7 @@ def test_never_beyond_the_authority() -> None:
 
 
 @pytest.mark.parametrize("now", [NOW - 3601, NOW + ROOT_LIFETIME + 1])
-def test_an_authority_out_of_time_issues_nothing(now: int) -> None:
+def test_an_expired_authority_issues_nothing(now: int) -> None:
     with pytest.raises(IssueRefused, match="own certificate is not valid now") as caught:
         issue(now=now)
     assert "clock" in caught.value.hint

@@ -62,7 +62,7 @@ def test_a_chain_is_one_certificate_or_two(count: int) -> None:
         SITE.anchor.verify([LEAF] * count, NOW)
 
 
-def test_strangers_are_strangers() -> None:
+def test_a_certificate_of_another_authority_is_foreign() -> None:
     stranger = Site.create()
     with pytest.raises(ForeignCertificate, match=r"not signed by the authority of .* 'home'"):
         SITE.anchor.verify([stranger.leaf()], NOW)
@@ -93,12 +93,12 @@ def test_valid_from_the_first_to_the_last_second(now: int) -> None:
     assert SITE.anchor.verify([LEAF], now).name == "/robot1/camera"
 
 
-def test_expired() -> None:
+def test_an_expired_certificate_is_refused() -> None:
     with pytest.raises(CertificateExpired, match="certificate of /robot1/camera expired 1 s ago"):
         SITE.anchor.verify([LEAF], NOW + 30 * DAY + 1)
 
 
-def test_not_yet_valid() -> None:
+def test_a_certificate_not_yet_valid_is_refused() -> None:
     leaf = SITE.leaf(now=NOW + DAY)
     message = "certificate of /robot1/camera becomes valid in 82800 s"
     with pytest.raises(CertificateNotYetValid, match=message) as caught:
@@ -126,7 +126,7 @@ def test_the_authority_has_its_time_too() -> None:
         ([*leaf_extensions()[:2], (uris(), True)], "has 0 names where exactly one"),
     ],
 )
-def test_names_that_are_none(extensions: Extensions, message: str) -> None:
+def test_invalid_names_are_refused(extensions: Extensions, message: str) -> None:
     with pytest.raises(CertificateRefused, match=message):
         SITE.anchor.verify([draft_leaf(SITE, extensions).build()], NOW)
 
@@ -159,7 +159,7 @@ def test_every_truncation_and_a_tail() -> None:
 
 @settings(max_examples=200)
 @given(st.binary(max_size=600))
-def test_garbage(data: bytes) -> None:
+def test_garbage_is_not_a_certificate(data: bytes) -> None:
     with pytest.raises(CertificateRefused, match="this is not a well-formed certificate"):
         SITE.anchor.verify([data], NOW)
 
@@ -195,18 +195,18 @@ def test_pem_round_trip() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"garbage", to_pem(LEAF)[:-40], LEAF])
-def test_no_pem(data: bytes) -> None:
+def test_text_without_pem_is_refused(data: bytes) -> None:
     with pytest.raises(CertificateRefused, match="this is not a PEM certificate") as caught:
         from_pem(data)
     assert "rossec ca sign" in caught.value.hint
 
 
-def test_too_much_pem() -> None:
+def test_too_large_pem_is_refused() -> None:
     with pytest.raises(CertificateRefused, match="16385 bytes of PEM where at most 16384"):
         from_pem(bytes(16385))
 
 
-def test_no_pem_of_garbage() -> None:
+def test_garbage_in_pem_is_refused() -> None:
     with pytest.raises(CertificateRefused, match="not a well-formed certificate"):
         to_pem(b"garbage")
 

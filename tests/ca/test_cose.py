@@ -63,7 +63,7 @@ def test_one_kind_is_not_taken_for_another() -> None:
         OTHER.peek(GOOD)
 
 
-def test_another_key() -> None:
+def test_another_key_does_not_verify() -> None:
     with pytest.raises(SignatureError, match="the signature does not verify"):
         PROFILE.open(GOOD, new_signer().public_key)
 

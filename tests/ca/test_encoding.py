@@ -80,7 +80,7 @@ def test_not_deterministic_is_said() -> None:
 @pytest.mark.parametrize(
     "data", ["", "18", "61ff", "9fff", "5f4100ff", "bfff", "ff", "1c", "a1000000", "a2000000", "f8"]
 )
-def test_malformed(data: str) -> None:
+def test_malformed_cbor_is_refused(data: str) -> None:
     with pytest.raises(EncodingError):
         decode(bytes.fromhex(data))
 
@@ -172,7 +172,7 @@ def test_sequences_have_a_size_too() -> None:
 
 
 @given(st.integers(0, 2**64 - 1))
-def test_heads(value: int) -> None:
+def test_heads_of_integers(value: int) -> None:
     assert head(0x00, value) == encode(value)
     assert head(0x20, value) == encode(-1 - value)
 

@@ -159,7 +159,7 @@ def test_the_draft_itself_is_good() -> None:
         ([CA, USAGE, HOME, (ENROLL, True)], "unknown critical extension"),
     ],
 )
-def test_what_is_no_intermediate(extensions: Extensions, message: str) -> None:
+def test_a_certificate_that_is_not_an_intermediate(extensions: Extensions, message: str) -> None:
     with pytest.raises(CertificateRefused, match=message):
         SITE.anchor.verify([LEAF, draft(extensions)], NOW)
 

@@ -33,7 +33,7 @@ def test_absolute_names_pass(name: str) -> None:
         "/a.b", "/a*", "/*", "/ä", "/a\n", "\n/a", "/a\x00", "/\u0430",  # the last one is Cyrillic
     ],
 )  # fmt: skip
-def test_anything_else_is_no_name(name: str) -> None:
+def test_other_texts_are_not_names(name: str) -> None:
     with pytest.raises(NameRefused, match="is not an absolute ROS name") as caught:
         check_name(name)
     assert "/robot1/camera" in caught.value.hint
@@ -51,7 +51,7 @@ def test_trust_domains_pass(domain: str) -> None:
 
 
 @pytest.mark.parametrize("domain", ["", "Home", "a/b", "a:1", "a@b", "ä", "a\n", "%61", "a b"])
-def test_anything_else_is_no_trust_domain(domain: str) -> None:
+def test_other_texts_are_not_trust_domains(domain: str) -> None:
     with pytest.raises(NameRefused, match="is not a trust domain"):
         check_domain(domain)
 
@@ -93,7 +93,7 @@ def test_parsing_is_strict(text: str) -> None:
         ("spiffe://home:1/a", "is not a trust domain"),
     ],
 )
-def test_not_what_we_write(text: str, message: str) -> None:
+def test_other_spiffe_ids_are_refused(text: str, message: str) -> None:
     with pytest.raises(NameRefused, match=re.escape(message)):
         parse_spiffe_id(text)
 

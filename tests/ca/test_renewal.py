@@ -120,7 +120,7 @@ def test_an_intermediate_that_may_only_renew() -> None:
     assert again.identity == identity
 
 
-def test_two_thirds() -> None:
+def test_renewal_begins_after_two_thirds_of_the_lifetime() -> None:
     identity = SITE.anchor.verify([LEAF], NOW)
     assert renew_at(identity.not_before, identity.not_after) == NOW + 20 * DAY
 
@@ -199,7 +199,7 @@ def refused(data: bytes, message: str) -> None:
         {6: DUE, -70021: CSR, -70022: [LEAF, LEAF, LEAF]},
     ],
 )
-def test_closed_fields(payload: Value) -> None:
+def test_unknown_or_missing_fields_are_refused(payload: Value) -> None:
     refused(PROFILE.sign(OLD, payload), "missing or unknown fields")
 
 
@@ -216,7 +216,7 @@ def test_only_statements_of_this_kind() -> None:
     refused(bytes(MAX_RENEWAL + 1), "this is not a renewal")
 
 
-def test_fed_with_a_tail_and_cut() -> None:
+def test_a_truncated_or_extended_renewal_is_refused() -> None:
     data = sign_renewal(OLD, (LEAF,), CSR, DUE)
     refused(data + b"\0", "this is not a renewal")
     for end in range(0, len(data), 7):

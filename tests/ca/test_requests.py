@@ -78,7 +78,7 @@ CSR = build_request(new_signer(), "home", "/robot1/camera")
 
 
 @pytest.mark.parametrize("data", [b"", b"garbage", CSR[:-1], CSR + b"\0"])
-def test_no_request(data: bytes) -> None:
+def test_garbage_is_not_a_request(data: bytes) -> None:
     with pytest.raises(RequestRefused, match="this is not a certificate request") as caught:
         check_request(data, "home")
     assert "rossec node request" in caught.value.hint
@@ -154,7 +154,7 @@ COMMON_NAME = [x509.NameAttribute(NameOID.COMMON_NAME, "robot")]
         (crafted((uris("spiffe://lab/a"), True)), "for trust domain 'lab', this authority is 'ho"),
     ],
 )
-def test_asking_for_anything_else(csr: bytes, message: str) -> None:
+def test_requests_for_anything_else_are_refused(csr: bytes, message: str) -> None:
     with pytest.raises(RequestRefused, match=message) as caught:
         check_request(csr, "home")
     assert caught.value.hint

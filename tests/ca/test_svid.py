@@ -123,7 +123,7 @@ def test_other_extensions_are_ignored() -> None:
     svid.check_leaf(leaf_with(NO_CA, USAGE, NAME, (UNKNOWN, False)))
 
 
-def test_no_authority() -> None:
+def test_a_certificate_that_is_not_an_authority() -> None:
     with pytest.raises(CertificateRefused, match="this is not an authority's certificate"):
         svid.check_authority(leaf_with(NO_CA, USAGE, NAME))
     constraints, _, name = root_extensions()
@@ -145,7 +145,7 @@ def test_only_p256(key: ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey) ->
         svid.key_of(svid.parse(der))
 
 
-def test_who_signed() -> None:
+def test_the_signer_is_checked() -> None:
     leaf = svid.parse(draft_leaf(SITE).build())
     ours, other = SITE.anchor.public_key, Site.create().anchor
     assert svid.is_signed_by(leaf, SITE.anchor.subject, ours)
@@ -163,12 +163,12 @@ def test_validity_is_in_seconds() -> None:
     assert svid.validity(svid.parse(draft_leaf(SITE).build())) == (NOW, NOW + 86_400)
 
 
-def test_too_large() -> None:
+def test_too_large_input_is_refused() -> None:
     with pytest.raises(CertificateRefused, match="a certificate of 2049 bytes where at most 2048"):
         svid.parse(bytes(2049))
 
 
-def test_not_parsed() -> None:
+def test_garbage_is_not_parsed_as_a_certificate() -> None:
     with pytest.raises(CertificateRefused, match=MALFORMED):
         svid.parse(b"garbage")
 

@@ -58,7 +58,9 @@ _DENIED: Final = "denied at the authority"
 @signing_options.identity_lifetime
 @signing_options.replace_key()
 @signing_options.anonymous
-@click.option("--later", is_flag=True, help="only record who asks; decide with: rossec ca approve")
+@click.option(
+    "--later", is_flag=True, help="only record the request; decide with: rossec ca approve"
+)
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option

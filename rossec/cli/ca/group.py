@@ -48,10 +48,10 @@ _CA: Final = {
     "restore": ("ca.backup:restore", "Prove the backup FILE and put its authority back."),
     "revoke": (
         "ca.revocation:revoke",
-        "Revoke the identity of the node NAME, and tell the master at once.",
+        "Revoke the identity of the node NAME, and notify the master at once.",
     ),
     "show": ("ca.identities:show", "Show the authority, or everything about the node NAME."),
-    "sign": ("ca.sign:sign", "Sign the identity requests in REQUESTS, after showing who asks."),
+    "sign": ("ca.sign:sign", "Sign the identity requests in REQUESTS, after showing them."),
 }
 
 _INTERMEDIATE: Final = {

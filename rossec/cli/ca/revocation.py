@@ -62,7 +62,7 @@ def revoke(
     master_uri: str | None,
     passphrase_file: Path | None,
 ) -> None:
-    """Revoke the identity of the node NAME, and tell the master at once.
+    """Revoke the identity of the node NAME, and notify the master at once.
 
     Its connections end and its key is never trusted again; to return it needs a new key.
     """

@@ -47,7 +47,7 @@ def sign(
     yes: bool,
     passphrase_file: Path | None,
 ) -> None:
-    """Sign the identity requests in REQUESTS, after showing who asks.
+    """Sign the identity requests in REQUESTS, after showing them.
 
     Each certificate is written beside its request, as node.pem. With --code the request must be the
     one the code was made for: scan or paste it from the node's own screen. Where one of several is

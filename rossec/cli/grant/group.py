@@ -26,7 +26,7 @@ _GRANT: Final = {
     "request": ("grant.request:request", "Ask for rights as NODE, on its machine."),
     "revoke": (
         "grant.signed_grants:revoke",
-        "Revoke the grant GRANT_ID (or the beginning of it) and tell the master at once.",
+        "Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.",
     ),
     "show": (
         "grant.signed_grants:show",

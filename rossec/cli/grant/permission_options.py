@@ -33,14 +33,14 @@ _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters g
 
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add an option for every right over names: `--publish`, `--param-get` and so on."""
-    for right, says in reversed(_RIGHTS.items()):
-        command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=says)(
-            command
-        )
+    for right, help_text in reversed(_RIGHTS.items()):
+        command = click.option(
+            f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text
+        )(command)
     return command
 
 
-def asked(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
+def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
     """The patterns given with these options, by right."""
     return {right: options[str(right.name).lower()] for right in _RIGHTS}
 

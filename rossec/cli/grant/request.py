@@ -131,13 +131,13 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
     file = read_policy(environment, policy_path, signs=True)
     with _queue(environment, file) as queue:
         _collect(queue)
-        asked = [item for item in queue.pending() if item.verdict.effect is Effect.PROMPT]
+        prompts = [item for item in queue.pending() if item.verdict.effect is Effect.PROMPT]
         if as_json:
-            say_json([_summary(item) for item in asked])
+            say_json([_summary(item) for item in prompts])
             return
-        for item in asked:
+        for item in prompts:
             _show(item, file)
-        if not asked:
+        if not prompts:
             say("no open requests")
 
 
@@ -266,26 +266,26 @@ def _deliver(environment: Environment, data: bytes, out_dir: Path | None) -> Non
 
 
 def _show(item: PendingApproval, file: PolicyFile) -> None:
-    asked = item.stored
-    say(f"{asked.short_id}  {asked.request.node} wants to {asked.requested}")
-    say(f'  it says: "{printable(asked.request.why)}"')
+    stored = item.stored
+    say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
+    say(f'  it says: "{printable(stored.request.why)}"')
     for rule in item.verdict.rules:
         say(f"  {rule.reason}")
     for line in restriction_lines(item.verdict):
         say(f"  {line}")
-    until = asked.at + file.policy.defaults.prompt_timeout
+    until = stored.at + file.policy.defaults.prompt_timeout
     say(f"  denied, unless you answer by {format_time(until)}")
-    say(f"  rossec grant approve {asked.short_id} [--approximate FILTER] [--today], or deny")
+    say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
 
 
 def _summary(item: PendingApproval) -> dict[str, object]:
-    asked = item.stored
+    stored = item.stored
     return {
-        "request": asked.request.id.hex(),
-        "node": asked.request.node,
-        "right": asked.requested.right.label,
-        "name": asked.requested.pattern,
-        "why": asked.request.why,
-        "asked": asked.at,
+        "request": stored.request.id.hex(),
+        "node": stored.request.node,
+        "right": stored.requested.right.label,
+        "name": stored.requested.pattern,
+        "why": stored.request.why,
+        "asked": stored.at,
         "restrictions": restriction_lines(item.verdict),
     }

@@ -97,7 +97,7 @@ def sign(
     filters = permission_options.rules(clear, rounds, clamps)
     restricted = permission_options.restrictions(type_name, filters, when, rate, preset_name)
     permissions = permission_options.permissions(
-        permission_options.asked(rights), graph=graph, restricted=restricted
+        permission_options.patterns_by_right(rights), graph=graph, restricted=restricted
     )
     home = AuthorityHome.at(environment.home)
     holder = home.store().valid_certificate(node, now()).thumbprint
@@ -121,7 +121,7 @@ def presets() -> None:
     for entry in PRESETS.values():
         say(entry.name)
         say(f"  hides {entry.hides}")
-        say(f"  still tells {entry.reveals}")
+        say(f"  still discloses {entry.reveals}")
 
 
 def _check_new(out: Path) -> None:

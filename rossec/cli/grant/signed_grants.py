@@ -71,7 +71,7 @@ def revoke(
     master_uri: str | None,
     passphrase_file: Path | None,
 ) -> None:
-    """Revoke the grant GRANT_ID (or the beginning of it) and tell the master at once."""
+    """Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once."""
     home = AuthorityHome.at(environment.home)
     entry = _full_id(home, grant_id)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))

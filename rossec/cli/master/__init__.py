@@ -1,1 +1,1 @@
-"""`rossec master`, and what an operator asks about a running one."""
+"""`rossec master`, and commands about a running one."""

@@ -16,7 +16,7 @@ from rossec.ros.names import MASTER
 from rossec.terminal import say
 
 DAY: Final = 86400
-_HINT: Final = "it is signed and kept in {}; start the master and run this again"
+_HINT: Final = "it is signed and stored in {}; start the master and run this again"
 
 
 @click.command()
@@ -36,7 +36,7 @@ _HINT: Final = "it is signed and kept in {}; start the master and run this again
     help="how long a renewed grant holds before it is renewed again; at least a minute",
 )
 @click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@click.option("--master", "master_uri", help="master to notify, instead of ROS_MASTER_URI")
 @passphrase.option
 @pass_environment
 def delegate(
@@ -54,7 +54,7 @@ def delegate(
     if ticket < MIN_TICKET:
         raise ConfigurationError(
             f"a ticket of {ticket} s ends before a node can be sure to have the next one",
-            f"give {MIN_TICKET}s or more: it asks after two thirds, the rest is for asking again",
+            f"give {MIN_TICKET}s or more: a node renews after two thirds, the rest is for retries",
         )
     home = AuthorityHome.at(environment.home)
     store = home.store()

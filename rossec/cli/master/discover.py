@@ -25,7 +25,7 @@ from rossec.terminal import say, say_json
 def discover(environment: Environment, identity: str | None, seconds: float, as_json: bool) -> None:
     """Look for the masters of this trust domain, the best link first.
 
-    Listens four seconds more than the first takes. What is lost is counted by the numbers of the
+    Listens four seconds more than the first takes. Losses are counted by the numbers of the
     announcements, and by the time since the last: the loss of a dead master grows.
 
     `ROS_MASTER_URI=discover:` makes `rossec run` and `rossec sidecar` take the first one.

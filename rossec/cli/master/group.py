@@ -50,7 +50,7 @@ _MASTER: Final = {
 )
 @click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
 @click.option("--admin", is_flag=True, help="open the local port of an administrator")
-@click.option("--announce", is_flag=True, help="say on the local links where the master is")
+@click.option("--announce", is_flag=True, help="announce the master on the local links")
 @click.option(
     "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
 )

@@ -168,7 +168,7 @@ def _renewer(environment: Environment, file: Path | None) -> Renewer:
     """Renews identities with the intermediate of this host, which is unlocked here.
 
     Raises:
-        ConfigurationError: there is none, or it is the root, whose key stays offline.
+        ConfigurationError: there is no intermediate, or it is the root, whose key stays offline.
     """
     from rossec.authority.home import AuthorityHome  # noqa: PLC0415 - as above
     from rossec.authority.renewals import renew  # noqa: PLC0415 - as above

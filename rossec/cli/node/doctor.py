@@ -61,7 +61,7 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[str]:
         if key in revoked:
             which = "" if key == identity.thumbprint else "intermediate's "
             raise ConfigurationError(
-                f"the {which}key of {identity.name} is revoked, says {revoked[key]}",
+                f"the {which}key of {identity.name} is revoked according to {revoked[key]}",
                 f"move {home.path} away and enroll it anew: rossec node request {identity.name}",
             )
     yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
@@ -94,7 +94,7 @@ def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
     for entry in (grant.id, grant.holder):
         if entry in revoked:
             raise ConfigurationError(
-                f"grant {grant.short_id} is revoked, says {revoked[entry]}",
+                f"grant {grant.short_id} is revoked according to {revoked[entry]}",
                 f"ask for another; it does no harm in {grant.subject}'s directory",
             )
 

@@ -111,7 +111,7 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
 def labels(environment: Environment, names: tuple[str, ...], domain: str, out: Path) -> None:
     """Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.
 
-    A label holds no secret: it says which key is that of the node it hangs on.
+    A label holds no secret: it names the key of the node that carries it.
     """
     made = []
     for name in names:

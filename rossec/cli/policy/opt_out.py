@@ -1,4 +1,4 @@
-"""`rossec privacy opt-out`: show nobody a topic, or one node nothing."""
+"""`rossec privacy opt-out`: show a topic to no node, or no topic to a node."""
 
 import secrets
 import time

@@ -19,6 +19,6 @@ def policy(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def master_uri(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--master` to a command that delivers a list to the master."""
-    return click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")(
-        command
-    )
+    return click.option(
+        "--master", "master_uri", help="master to notify, instead of ROS_MASTER_URI"
+    )(command)

@@ -48,7 +48,7 @@ def test_a_node_is_enrolled_when_it_says_so() -> None:
     assert authority.state is AuthorityState.ENROLLED
 
 
-def test_who_asks_is_known_after_the_comparison() -> None:
+def test_the_request_is_known_after_the_comparison() -> None:
     robot = Robot()
     node = robot.enrollment()
     enrollment = scanned(node)
@@ -92,7 +92,7 @@ def test_a_wildcard_tail_is_meant_on_both_sides() -> None:
     assert enrollment.offer([tail], SITE.root, fresh(), NOW)
 
 
-def test_nothing_is_offered_without_a_yes() -> None:
+def test_nothing_is_offered_without_approval() -> None:
     robot = Robot()
     enrollment = compared(robot.enrollment())
     leaf = SITE.authority.issue(robot.csr, now=NOW, serial=1)
@@ -217,7 +217,7 @@ def test_a_label_has_no_end_but_its_offer_has() -> None:
         authority.tick(later + WINDOW + 1)
 
 
-def test_what_is_no_message() -> None:
+def test_invalid_messages_are_refused() -> None:
     enrollment = scanned(Robot().enrollment())
     with pytest.raises(EnrollmentMessageRefused):
         enrollment.receive(b"garbage", NOW)

@@ -52,7 +52,7 @@ def test_every_message_comes_back(message: Message) -> None:
     ],
     ids=repr,
 )  # fmt: skip
-def test_what_is_no_message(fields: Value) -> None:
+def test_invalid_messages_are_refused(fields: Value) -> None:
     with pytest.raises(EnrollmentMessageRefused, match="not a message of the enrollment"):
         read(encode(fields))
 

@@ -258,7 +258,7 @@ def test_three_wrong_digits() -> None:
         node.confirm(authority.digits, NOW)
 
 
-def test_what_nobody_waits_for() -> None:
+def test_an_unexpected_message_changes_nothing() -> None:
     node = Robot().enrollment()
     for message in (Abort(Reason.OVER), Acknowledgement(b""), Done(b"")):
         with pytest.raises(EnrollmentMessageRefused, match="in state 'waiting for an offer'"):

@@ -47,7 +47,7 @@ def test_every_text_decodes_to_what_encodes_to_it(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["GGW", "::", ":::", "a", "AB8a", "A", "BB8A", "É"])
-def test_what_is_no_base45(text: str) -> None:
+def test_invalid_base45_is_refused(text: str) -> None:
     with pytest.raises(CodeRefused, match="characters that a rossec code cannot have"):
         qr.decode_base45(text)
 
@@ -82,7 +82,7 @@ def test_a_screen_code_that_would_not_fit(secret: bytes, address: str) -> None:
 @pytest.mark.parametrize(
     "text", ["", "ROSSEC", "rossec:BB8", "https://example.com", "ROSSEC:" + "0" * 600]
 )
-def test_texts_of_others(text: str) -> None:
+def test_other_texts_are_not_codes(text: str) -> None:
     with pytest.raises(CodeRefused, match="not the text of a rossec code") as caught:
         qr.parse(text)
     assert "ROSSEC:" in caught.value.hint
@@ -100,7 +100,7 @@ def test_a_version_from_the_future() -> None:
 
 
 @pytest.mark.parametrize("where", [b"\xff", b"a" * 65])
-def test_an_address_that_is_none(where: bytes) -> None:
+def test_an_invalid_address_is_refused(where: bytes) -> None:
     with pytest.raises(CodeRefused, match="address"):
         qr.parse(qr.PREFIX + qr.encode_base45(bytes([0x21]) + bytes(52) + where))
 
@@ -167,7 +167,7 @@ def test_a_screen_code_ends() -> None:
 
 
 @pytest.mark.parametrize("expires", [-1, 1 << 32])
-def test_ends_that_do_not_fit(expires: int) -> None:
+def test_expiries_out_of_range_are_refused(expires: int) -> None:
     with pytest.raises(CodeRefused, match="the expiry of a screen code is out of range"):
         qr.screen_code(REQUEST, b"s" * 16, expires, "robot:1")
 

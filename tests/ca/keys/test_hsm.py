@@ -77,7 +77,7 @@ def test_a_wrong_pin_says_so() -> None:
     assert "lock" in caught.value.hint
 
 
-def test_what_is_not_there() -> None:
+def test_a_missing_token_or_key_is_refused() -> None:
     with pytest.raises(TokenRefused, match="there is no token elsewhere"):
         TokenSigner.open(fresh("elsewhere"), PIN)
     with pytest.raises(
@@ -146,7 +146,7 @@ def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     "text",
     ["pkcs11:token=home;object=ca", "pkcs11:object=ca;token=home?module-path=" + DEFAULT_MODULE],
 )
-def test_uris(text: str) -> None:
+def test_key_uris_round_trip(text: str) -> None:
     uri = KeyUri.parse(text)
     assert uri == KeyUri("home", "ca", DEFAULT_MODULE)
     assert KeyUri.parse(str(uri)) == uri
@@ -167,7 +167,7 @@ def test_uris_are_percent_encoded() -> None:
         "token=home;object=ca",
     ],
 )  # fmt: skip
-def test_what_names_no_key(text: str) -> None:
+def test_an_invalid_key_uri_is_refused(text: str) -> None:
     with pytest.raises(TokenRefused, match="does not name a key in a token") as caught:
         KeyUri.parse(text)
     assert "pkcs11:token=LABEL" in caught.value.hint

@@ -33,7 +33,7 @@ def test_generate_makes_new_p256_keys() -> None:
     assert key_files.thumbprint(first.public_key()) != key_files.thumbprint(second.public_key())
 
 
-def test_round_trip_in_the_clear(tmp_path: Path) -> None:
+def test_unencrypted_round_trip(tmp_path: Path) -> None:
     key, path = key_files.generate(), tmp_path / "node.key"
     key_files.write_private(path, key)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -61,7 +61,7 @@ def test_openssl_reads_the_encrypted_file(tmp_path: Path) -> None:
     assert done.stdout == public_bytes(key)
 
 
-def test_never_overwrites(tmp_path: Path) -> None:
+def test_existing_files_are_never_overwritten(tmp_path: Path) -> None:
     path = write(tmp_path / "node.key", b"precious")
     with pytest.raises(KeyRefused, match="exists and is not overwritten") as caught:
         key_files.write_private(path, key_files.generate())
@@ -115,7 +115,7 @@ def test_a_key_others_can_reach_is_refused(tmp_path: Path, mode: int) -> None:
     assert f"chmod 600 {path}" in caught.value.hint
 
 
-def test_no_key(tmp_path: Path) -> None:
+def test_a_missing_key_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KeyRefused, match="there is no key at"):
         key_files.load_private(tmp_path / "node.key")
 
@@ -141,7 +141,7 @@ def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"garbage", b"-----BEGIN PRIVATE KEY-----\n"])
-def test_no_key_inside(tmp_path: Path, data: bytes) -> None:
+def test_a_file_without_a_key_is_refused(tmp_path: Path, data: bytes) -> None:
     with pytest.raises(KeyRefused, match="holds no private key"):
         key_files.load_private(write(tmp_path / "node.key", data))
 

@@ -101,7 +101,7 @@ def test_a_link_to_the_directory_it_is_in(mine: Path, target: str) -> None:
         ownership.check_directory(mine / "here")
 
 
-def test_what_is_no_plain_file(mine: Path) -> None:
+def test_a_file_that_is_not_regular_is_refused(mine: Path) -> None:
     os.mkfifo(mine / "pipe")
     refused(mine / "pipe", "is not a regular file")
     refused(mine, "is not a regular file")
@@ -150,14 +150,16 @@ def test_every_link_on_the_way_is_followed(mine: Path) -> None:
         ownership.check_directory(mine / "round")
 
 
-def test_a_place_of_somebody_else(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_directory_of_another_user_is_refused(
+    mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     as_another(monkeypatch)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     hint = refused(mine / "ca.pem", "home belongs to user 4242, who could change")
     assert "a ROSSEC_HOME of your own" in hint
 
 
-def test_root_is_told_whose_it_is(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_root_is_told_the_owner(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nobody = pwd.getpwnam("nobody")
     as_another(monkeypatch, nobody.pw_uid)
     monkeypatch.setattr(os, "geteuid", lambda: 0)

@@ -71,7 +71,7 @@ def test_the_two_are_not_taken_for_each_other() -> None:
         open_list(sign_timestamp(SIGNER, STAMP), SIGNER.public_key)
 
 
-def test_another_signer() -> None:
+def test_a_list_of_another_signer_is_refused() -> None:
     with pytest.raises(RevocationRefused, match="the signature does not verify") as caught:
         open_list(sign_list(new_signer(), LIST), SIGNER.public_key)
     assert "this node trusts" in caught.value.hint
@@ -141,7 +141,7 @@ def test_the_crafted_payload_is_good_when_unchanged() -> None:
         (list_payload({-70003: ["x" * 16]}), "an entry is a grant id of 16 bytes or"),
     ],
 )
-def test_signed_but_no_list(payload: Value, message: str) -> None:
+def test_a_signed_statement_that_is_not_a_list(payload: Value, message: str) -> None:
     with pytest.raises(RevocationRefused, match=message):
         open_list(LIST_PROFILE.sign(SIGNER, payload), SIGNER.public_key)
 
@@ -164,7 +164,7 @@ def stamp_payload(changes: Mapping[int | str, Value]) -> Value:
         (stamp_payload({6: -1}), "a number in the statement is out of range"),
     ],
 )
-def test_signed_but_no_timestamp(payload: Value, message: str) -> None:
+def test_a_signed_statement_that_is_not_a_timestamp(payload: Value, message: str) -> None:
     with pytest.raises(RevocationRefused, match=message):
         open_timestamp(TIMESTAMP_PROFILE.sign(SIGNER, payload), SIGNER.public_key)
 

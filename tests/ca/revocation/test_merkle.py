@@ -144,7 +144,7 @@ def test_a_wrong_inclusion_is_refused(index: int, size: int) -> None:
 
 
 @pytest.mark.parametrize(("index", "size"), [(-1, 3), (3, 3), (0, 0)])
-def test_there_is_no_such_leaf(index: int, size: int) -> None:
+def test_a_missing_leaf_has_no_proof(index: int, size: int) -> None:
     with pytest.raises(ProofRefused, match=f"there is no leaf {index} in a tree of {size}"):
         TREE.inclusion(index, size)
     with pytest.raises(ProofRefused, match=f"there is no leaf {index} in a tree of {size}"):
@@ -170,7 +170,7 @@ def test_two_trees_of_one_size() -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 3), (4, 3), (-1, 3)])
-def test_what_cannot_be_continued(first: int, second: int) -> None:
+def test_an_empty_or_larger_tree_is_not_extended(first: int, second: int) -> None:
     message = f"a tree of {second} leaves does not extend one of {first}"
     with pytest.raises(ProofRefused, match=message):
         TREE.consistency(first, second)

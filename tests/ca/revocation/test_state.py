@@ -125,7 +125,7 @@ def test_a_clock_set_back_means_no() -> None:
         state.check(B, NOW - SKEW - 1)
 
 
-def test_update_tells_what_is_new() -> None:
+def test_update_returns_the_added_entries() -> None:
     state = fresh(A)
     assert state.update(signed(2, A, B), NOW) == {B}
     assert state.update(signed(3, B), NOW) == frozenset()
@@ -155,7 +155,7 @@ def test_the_same_list_with_a_twisted_signature() -> None:
     state.check(B, NOW)
 
 
-def test_rollback() -> None:
+def test_an_older_list_is_refused() -> None:
     state = fresh()
     state.update(signed(5, A), NOW)
     with pytest.raises(RollbackRefused, match=r"revocation list 1\.4 is older than 1\.5") as caught:
@@ -164,7 +164,7 @@ def test_rollback() -> None:
     assert state.entries == {A}
 
 
-def test_rollback_after_a_restart() -> None:
+def test_an_older_list_is_refused_after_a_restart() -> None:
     state = Revocations(SIGNER.public_key, floor=(2, 5))
     for old in (signed(4, epoch=2), signed(99, epoch=1)):
         with pytest.raises(RollbackRefused):
@@ -207,7 +207,7 @@ def test_a_full_disk_changes_nothing() -> None:
     state.check(A, NOW)
 
 
-def test_strangers_lists_are_not_persisted() -> None:
+def test_foreign_lists_are_not_persisted() -> None:
     other = sign_list(new_signer(), RevocationList(1, 2, NOW, NOW + 1, frozenset()))
     with pytest.raises(RevocationRefused, match="does not verify"):
         fresh().update(other, NOW, persist=never)
@@ -329,7 +329,7 @@ def with_tree(seq: int = 9) -> Revocations:
 REVOKED_ONE, OTHER = (4).to_bytes(16), (5).to_bytes(16)
 
 
-def test_of_a_tree_each_entry_must_be_proved() -> None:
+def test_each_entry_of_a_tree_needs_a_proof() -> None:
     state = with_tree()
     for entry in (REVOKED_ONE, OTHER, OTHER):
         with pytest.raises(RevocationsStale, match="no proof received yet"):
@@ -363,7 +363,7 @@ def test_what_was_proved_of_one_tree_is_not_of_the_next() -> None:
     assert state.status_valid_until(OTHER) == NOW + 60 + MAX_AGE
 
 
-def test_who_has_all_entries_needs_no_proof() -> None:
+def test_a_node_with_all_entries_needs_no_proof() -> None:
     state = with_tree()
     with pytest.raises(RevocationRefused, match="not those"):
         state.set_entries(TreeEntries([OTHER]))
@@ -401,7 +401,7 @@ def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch
         state.check((2).to_bytes(16), NOW)
 
 
-def test_a_confirmation_that_is_doubted_lets_nobody_in_and_cuts_nobody() -> None:
+def test_an_expired_confirmation_admits_no_peer_and_closes_no_connection() -> None:
     state = fresh(A)
     state.expire_confirmation(NOW + 3)
     assert state.fresh_until == NOW + 3

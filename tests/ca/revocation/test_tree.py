@@ -37,12 +37,12 @@ def test_every_entry_is_shown_to_be_there() -> None:
 
 
 @given(st.binary(min_size=16, max_size=16) | st.binary(min_size=32, max_size=32))
-def test_any_other_is_shown_not_to_be(entry: bytes) -> None:
+def test_any_other_entry_is_proved_absent(entry: bytes) -> None:
     assert is_revoked(TREE_, entry, LISTING.prove(entry)) == (entry in ENTRIES)
 
 
 @pytest.mark.parametrize("entry", [bytes(16), b"\xff" * 32])
-def test_beyond_the_ends(entry: bytes) -> None:
+def test_entries_beyond_the_first_and_last_leaf_are_absent(entry: bytes) -> None:
     assert not is_revoked(TREE_, entry, LISTING.prove(entry))
 
 
@@ -80,7 +80,7 @@ def proof_of(entry: bytes) -> list[Any]:
         encode([[0, b"x"]]), bytes(5000),
     ],
 )  # fmt: skip
-def test_what_is_no_proof(broken: bytes) -> None:
+def test_an_invalid_proof_is_refused(broken: bytes) -> None:
     with pytest.raises(RevocationRefused):
         is_revoked(TREE_, bytes(16), broken)
 
@@ -118,7 +118,7 @@ def test_the_statement() -> None:
         {"size": MAX_LEAVES + 1}, {"root": bytes(31)},
     ],
 )  # fmt: skip
-def test_trees_that_are_none(changes: Any) -> None:
+def test_invalid_trees_are_refused(changes: Any) -> None:
     with pytest.raises(RevocationRefused):
         replace(TREE_, **changes)
 

@@ -18,7 +18,7 @@ def sealed(files: dict[str, bytes] | None = None, words: str = WORDS) -> bytes:
 DATA = sealed()
 
 
-def test_there_and_back() -> None:
+def test_a_backup_round_trip() -> None:
     assert unseal(DATA, WORDS) == FILES
     assert b"node.key" not in DATA
 
@@ -43,12 +43,12 @@ def test_every_byte_counts(place: int) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"tar", DATA[:43], b"x" + DATA])
-def test_what_is_no_backup(data: bytes) -> None:
+def test_a_file_that_is_not_a_backup_is_refused(data: bytes) -> None:
     with pytest.raises(BackupRefused, match="this is not a backup of an authority"):
         unseal(data, WORDS)
 
 
-def test_cut_or_with_a_tail() -> None:
+def test_a_truncated_or_extended_backup_is_refused() -> None:
     for data in (DATA[:44], DATA[:-1], DATA + b"\0"):
         with pytest.raises(PassphraseRefused):
             unseal(data, WORDS)
@@ -81,13 +81,15 @@ def forged(value: Value, monkeypatch: pytest.MonkeyPatch) -> bytes:
         ({"../ca.key": b""}, "is not a file of an authority"),
     ],
 )
-def test_malformed_inside(value: Value, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_malformed_content_of_a_backup_is_refused(
+    value: Value, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data = forged(value, monkeypatch)
     with pytest.raises(BackupRefused, match=message):
         unseal(data, WORDS)
 
 
-def test_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_large_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backup, "MAX_BACKUP", 90_000)
     with pytest.raises(BackupRefused, match="too large for one backup"):
         sealed()

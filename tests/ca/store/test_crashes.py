@@ -11,7 +11,7 @@ SCENARIOS = {"issue", "deny", "collect", "revoke", "renew", "replace", "migrate"
 
 
 @pytest.mark.timeout(300)  # some 280 processes: seconds on an idle machine, minutes on a busy one
-def test_no_death_loses_or_doubles_an_identity(tmp_path: Path) -> None:
+def test_no_crash_loses_or_doubles_an_identity(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tests.support.crashes", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=280)
     assert done.returncode == 0, done.stderr

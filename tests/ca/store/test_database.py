@@ -44,7 +44,7 @@ def noted(database: Database) -> list[str]:
     return [subject for (subject,) in database.rows("SELECT subject FROM log ORDER BY number")]
 
 
-def test_nobody_writes_between_a_decision_and_its_record(
+def test_no_command_writes_between_a_decision_and_its_record(
     path: Path, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_BUSY_TIMEOUT", 0)

@@ -31,7 +31,7 @@ def failure(code: int, text: str = "what SQLite said") -> sqlite3.Error:
         (sqlite3.SQLITE_MISUSE, "what SQLite said, nothing was changed", "run the command again"),
     ],
 )
-def test_nothing_was_damaged(code: int, said: str, hint: str) -> None:
+def test_an_error_without_damage_says_nothing_was_changed(code: int, said: str, hint: str) -> None:
     found = fault(PATH, failure(code))
     assert isinstance(found, RecordUnusable)
     assert str(found).startswith(f"{PATH} cannot be used: {said}")
@@ -40,7 +40,7 @@ def test_nothing_was_damaged(code: int, said: str, hint: str) -> None:
 
 
 @pytest.mark.parametrize("code", [sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB])
-def test_damage_is_said(code: int) -> None:
+def test_damage_is_reported(code: int) -> None:
     found = fault(PATH, failure(code))
     assert isinstance(found, RecordUnusable)
     assert str(found) == f"{PATH} is damaged: what SQLite said"

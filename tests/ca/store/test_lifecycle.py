@@ -34,13 +34,13 @@ def test_the_ways_there_are(old: RequestState, new: RequestState) -> None:
 @pytest.mark.parametrize(
     ("old", "new"), sorted(set(itertools.product(RequestState, RequestState)) - WAYS)
 )
-def test_and_no_others(old: RequestState, new: RequestState) -> None:
+def test_other_transitions_are_refused(old: RequestState, new: RequestState) -> None:
     with pytest.raises(RequestClosed, match=f"the request of /a is {old} and cannot be {new}"):
         advance(row(old), new, NOW)
 
 
 @pytest.mark.parametrize("state", sorted(OPEN))
-def test_its_time_ends(state: RequestState) -> None:
+def test_a_request_expires(state: RequestState) -> None:
     assert row(state).expires == NOW + DAY
     advance(row(state), RequestState.DENIED, NOW + DAY)
     with pytest.raises(RequestClosed, match=f"was {state} for too long and has expired"):

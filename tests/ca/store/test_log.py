@@ -93,7 +93,10 @@ def test_a_record_in_order(store: Store) -> None:
         ("INSERT INTO revocation VALUES (x'01', '', 0)", "a revocation is recorded that is not"),
         ("INSERT INTO grant_ VALUES (x'01', '/m', x'', 0, 0, 0)", "a grant is recorded that is"),
         ("UPDATE csr SET state = 'approved' WHERE name = '/c'", "differ from the log"),
-        ("DELETE FROM csr WHERE name = '/c'", "the states of the requests differ from the log"),
+        (
+            "DELETE FROM csr WHERE name = '/c'",
+            "the states of the requests differ from the log",
+        ),
         ("UPDATE head SET data = x'00'", "not a signed head"),
     ],
 )
@@ -133,7 +136,7 @@ def test_a_cut_log_contradicts_a_head_kept_elsewhere(store: Store, path: Path) -
         store.log.audit(KEY.public_key, kept)
 
 
-def test_a_way_no_request_goes(store: Store, path: Path) -> None:
+def test_a_forbidden_transition_in_the_log_is_found(store: Store, path: Path) -> None:
     for what in ("issued", "approved", "collected", "pending"):
         with closing(Store.create(path.with_name(what))) as other:
             with other.database.transaction() as db:

@@ -101,6 +101,6 @@ def test_only_heads_of_this_authority() -> None:
         {6: NOW, -70011: 1, -70012: b"r" * 32, 7: 1},
     ],
 )  # fmt: skip
-def test_closed_fields(payload: Value) -> None:
+def test_unknown_or_missing_fields_are_refused(payload: Value) -> None:
     with pytest.raises(LogDamaged, match="missing or unknown fields"):
         open_head(log_entries.HEAD_PROFILE.sign(KEY, payload), KEY.public_key)

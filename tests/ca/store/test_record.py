@@ -149,7 +149,7 @@ def test_the_newest_live_certificate(store: Store) -> None:
         store.valid_certificate("/a", NOW + DAY + 1)
 
 
-def test_living_keys_are_neither_expired_nor_revoked(store: Store) -> None:
+def test_valid_keys_are_neither_expired_nor_revoked(store: Store) -> None:
     store.add_certificate(certificate(), NOW)
     store.add_certificate(certificate(2, key=OTHER), NOW, renews=KEY)
     store.add_certificate(certificate(3, "/b", b"b" * 32), NOW)
@@ -194,7 +194,7 @@ def test_types_are_strict(path: Path, store: Store) -> None:
     direct.close()
 
 
-def test_never_overwrites(path: Path) -> None:
+def test_existing_files_are_never_overwritten(path: Path) -> None:
     path.write_bytes(b"precious")
     with pytest.raises(StoreError, match=r"cannot create .*File exists"):
         Store.create(path)
@@ -242,7 +242,7 @@ def test_a_record_from_the_future(path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"garbage" * 1000])
-def test_no_database(path: Path, data: bytes) -> None:
+def test_a_missing_database_is_refused(path: Path, data: bytes) -> None:
     path.write_bytes(data)
     path.chmod(0o600)
     with pytest.raises(StoreError, match=r"is damaged|is not a record") as caught:
@@ -313,7 +313,7 @@ def test_two_keys_never_go_by_one_name(store: Store, first: int, *, wildcard: bo
     store.add_certificate(rows[1 - first], NOW)
 
 
-def test_a_tail_is_in_nobodys_way(store: Store) -> None:
+def test_a_wildcard_tail_does_not_block_other_names(store: Store) -> None:
     store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
     store.add_certificate(real(2, "/rvizx", OTHER), NOW)
     store.add_certificate(real(3, "/robot1/rviz_1", OTHER), NOW)

@@ -116,13 +116,15 @@ def test_a_void_request_is_not_approved(store: Store) -> None:
         store.requests.approve(request.digest, NOW + DAY + 1)
 
 
-def test_adding_collects(store: Store) -> None:
+def test_adding_a_request_deletes_expired_ones(store: Store) -> None:
     pending(store)
     request = pending(store, "/b", NOW + 2 * DAY)
     assert [row.digest for row in store.requests.all()] == [request.digest]
 
 
-def test_strangers_cannot_fill_the_record(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_open_requests_is_limited(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(request_record, "MAX_OPEN", 2)
     first = pending(store)
     pending(store, "/b")
@@ -141,7 +143,7 @@ def test_found_by_the_beginning_of_its_digest(store: Store) -> None:
             store.requests.get(missing)
 
 
-def test_two_who_ask_for_one_name(store: Store) -> None:
+def test_two_keys_that_request_one_name(store: Store) -> None:
     first, second = pending(store), pending(store)
     with pytest.raises(NameContested, match="two different keys request the name /a") as caught:
         store.requests.approve(first.digest, NOW)

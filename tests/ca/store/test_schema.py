@@ -65,7 +65,7 @@ def test_both_ways_lead_to_the_same_tables(old: Path, new: sqlite3.Connection) -
         assert shape(db) == shape(new)
 
 
-def test_once_is_enough(old: Path) -> None:
+def test_a_migrated_record_is_not_migrated_again(old: Path) -> None:
     Store.open(old).close()
     with closing(sqlite3.connect(old, isolation_level=None)) as db:
         before = db.execute("SELECT count(*) FROM log").fetchone()
@@ -234,7 +234,7 @@ def test_tables_of_another_form_hold_nothing_that_counts(tmp_path: Path) -> None
         Store.open(path)
 
 
-def test_a_state_that_is_none_is_told(tmp_path: Path) -> None:
+def test_an_unknown_request_state_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "ca.db"
     Store.create(path).close()
     with closing(sqlite3.connect(path, isolation_level=None)) as db:

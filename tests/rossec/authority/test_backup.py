@@ -244,7 +244,7 @@ def test_the_entries_beside_a_tree_are_found(
     assert "1 revocations newer than the backup" in done.out
 
 
-def test_nobody_revokes_into_a_record_that_is_being_replaced(
+def test_no_revocation_goes_into_a_record_that_is_being_replaced(
     home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the comparison with the backup until it has moved, and not into what was moved."""

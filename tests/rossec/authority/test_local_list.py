@@ -1,4 +1,4 @@
-"""The authority on the master's host: its lists are seen, and only when there may be news."""
+"""The authority on the master's host: its lists are seen, and only when there may be changed."""
 
 from pathlib import Path
 
@@ -19,33 +19,33 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
     return shell
 
 
-def test_where_no_authority_is_there_is_nothing(tmp_path: Path) -> None:
-    near = LocalList(tmp_path)
-    assert near.newest() is None
-    assert near.newest_if_changed() is None
+def test_without_an_authority_there_is_no_list(tmp_path: Path) -> None:
+    local_list = LocalList(tmp_path)
+    assert local_list.newest() is None
+    assert local_list.newest_if_changed() is None
 
 
-def test_a_new_list_is_news_once(shell: Shell) -> None:
-    near, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
-    first = near.newest()
+def test_a_new_list_is_returned_once(shell: Shell) -> None:
+    local_list, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
+    first = local_list.newest()
     assert first is not None
     assert first[1] == b""
-    assert near.newest_if_changed() is None
+    assert local_list.newest_if_changed() is None
     shell.unlocked("ca", "refresh")
-    news = near.newest_if_changed()
-    assert news is not None
-    assert open_list(news[0], key).seq == open_list(first[0], key).seq + 1
+    changed = local_list.newest_if_changed()
+    assert changed is not None
+    assert open_list(changed[0], key).seq == open_list(first[0], key).seq + 1
     for _ in range(3):
-        near.newest_if_changed()
-    assert near.newest_if_changed() is None
+        local_list.newest_if_changed()
+    assert local_list.newest_if_changed() is None
 
 
 def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
-    near, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
+    local_list, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
     shell.enroll("/robot")
     shell.unlocked("ca", "revoke", "/robot")
-    found = near.newest_if_changed()
+    found = local_list.newest_if_changed()
     assert found is not None
     assert is_tree(found[0])
     TreeEntries.read(found[1]).check(open_tree(found[0], key))
@@ -55,8 +55,8 @@ def test_what_could_not_be_read_is_read_again(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else who fills the disk for a moment keeps a revocation from the master for good."""
-    near = LocalList(shell.root)
-    near.newest()
+    local_list = LocalList(shell.root)
+    local_list.newest()
     shell.unlocked("ca", "refresh")
 
     def fail(_: AuthorityHome) -> bytes:
@@ -66,5 +66,5 @@ def test_what_could_not_be_read_is_read_again(
         full.setattr(AuthorityHome, "revocation_list", fail)
         for _ in range(2):
             with pytest.raises(NotWritten):
-                near.newest_if_changed()
-    assert near.newest_if_changed() is not None
+                local_list.newest_if_changed()
+    assert local_list.newest_if_changed() is not None

@@ -11,12 +11,12 @@ from rossec.errors import ConfigurationError
 TEXT = "rossec: 1\nrobot: r\nrules: []\n"
 
 
-def test_where_it_is(tmp_path: Path) -> None:
+def test_the_path_of_the_policy(tmp_path: Path) -> None:
     assert place(tmp_path, None) == tmp_path / "ca" / "policy.yaml"
     assert place(tmp_path, tmp_path / "x") == tmp_path / "x"
 
 
-def test_it_is_read_and_replaced_only_by_a_good_one(tmp_path: Path) -> None:
+def test_a_policy_is_replaced_only_by_a_valid_one(tmp_path: Path) -> None:
     path = tmp_path / "policy.yaml"
     path.write_text(TEXT)
     read = PolicyFile.read(path)
@@ -28,7 +28,7 @@ def test_it_is_read_and_replaced_only_by_a_good_one(tmp_path: Path) -> None:
     assert PolicyFile.read(path).policy.robot == "s"
 
 
-def test_what_is_no_policy(tmp_path: Path) -> None:
+def test_an_invalid_policy_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="there is no policy"):
         PolicyFile.read(tmp_path / "policy.yaml")
     (tmp_path / "policy.yaml").write_bytes(b"\xff")
@@ -36,7 +36,7 @@ def test_what_is_no_policy(tmp_path: Path) -> None:
         PolicyFile.read(tmp_path / "policy.yaml")
 
 
-def test_layouts() -> None:
+def test_layouts_of_known_types() -> None:
     assert layout_of("std_msgs/String").type_name == "std_msgs/String"
 
 

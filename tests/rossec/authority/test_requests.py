@@ -46,7 +46,7 @@ def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
     Store.open(path / "ca.db").close()  # still a record
 
 
-def test_once(path: Path) -> None:
+def test_a_request_is_recorded_and_answered_once(path: Path) -> None:
     box = GrantRequestStore.open(path)
     box.add(ASKED, DATA, NOW)
     (first, _) = box.unanswered()

@@ -33,7 +33,7 @@ class Clock:
 
 
 class Caller:
-    """Somebody who has connected."""
+    """A caller that has connected."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer

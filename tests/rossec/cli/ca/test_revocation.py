@@ -20,7 +20,7 @@ def test_an_identity_can_be_revoked(shell: Shell) -> None:
 
 
 def test_an_unknown_or_invalid_name_is_not_revoked(shell: Shell) -> None:
-    refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no living identity")
+    refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no valid identity")
     refused(shell.unlocked("ca", "revoke", "robot"), "not an absolute ROS name", "/robot1/camera")
     refused(shell.unlocked("ca", "revoke", "/ca"), "the authority's own node", "made anew")
     assert listed(shell) == frozenset()

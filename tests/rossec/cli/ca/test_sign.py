@@ -153,12 +153,12 @@ def test_the_authority_decides_on_the_wildcard_not_the_request(shell: Shell) -> 
 
 @pytest.mark.parametrize("name", ["/master", "/ca"])
 def test_the_master_and_the_authority_get_no_wildcard(shell: Shell, name: str) -> None:
-    refused(shell("node", "request", name, "--anonymous"), f"{name} is one node")
+    refused(shell("node", "request", name, "--anonymous"), f"{name} is a single node")
     shell.node(name).rename(shell.root / "aside")
     shell("node", "request", name)
     request = str(shell.node(name) / "node.csr")
     said = shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
-    refused(said, f"{name} is one node", "a name of their own")
+    refused(said, f"{name} is a single node", "a name of their own")
 
 
 def test_a_link_beside_a_request_is_not_followed(shell: Shell, tmp_path: Path) -> None:

@@ -64,4 +64,4 @@ def test_presets_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "coarse-position"
     assert lines[1].startswith("  hides the place within cells of 2 m")
-    assert lines[2].startswith("  still tells the room")
+    assert lines[2].startswith("  still discloses the room")

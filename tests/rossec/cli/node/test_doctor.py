@@ -106,12 +106,12 @@ def test_a_revocation_in_the_local_authoritys_record_is_not_ok(shell: Shell) -> 
     lines = doctor(shell)
     assert any(line.startswith("ok      may publish /two") for line in lines)
     assert not any("publish /one" in line for line in lines)
-    record = f"says the authority's record in {shell.root / 'ca'}"
-    assert f"not ok  grant {first[:8]} is revoked, {record}" in lines
+    record = f"according to the authority's record in {shell.root / 'ca'}"
+    assert f"not ok  grant {first[:8]} is revoked {record}" in lines
     shell.unlocked("grant", "revoke", second, *NOBODY)
     assert any(line.endswith(f"{record} (and 1 more)") for line in doctor(shell))
     shell.unlocked("ca", "revoke", "/robot", *NOBODY)
-    assert f"not ok  the key of /robot is revoked, {record}" in doctor(shell)
+    assert f"not ok  the key of /robot is revoked {record}" in doctor(shell)
     assert shell("doctor", "/robot", "--offline").code == 1
 
 
@@ -131,7 +131,9 @@ def test_a_revocation_in_a_signed_list_is_not_ok(
     if tree:
         place.save_entries(authority.tree_entries())
     (shell.root / "ca").rename(shell.root / "elsewhere")
-    assert f"not ok  the key of /robot is revoked, says the list in {place.path}" in doctor(shell)
+    assert f"not ok  the key of /robot is revoked according to the list in {place.path}" in doctor(
+        shell
+    )
 
 
 def test_a_list_of_another_authority_is_ignored(shell: Shell, tmp_path: Path) -> None:
@@ -162,4 +164,4 @@ def test_a_node_below_a_revoked_intermediate_is_not_ok(shell: Shell, tmp_path: P
     home.save_revocations(site.revoke(home.identity(now).issuers[0]))
     assert run(["doctor", "/robot", "--offline"], {"ROSSEC_HOME": str(site.root)}) == 1
     said = shell._capsys.readouterr().out
-    assert "not ok  the intermediate's key of /robot is revoked, says the list in" in said
+    assert "not ok  the intermediate's key of /robot is revoked according to the list in" in said
