@@ -1,8 +1,4 @@
-"""Unauthorized peers at the ports of real nodes: each is refused with its own readable error.
-
-The attacker goes past the master, straight to the publisher's port, with its own credentials and
-whatever grants it could obtain. Meanwhile an honest pair must not be disturbed.
-"""
+"""Unauthorized peers at the ports of real nodes: each is refused with its own error."""
 
 import asyncio
 import time
