@@ -1,5 +1,5 @@
 // Two ordinary roscpp programs that measure the way between them: they know nothing of rossec.
-//   flood TOPIC SIZE RATE   publishes its clock while somebody listens; RATE 0: as fast as that one hears
+//   flood TOPIC SIZE RATE   publishes its clock while it has a subscriber; RATE 0: as fast as that receives
 //   sink                    for each line "TOPIC SECONDS" on its input: counts what arrives, and how old it is
 #include <fcntl.h>
 #include <ros/callback_queue.h>
@@ -40,7 +40,7 @@ static int flood(ros::NodeHandle& node, const std::string& topic, size_t size, d
                     (unsigned long long)ros::WallTime::now().toNSec(), ++number);
       publisher.publish(message);
       if (pace > 0) ros::WallDuration(1 / pace).sleep();
-      // Not for ever: what was published before the connection stood is heard by nobody.
+      // Not for ever: messages published before the connection are lost.
       else for (int turn = 0; turn < 200 && number - *heard >= window; ++turn) usleep(50);
     }
     ros::spinOnce();

@@ -129,7 +129,7 @@ PRESETS: Final[dict[str, Preset]] = {
         Preset(
             "blurred-camera",
             "details smaller than 32 pixels, as long as nothing moves",
-            "light, colours, that somebody moves and where; many pictures of something that moves"
+            "light, colours, that a person moves and where; many pictures of an object moving"
             " past the squares can be combined to finer detail than one of them shows",
             1.0,
             _for(_CAMERA),

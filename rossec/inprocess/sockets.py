@@ -1,8 +1,7 @@
 """The socket that rospy gets in place of `socket.socket`.
 
 `fileno` is the kernel's: rospy only polls it for a hang-up. Nothing can be read or written around
-the channel: there is no path here that sends plain bytes. The handshake of an
-accepted connection happens in the first read, never in `accept` (attack N8).
+the channel, which sends no plain bytes. The handshake is in the first read, never in `accept` (N8).
 """
 
 import errno

@@ -288,7 +288,7 @@ HOSTILE = {
     "CA:TRUE": (crafted((SAN, True), (CA_TRUE, True)), "asks to be an authority"),
     "two names": (crafted((BOTH, True)), "asks for 2 names where exactly one URI"),
     "a wildcard of DNS": (crafted((DNS_WILDCARD, True)), "asks for 1 names where exactly one URI"),
-    "a wildcard": (crafted((uris("spiffe://home/*"), True)), r"invalid name: '/\*' is not an absolute"),
+    "a wildcard": (crafted((uris("spiffe://home/*"), True)), r"name: '/\*' is not an absolute"),
     "a wildcard tail": (
         Robot("/rviz", wildcard=True).csr, "all names that begin with /rviz_",
     ),
@@ -298,9 +298,9 @@ HOSTILE = {
     "RSA": (rsa_request(), "a key that is not P-256"),
     "no proof of possession": (unproven(), "does not prove that the node has the key"),
     "an over-long name": (long_name(), "a name of 256 characters where at most 255"),
-    "a NUL": (crafted(raw_name(b"spiffe://home/a\0b")), r"invalid name: '/a\\x00b' is not an absolute"),
+    "a NUL": (crafted(raw_name(b"spiffe://home/a\0b")), r"name: '/a\\x00b' is not an absolute"),
     "bidi": (
-        crafted(BIDI), r"invalid name: '/a\\u202eb' is not an absolute",
+        crafted(BIDI), r"name: '/a\\u202eb' is not an absolute",
     ),
     "another domain": (crafted((uris("spiffe://lab/a"), True)), "for trust domain 'lab'"),
     "too much": (bytes(2049), "a request of 2049 bytes"),

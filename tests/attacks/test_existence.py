@@ -43,7 +43,7 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
 def ports(near: Sidecar, protocol: WireProtocol) -> list[int]:
     """The ports of /robot2 on the network."""
     exports = near._agent_for("/robot2")._ingress.ports
-    return [door.port for place, door in exports._ports.items() if place.protocol is protocol]
+    return [public.port for place, public in exports._ports.items() if place.protocol is protocol]
 
 
 async def offered(site: Site, near: Sidecar, topic: object) -> Any:

@@ -79,7 +79,7 @@ def opened(*parts: str, mode: int = 0o777) -> Change:
 def given(*parts: str) -> Change:
     def change(home: Path) -> None:
         if os.geteuid() != 0:
-            pytest.skip("NOT RUN: only root can give a file to somebody else")
+            pytest.skip("NOT RUN: only root can change the owner of a file")
         os.chown(home.joinpath(*parts), pwd.getpwnam("nobody").pw_uid, -1)
 
     return change

@@ -53,13 +53,13 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
         await stream.wait_ended()
 
     async def where(method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:
-        return [1, "", ["TCPROS", HOST, door.port]]
+        return [1, "", ["TCPROS", HOST, server.port]]
 
     async def slave(stream: SecureStream[UnverifiedPeer]) -> None:
         await serve_calls(stream, where)
 
     async with (
-        serve(topic, HOST, 0, own, accept_any) as door,
+        serve(topic, HOST, 0, own, accept_any) as server,
         serve(slave, HOST, 0, own, accept_any) as api,
     ):
         yield f"http://{HOST}:{api.port}/"

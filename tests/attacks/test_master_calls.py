@@ -52,11 +52,11 @@ async def test_m1_a_caller_that_is_not_enrolled_learns_nothing(
     site: Site, witness: Witness
 ) -> None:
     assert site.master is not None
-    stranger = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
+    intruder = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
     answers = set()
     for method, params in QUERIES:
         with pytest.raises(PeerRefused):
-            await call(uri(site), stranger, method, "/viewer", *params)
+            await call(uri(site), intruder, method, "/viewer", *params)
         body = f"<methodCall><methodName>{method}</methodName></methodCall>".encode()
         head = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n" % len(body)
         answers.add(await asyncio.to_thread(plain, site.master.port, head + body))

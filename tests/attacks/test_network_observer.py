@@ -72,7 +72,7 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
 ) -> None:
     """The peer may complete the handshake with certificates of its own."""
     assert site.master is not None
-    stranger = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
+    intruder = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
     shown: list[tuple[bytes, ...]] = []
 
     def look(chain: tuple[bytes, ...], now: int) -> Any:
@@ -80,7 +80,7 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
         return site.anchor.verify(chain, now)
 
     async def heard(port: int, opening: WireProtocol) -> bytes:
-        stream = await connect(HOST, port, stranger, look, opening=opening)
+        stream = await connect(HOST, port, intruder, look, opening=opening)
         return await stream.receive()
 
     for port, opening in (

@@ -1,8 +1,4 @@
-"""Services on the network: callers, providers and probes without a right, and floods.
-
-The attacker goes past the master, straight to the provider's port, or provides with an identity of
-its own, whatever the master would have answered.
-"""
+"""Services on the network: callers, providers and probes without a right, past the master."""
 
 import asyncio
 import contextlib

@@ -88,13 +88,13 @@ async def test_the_process_of_another_user_cannot_borrow_the_identity(
     if os.getuid() != 0:
         pytest.skip("NOT RUN: only root can start a process of another user")
     agent = near._agent_for("/robot")
-    door = (
+    public_uri = (
         f"http://127.0.0.1:{next(iter(agent._egress.ports)).port}/"
         if any(agent._egress.ports)
         else ""
     )
     assert (await call_as(near.uri, None)).startswith("ANSWERED")
-    for uri in filter(None, (near.uri, door)):
+    for uri in filter(None, (near.uri, public_uri)):
         assert (await call_as(uri, NOBODY)).startswith("REFUSED")
 
 

@@ -97,7 +97,7 @@ async def test_a_revocation_while_the_master_is_stopped_takes_effect(
         assert said.out.startswith("revoked ")
         assert "did not take the list: the peer did not finish the handshake in time" in said.err
         assert "deliver it with: rossec ca publish" in said.err
-        assert talker.links, "nobody knows it yet"
+        assert talker.links, "the revocation is not known yet"
         send(signal.SIGCONT)
         await until(lambda: not talker.links, within=60)
         assert "takes effect only when the master has it" in said.err

@@ -144,7 +144,7 @@ def lose(shell: Shell, name: str) -> None:
     opened.store.close()
 
 
-def nobody(*_: object, **__: object) -> str:
+def no_input(*_: object, **__: object) -> str:
     """No input at the terminal."""
     raise EOFError
 
@@ -153,7 +153,7 @@ def nobody(*_: object, **__: object) -> str:
 async def test_a_lost_revocation_is_listed_later(
     shell: Shell, master: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("getpass.getpass", nobody)
+    monkeypatch.setattr("getpass.getpass", no_input)
     shell.enroll("/thief")
     lose(shell, "/thief")
     stolen = NodeHome.of(shell.root, "/thief").credentials()

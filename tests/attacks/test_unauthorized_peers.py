@@ -1,8 +1,4 @@
-"""Unauthorized peers at the ports of real nodes: each is refused with its own readable error.
-
-The attacker goes past the master, straight to the publisher's port, with its own credentials and
-whatever grants it could obtain. Meanwhile an honest pair must not be disturbed.
-"""
+"""Unauthorized peers at the ports of real nodes: each is refused with its own error."""
 
 import asyncio
 import time
@@ -275,10 +271,10 @@ async def test_a_peer_of_another_authority_is_refused_in_the_handshake(
 ) -> None:
     """It has the viewer's own name, certified by its own authority for the same domain."""
     other = Site(site.root.parent / "other", site.anchor.domain)
-    stranger = credentials(other, "/viewer")
+    intruder = credentials(other, "/viewer")
     grants = [site.subscribe("/viewer", TOPIC)]  # copied from the viewer's disk
     with pytest.raises(PeerRefused) as caught:
-        await send_header(witness.topic_port, stranger, fields_for("/viewer", TOPIC, grants))
+        await send_header(witness.topic_port, intruder, fields_for("/viewer", TOPIC, grants))
     assert str(caught.value).isprintable()
     refused = refusals(caplog)[-1]
     assert isinstance(refused, IdentityRefused)
@@ -286,7 +282,7 @@ async def test_a_peer_of_another_authority_is_refused_in_the_handshake(
     assert site.master is not None
     for uri in (witness.robot.uri, site.master.uri):
         with pytest.raises(PeerRefused):
-            await call(uri, stranger, "requestTopic", "/viewer", TOPIC, [["TCPROS"]])
+            await call(uri, intruder, "requestTopic", "/viewer", TOPIC, [["TCPROS"]])
         assert isinstance(refusals(caplog)[-1].__cause__, ForeignCertificate)
 
 

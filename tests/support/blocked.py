@@ -18,7 +18,7 @@ class BlockedNodes:
         async def attempt(session: MasterSession) -> Any:
             if session._name in self.names:
                 self.tries += 1
-                raise OSError("somebody is in the way")
+                raise OSError("blocked")
             return await stock(session)
 
         monkeypatch.setattr(MasterSession, "open", attempt)

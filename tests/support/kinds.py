@@ -3,7 +3,7 @@
 The rospy sources serve twice: with two lines more they run inside, as they are behind a sidecar.
 
 A speaker KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
-string) and /KIND/pose (every second one in a frame that nobody may see), and provides
+string) and /KIND/pose (every second one in a frame that no grant allows), and provides
 /KIND/switch. A hearer subscribes to those of all kinds and calls them for ever, over a connection
 for each call (CALLED) and over one that is kept (KEPT); it follows /KIND/brief once the file that
 it is given exists.

@@ -47,8 +47,8 @@ def test_a_frame_that_is_not_in_the_table_ends_the_connection(
     end.give(frame(kind, b"\0" * 20))
     assert isinstance(end.error, ProtocolViolation)
     assert end.core.state is ConnectionState.CLOSED
-    told = end.take()
-    assert (told == frame(Frame.ERROR, encode_error(1, "handshake refused"))) == (
+    sent = end.take()
+    assert (sent == frame(Frame.ERROR, encode_error(1, "handshake refused"))) == (
         state is not ConnectionState.WAIT_4
     )
 

@@ -20,7 +20,7 @@ _TRACE = next(values for name, values in _VECTORS.items() if name.startswith("tr
 
 
 def value(name: str, index: int = -1) -> bytes:
-    """A value of trace 2 whose name begins so; the last one unless told."""
+    """A value of trace 2 whose name begins so; the last one by default."""
     return bytes.fromhex([v["hex"] for v in _TRACE if v["name"].startswith(name)][index])
 
 

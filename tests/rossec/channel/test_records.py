@@ -182,7 +182,7 @@ def test_a_unit_comes_out_whole_and_the_next_begins_afresh() -> None:
 
 
 def test_a_unit_that_is_held_is_never_written_to() -> None:
-    """The memory of units is used again, once nobody holds them."""
+    """The memory of units is reused once there is no other reference."""
     unit, sender, receiver = UnitAssembly(100_000_000), direction(), direction()
 
     def take(*parts: bytes) -> bytes:

@@ -7,7 +7,7 @@ from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
 from tests.support.site import Site
 
-NOBODY: frozenset[bytes] = frozenset()
+NONE_REVOKED: frozenset[bytes] = frozenset()
 GOOD: dict[int | str, Value] = {
     6: NOW, -70005: 15, -70011: "192.0.2.7", -70012: 11311, -70013: b"instance", -70014: 0,
 }  # fmt: skip
@@ -16,7 +16,7 @@ GOOD: dict[int | str, Value] = {
 def test_what_is_signed_is_read(make: Make, site: Site) -> None:
     data = make(7, host="robot.local")
     assert len(data) <= MAX_SIZE
-    announcement, identity = open_announcement(data, site.anchor, NOBODY, NOW)
+    announcement, identity = open_announcement(data, site.anchor, NONE_REVOKED, NOW)
     assert announcement == Announcement("robot.local", 11311, b"instance", 7, NOW)
     assert identity.name == "/master"
 
@@ -25,16 +25,16 @@ def test_only_the_master_of_this_domain_counts(site: Site, elsewhere: Site, make
     robot = site.enroll("/robot").credentials()
     data = sign(robot.signer, robot.chain, Announcement("h", 1, b"instance", 0, NOW))
     with pytest.raises(AnnouncementRefused, match=r"^/robot announces itself as a master$"):
-        open_announcement(data, site.anchor, NOBODY, NOW)
+        open_announcement(data, site.anchor, NONE_REVOKED, NOW)
     with pytest.raises(AnnouncementRefused, match="not signed by the authority"):
-        open_announcement(make(), elsewhere.anchor, NOBODY, NOW)
+        open_announcement(make(), elsewhere.anchor, NONE_REVOKED, NOW)
 
 
 def test_a_copied_certificate_does_not_verify(site: Site, credentials: Credentials) -> None:
     thief = site.enroll("/robot").credentials()
     data = sign(thief.signer, credentials.chain, Announcement("h", 1, b"instance", 0, NOW))
     with pytest.raises(AnnouncementRefused, match="does not verify"):
-        open_announcement(data, site.anchor, NOBODY, NOW)
+        open_announcement(data, site.anchor, NONE_REVOKED, NOW)
 
 
 def test_a_revoked_master_is_refused(make: Make, site: Site) -> None:
@@ -46,7 +46,7 @@ def test_a_revoked_master_is_refused(make: Make, site: Site) -> None:
 @pytest.mark.parametrize("later", [-6, 16])
 def test_announcements_of_another_time(make: Make, site: Site, later: int) -> None:
     with pytest.raises(AnnouncementRefused, match="another time"):
-        open_announcement(make(), site.anchor, NOBODY, NOW + later)
+        open_announcement(make(), site.anchor, NONE_REVOKED, NOW + later)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_fields_that_cannot_be(
         del payload[key]
     data = PROFILE.sign(credentials.signer, payload)
     with pytest.raises(AnnouncementRefused):
-        open_announcement(data, site.anchor, NOBODY, NOW)
+        open_announcement(data, site.anchor, NONE_REVOKED, NOW)
 
 
 def test_one_datagram_is_the_limit(make: Make, site: Site, credentials: Credentials) -> None:
@@ -77,7 +77,7 @@ def test_one_datagram_is_the_limit(make: Make, site: Site, credentials: Credenti
             Announcement("x" * 255, 1, b"instance", 0, NOW),
         )
     with pytest.raises(AnnouncementRefused):
-        open_announcement(make() + bytes(MAX_SIZE), site.anchor, NOBODY, NOW)
+        open_announcement(make() + bytes(MAX_SIZE), site.anchor, NONE_REVOKED, NOW)
 
 
 def test_every_flipped_bit_and_every_cut_is_refused(make: Make, site: Site) -> None:
@@ -86,7 +86,7 @@ def test_every_flipped_bit_and_every_cut_is_refused(make: Make, site: Site) -> N
         flipped = bytearray(data)
         flipped[place // 8] ^= 1 << place % 8
         with pytest.raises(AnnouncementRefused):
-            open_announcement(bytes(flipped), site.anchor, NOBODY, NOW)
+            open_announcement(bytes(flipped), site.anchor, NONE_REVOKED, NOW)
     for length in range(0, len(data), 7):
         with pytest.raises(AnnouncementRefused):
-            open_announcement(data[:length], site.anchor, NOBODY, NOW)
+            open_announcement(data[:length], site.anchor, NONE_REVOKED, NOW)

@@ -161,7 +161,7 @@ def link(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "MulticastSocket", Link)
 
 
-async def hear(data: bytes) -> None:
+async def receive(data: bytes) -> None:
     await until(lambda: links)
     links[-1].outer.send(data)
 
@@ -172,8 +172,8 @@ async def test_a_master_that_answers_is_chosen(site: Site, make: Make) -> None:
     port = server.sockets[0].getsockname()[1]
     async with asyncio.TaskGroup() as group:
         finding = group.create_task(finder.find(site.anchor, settle=0.2))
-        await hear(b"garbage")
-        await hear(make(host="nowhere.invalid", port=port, issued=int(time.time())))
+        await receive(b"garbage")
+        await receive(make(host="nowhere.invalid", port=port, issued=int(time.time())))
     (found,) = finding.result()
     assert choose.uri_of(found) == f"http://127.0.0.1:{port}"
     server.close()
@@ -186,7 +186,7 @@ async def test_a_master_behind_a_firewall(site: Site, make: Make) -> None:
         port = closed.getsockname()[1]
     async with asyncio.TaskGroup() as group:
         finding = group.create_task(_refused(site))
-        await hear(make(host="127.0.0.1", port=port, issued=int(time.time())))
+        await receive(make(host="127.0.0.1", port=port, issued=int(time.time())))
     assert "a master announces itself, but nothing answers at 127.0.0.1 port" in finding.result()
 
 

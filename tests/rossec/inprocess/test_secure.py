@@ -65,9 +65,7 @@ async def test_an_invalid_setup_ends_the_program_with_a_hint(site: Site, tmp_pat
         assert "RAN" not in said
 
 
-async def test_a_late_or_repeated_call_and_another_name_are_refused(
-    site: Site, tmp_path: Path
-) -> None:
+async def test_late_and_repeated_calls_are_refused(site: Site, tmp_path: Path) -> None:
     site.enroll("/robot")
     (site.root / "rossec.toml").write_text("[rospy]\nallow_plain = []\n")
     source = (

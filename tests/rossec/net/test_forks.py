@@ -29,13 +29,13 @@ def in_child(work: Callable[[], object]) -> str:
     if child == 0:
         try:
             said = repr(work())
-        except BaseException as error:  # noqa: BLE001 - told to the parent
+        except BaseException as error:  # noqa: BLE001 - reported to the parent
             said = f"{type(error).__name__}: {error}"
         os.write(writing, said.encode())
         os._exit(0)
     os.close(writing)
-    with os.fdopen(reading) as told:
-        said = told.read()
+    with os.fdopen(reading) as report:
+        said = report.read()
     os.waitpid(child, 0)
     return said
 
@@ -83,7 +83,7 @@ def test_a_lock_held_at_the_fork_stops_no_child(listener: SecureListener[FakeIde
 def test_a_count_locked_at_the_fork_stops_no_child(
     listener: SecureListener[FakeIdentity],
 ) -> None:
-    """The parent counts strangers; a thread of it may be at that, and the child counts nobody."""
+    """The parent counts half-open connections; a thread may hold that lock at the fork."""
     with socket.create_connection(listener.getsockname()):
         stranger, _ = listener.accept()
         with stranger:

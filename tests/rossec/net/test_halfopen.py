@@ -1,4 +1,4 @@
-"""Who has a place, who lingers, and whose is taken when there is no room."""
+"""Slots of half-open connections: counting, lingering, eviction."""
 
 import gc
 import socket

@@ -247,7 +247,7 @@ def test_a_critical_unknown_extension_ends_the_handshake(ead: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("offered", "supported", "told"),
+    ("offered", "supported", "answered"),
     [
         ((4,), (6,), (6,)),
         ((6, 4), (6, 4), (6,)),  # a more preferred one was passed over: downgrade
@@ -256,12 +256,12 @@ def test_a_critical_unknown_extension_ends_the_handshake(ead: bytes) -> None:
     ],
 )
 def test_the_responder_insists_on_the_first_suite_it_uses(
-    offered: tuple[int, ...], supported: tuple[int, ...], told: tuple[int, ...]
+    offered: tuple[int, ...], supported: tuple[int, ...], answered: tuple[int, ...]
 ) -> None:
     responder = Responder(EdhocConfig(BOB, trust, dice("r"), suites=supported))
     with pytest.raises(WrongSuite) as caught:
         responder.message_1(Message1(0, offered, b"\x09" * 32, b"").encode())
-    assert caught.value.suites == told
+    assert caught.value.suites == answered
 
 
 def test_a_retry_has_the_whole_list_and_a_new_key() -> None:

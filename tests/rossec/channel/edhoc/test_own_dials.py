@@ -55,7 +55,7 @@ def test_another_process_with_the_same_key_is_not_this_one() -> None:
 
 
 def test_the_responder_checks_for_itself() -> None:
-    """Whoever holds the key elsewhere, and believes everything, is refused by the node itself."""
+    """Another holder of the key, whatever it accepts, is refused by the node itself."""
     careless = dataclasses.replace(ALICE, shared=True)
     w = wire(alice(credentials=careless), bob(credentials=ALICE, own_dials=OwnDials())).pump()
     assert isinstance(w.right.error, IdentityRefused)

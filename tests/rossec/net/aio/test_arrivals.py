@@ -13,7 +13,7 @@ from rossec.ros.header import FrameReader, frame
 
 
 class Script:
-    """Gives what it was told to, then nothing more."""
+    """Returns the given bytes, then nothing more."""
 
     def __init__(self, *units: bytes) -> None:
         self._units = list(units)

@@ -128,7 +128,7 @@ async def test_a_silent_address_does_not_hold_up_the_next(
 async def test_the_connected_address_does_not_wait_for_the_others(
     port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever is cancelled while it waits for the losers would lose the socket it has."""
+    """A caller cancelled while it waits for the other attempts would leak its socket."""
     resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", n) for n in (1, 2)])
     monkeypatch.setattr(module, "_STAGGER", 0.01)
     real, late, stubborn = module._attempt, [], asyncio.Event()

@@ -25,7 +25,7 @@ async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[Fa
     for record in itertools.islice(stream._driver.connection.seal_unit(WHOLE), 1):
         stream._driver.write(record)
     async with asyncio.timeout(30):
-        while not driver.connection.has_unfinished_unit:  # noqa: ASYNC110 - nobody tells
+        while not driver.connection.has_unfinished_unit:  # noqa: ASYNC110 - no event to wait for
             await asyncio.sleep(0.001)
     return driver
 

@@ -81,7 +81,7 @@ async def test_a_connection_that_ended_holds_nothing() -> None:
             with pytest.raises(ChannelClosed):
                 await stream.receive()
             del stream
-            while any(each() is not None for each in ended):  # noqa: ASYNC110 - nobody tells
+            while any(each() is not None for each in ended):  # noqa: ASYNC110 - no event to wait for
                 await asyncio.sleep(0.001)
         finally:
             gc.enable()
@@ -109,18 +109,18 @@ async def test_a_single_unit_is_offered_before_it_is_queued(
     server: SecureServer[FakeIdentity],
 ) -> None:
     async with await call(server) as stream:
-        told, offered = asyncio.Event(), list[bytes]()
+        called, offered = asyncio.Event(), list[bytes]()
 
         def take(unit: bytes) -> bool:
             offered.append(unit)
-            told.set()
+            called.set()
             return unit != b"kept"
 
-        stream.on_ready(told.set, take)
+        stream.on_ready(called.set, take)
         for unit in (b"taken", b"kept", b"behind"):
             await stream.send(unit)
-            await asyncio.wait_for(told.wait(), 10)
-            told.clear()
+            await asyncio.wait_for(called.wait(), 10)
+            called.clear()
         assert offered == [b"taken", b"kept"]
         assert (stream.next_unit(), stream.next_unit()) == (b"kept", b"behind")
         assert stream.next_unit() is None
@@ -188,11 +188,11 @@ async def test_an_abort_is_a_truncation_for_the_peer(server: SecureServer[FakeId
 async def test_when_closed_is_called_at_the_end_of_the_socket() -> None:
     async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
-        told: list[str] = []
-        stream.when_closed(lambda: told.append("then"))
+        called: list[str] = []
+        stream.when_closed(lambda: called.append("then"))
         await stream.close()
-        stream.when_closed(lambda: told.append("later"))
-        assert told == ["then", "later"]
+        stream.when_closed(lambda: called.append("later"))
+        assert called == ["then", "later"]
 
 
 async def test_a_peer_that_does_not_answer_the_close_is_aborted(

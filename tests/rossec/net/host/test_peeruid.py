@@ -117,7 +117,7 @@ def test_the_overflow_user_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path:
         require_user(local, {os.getuid()})
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
 def test_another_user_is_identified() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         where = server.getsockname()[:2]
@@ -154,7 +154,7 @@ def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
 
 
 def test_a_socket_without_a_holder_has_no_user(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel shows user 0 for it, who is somebody else."""
+    """The kernel shows user 0 for it, which is wrong."""
     entry = sockdiag.SocketEntry(1, (b"", 0), (b"", 0), 0, 0)
     monkeypatch.setattr(sockdiag, "find", lambda *_: entry)
     monkeypatch.setattr(sockdiag, "listener", lambda _: entry)

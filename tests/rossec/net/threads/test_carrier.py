@@ -51,7 +51,7 @@ def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
 
 
 def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
-    def nobody(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+    def refuse_all(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
         return trust((STRANGER.chain[0],), now)
 
     def serve() -> None:
@@ -61,7 +61,7 @@ def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
 
     thread = background(serve)
     with pytest.raises(IdentityRefused):
-        Secure.connect(listener.getsockname(), ALICE, nobody, 5)
+        Secure.connect(listener.getsockname(), ALICE, refuse_all, 5)
     thread.join(30)
 
 
@@ -77,7 +77,7 @@ def test_the_handshake_deadline() -> None:
 def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
     listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch, use: str
 ) -> None:
-    """Its confirmation, message_4, has waited in the kernel: nobody had read meanwhile."""
+    """Its confirmation, message_4, has waited in the kernel, without a reader."""
     left, right = pair(listener)
     with left, right:
         if use == "recv":

@@ -194,7 +194,7 @@ def test_a_side_that_only_sends_follows_its_peer(listener: SecureListener[FakeId
                 left.pump()
             left.sendall(b"%d" % number)
             assert right.recv(10) == b"%d" % number
-        right.sendall(b"nobody asks for this")
+        right.sendall(b"not asked for")
         right.close()
         while True:
             left.pump()
@@ -296,7 +296,7 @@ def test_pump_is_bounded_under_a_flood(
 def test_run_timers_renews_the_keys_of_an_idle_connection(
     listener: SecureListener[FakeIdentity],
 ) -> None:
-    """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
+    """Without reads and writes, renewals are begun and followed, and units stay."""
     left, right = pair(listener, limits=ChannelLimits(seconds=1))
     with left, right:
         left.sendall(b"map")
