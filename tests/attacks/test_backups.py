@@ -168,11 +168,7 @@ def crafted(genuine: Mapping[str, bytes], script: str, tmp_path: Path) -> Conten
 def test_a_record_with_a_trigger(
     empty: Shell, genuine: Content, script: str, tmp_path: Path
 ) -> None:
-    refused(
-        empty,
-        sealed(crafted(genuine, script, tmp_path)),
-        "the backup does not contain a valid authority",
-    )
+    refused(empty, sealed(crafted(genuine, script, tmp_path)), "does not contain a valid authority")
 
 
 def test_a_record_with_other_rows(empty: Shell, genuine: Content, tmp_path: Path) -> None:

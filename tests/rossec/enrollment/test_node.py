@@ -143,7 +143,7 @@ async def test_an_answer_that_was_lost_comes_again() -> None:
     assert authority.state is AuthorityState.ENROLLED
 
 
-async def test_a_rival_ends_it_for_both() -> None:
+async def test_a_conflicting_offer_ends_both_enrollments() -> None:
     async with waiting() as stage:
         _, _, first = await stage.offered()
         await first.read_until()
@@ -153,7 +153,7 @@ async def test_a_rival_ends_it_for_both() -> None:
         with pytest.raises(ConflictingOffer):
             await stage.ends(NodeState.ENROLLED)
         assert await second.is_left()
-    assert "127.0.0.1: two different offers" in stage.refused[0]
+    assert "127.0.0.1: this node received two different offers" in stage.refused[0]
 
 
 async def test_offers_without_the_secret_lock_the_code() -> None:

@@ -85,7 +85,7 @@ def test_a_revoked_or_unknown_intermediate_vouches_for_nobody(
     said = shell.unlocked("ca", "restore", backup, "--over", "home", "--forget", lost)
     assert said.code == 0, said
     said = shell.unlocked("ca", "import", bundle, "--yes")
-    refused(said, "the intermediate of /robot is not in this record", "make the intermediate anew")
+    refused(said, "the intermediate of /robot is not in this record", "make a new intermediate")
 
 
 def test_only_a_root_imports_and_never_its_own_node(shell: Shell, host: Shell) -> None:

@@ -101,7 +101,7 @@ def test_only_a_matching_bundle_is_installed(
     strange.write_bytes((shell.root / "host.csr").read_bytes())
     sign = ("ca", "intermediate", "sign", str(strange), "--may", "renew", "--yes")
     assert other.unlocked(*sign).code == 0
-    refused(host.unlocked(*install, str(other.root / "host.pem")), "of another root", "begin anew")
+    refused(host.unlocked(*install, str(other.root / "host.pem")), "of another root", "start again")
     again = host.unlocked(*install, str(shell.root / "host.pem"))
     assert again.code == 0
     home = AuthorityHome.at(host.root)

@@ -22,7 +22,7 @@ def test_an_identity_can_be_revoked(shell: Shell) -> None:
 def test_an_unknown_or_invalid_name_is_not_revoked(shell: Shell) -> None:
     refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no valid identity")
     refused(shell.unlocked("ca", "revoke", "robot"), "not an absolute ROS name", "/robot1/camera")
-    refused(shell.unlocked("ca", "revoke", "/ca"), "the authority's own node", "made anew")
+    refused(shell.unlocked("ca", "revoke", "/ca"), "the authority's own node", "create a new one")
     assert listed(shell) == frozenset()
 
 
@@ -43,4 +43,6 @@ def test_an_anonymous_node_is_revoked_with_its_identity(shell: Shell) -> None:
     request = str(shell.node("/rviz") / "node.csr")
     shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
     revoke = ("ca", "revoke", "/rviz_17", "--master", "http://127.0.0.1:1")
-    refused(shell.unlocked(*revoke), "/rviz_17 has no living", "nodes of /rviz: revoking that ends")
+    refused(
+        shell.unlocked(*revoke), "/rviz_17 has no valid", "nodes of /rviz: revoking that revokes"
+    )
