@@ -309,9 +309,6 @@ TestMoving = Moving.TestCase
 TestMoving.settings = settings(max_examples=30, stateful_step_count=20)
 
 
-ENTRIES = frozenset(n.to_bytes(16) for n in range(1, 40, 3))
-
-
 def test_an_expired_confirmation_admits_no_peer_and_closes_no_connection() -> None:
     state = fresh(A)
     state.expire_confirmation(NOW + 3)
