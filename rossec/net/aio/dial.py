@@ -3,10 +3,11 @@
 import asyncio
 import errno
 import socket
-from typing import Final, TypeAlias
+from typing import Final
+
+from aiohappyeyeballs import start_connection
 
 _STAGGER: Final = 0.25  # seconds; RFC 8305 section 5
-_Address: TypeAlias = tuple[int, tuple[str, int]]
 
 
 async def dial(host: str, port: int, within: float) -> socket.socket:
@@ -24,8 +25,7 @@ async def dial(host: str, port: int, within: float) -> socket.socket:
         async with asyncio.timeout(within):
             return await _complete(sock, (host, port))
     async with asyncio.timeout(within):
-        first, *others = await _addresses(host, port)
-        return await (_race([first, *others]) if others else _attempt(*first))
+        return await _race(host, port)
 
 
 def _family(host: str) -> int | None:
@@ -39,16 +39,17 @@ def _family(host: str) -> int | None:
     return None
 
 
-async def _addresses(host: str, port: int) -> list[_Address]:
-    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+async def _race(host: str, port: int) -> socket.socket:
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     if not found:
         raise OSError(f"no address for {host}")
-    return [(family, where) for family, _, _, _, where in found]  # type: ignore[misc]  # IPv6 has four
-
-
-async def _attempt(family: int, where: tuple[str, int]) -> socket.socket:
-    sock, connected = _begin(family, where)
-    return sock if connected else await _complete(sock, where)
+    cancelled = task is not None and task.cancelling()
+    sock = await start_connection(found, happy_eyeballs_delay=_STAGGER)
+    if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
+        sock.close()
+        raise asyncio.CancelledError
+    return sock
 
 
 def _begin(family: int, where: tuple[str, int]) -> tuple[socket.socket, bool]:
@@ -78,40 +79,3 @@ def _connected(sock: socket.socket) -> bool:
     except OSError:
         return False
     return True
-
-
-async def _race(addresses: list[_Address]) -> socket.socket:
-    """Begin with one; add the next after a delay, or at once after a failure."""
-    running: set[asyncio.Task[socket.socket]] = set()
-    waiting = list(addresses)
-    failure = OSError("no address answers")
-    try:
-        while waiting or running:
-            if waiting:
-                attempt = _attempt(*waiting.pop(0))
-                running.add(asyncio.get_running_loop().create_task(attempt))
-            stagger = _STAGGER if waiting else None
-            done, _ = await asyncio.wait(
-                running, timeout=stagger, return_when=asyncio.FIRST_COMPLETED
-            )
-            for task in done:
-                running.discard(task)
-                error = task.exception()
-                if error is None:
-                    return task.result()
-                failure = error if isinstance(error, OSError) else failure
-        raise failure
-    finally:
-        _abandon(running)
-
-
-def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
-    """Cancel without waiting: a caller cancelled just then would leak the connected socket."""
-    for task in tasks:
-        task.add_done_callback(_drop)
-        task.cancel()
-
-
-def _drop(task: asyncio.Task[socket.socket]) -> None:
-    if not task.cancelled() and task.exception() is None:
-        task.result().close()
