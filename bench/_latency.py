@@ -18,7 +18,7 @@ from ca.encoding import encode
 from grants.document import grant_id
 from grants.model import Right
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureStream, WireProtocol, connect, serve
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.node import Node
 from rossec.participant.access import FIELD
@@ -107,9 +107,8 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
         stream = await connect(
             "127.0.0.1",
             master.port,
-            member.credentials,
-            site.anchor.verify,
-            opening=WireProtocol.HTTP,
+            SecureContext(member.credentials, site.anchor.verify),
+            WireProtocol.HTTP,
         )
         found = RpcClient(stream)
         await found.ask("rossec.presentGrants", name, [member.grant])
@@ -121,7 +120,13 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
             _, one = await client(name)
             await one.ask("registerSubscriber", name, TOPIC, TYPE, where)
         live, first = await client("/live")
-        server = serve(slave, "127.0.0.1", 0, live.credentials, site.anchor.verify)
+        server = serve(
+            slave,
+            "127.0.0.1",
+            0,
+            SecureContext(live.credentials, site.anchor.verify),
+            WireProtocol.HTTP,
+        )
         uri = f"http://127.0.0.1:{server.port}/"
         await first.ask("registerSubscriber", "/live", TOPIC, TYPE, uri)
         _, talker = await client("/talker")
@@ -155,7 +160,9 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
             ends.append(time.perf_counter())
 
         async def join(member: EnrolledNode) -> SecureStream[Identity]:
-            stream = await connect(host, port, member.credentials, site.anchor.verify)
+            stream = await connect(
+                host, port, SecureContext(member.credentials, site.anchor.verify)
+            )
             fields: dict[str, str | bytes] = {
                 "callerid": member.name,
                 "topic": endpoint.topic,

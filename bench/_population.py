@@ -11,7 +11,7 @@ from bench._lines import Line, request
 from bench._masters import EnrolledNode
 from ca.certificates import Identity, TrustAnchor
 from rossec.errors import RossecError
-from rossec.net.aio import SecureStream, WireProtocol, connect, serve
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 
 TYPE = "std_msgs/String"
@@ -28,7 +28,9 @@ async def _slave(stream: SecureStream[Identity]) -> None:
 
 async def join(member: EnrolledNode, port: int, anchor: TrustAnchor) -> RpcClient:
     """One node: a control connection that stays, a slave API, three registrations, a parameter."""
-    slave = serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
+    slave = serve(
+        _slave, "127.0.0.1", 0, SecureContext(member.credentials, anchor.verify), WireProtocol.HTTP
+    )
     uri = f"http://127.0.0.1:{slave.port}/"
     for _ in range(_ATTEMPTS):  # as nodes do: a machine that is busy with others may be too slow
         with contextlib.suppress(RossecError):
@@ -38,7 +40,7 @@ async def join(member: EnrolledNode, port: int, anchor: TrustAnchor) -> RpcClien
 
 async def _register(member: EnrolledNode, uri: str, port: int, anchor: TrustAnchor) -> RpcClient:
     stream = await connect(
-        "127.0.0.1", port, member.credentials, anchor.verify, opening=WireProtocol.HTTP
+        "127.0.0.1", port, SecureContext(member.credentials, anchor.verify), WireProtocol.HTTP
     )
     client = RpcClient(stream, deadline=60)
     await client.ask("rossec.presentGrants", member.name, [member.grant])

@@ -27,7 +27,7 @@ from rossec.channel.connection import Connection
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureStream, connect, serve
+from rossec.net.aio import SecureContext, SecureStream, connect, serve
 
 SIZES = (64, 1024, 16 * 1024, 256 * 1024, 1024 * 1024, 6 * 1024 * 1024)
 VOLUME = {64: 256 * 1024, 1024: 2 << 20}  # bytes per slice; the others below
@@ -104,10 +104,12 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
             secure,
             "127.0.0.1",
             0,
-            _site.credentials(folder, "server"),
-            _site.anchor(folder).verify,
-            suites=POST_QUANTUM["prefer"],
-            known=KnownCertificates(),
+            SecureContext(
+                _site.credentials(folder, "server"),
+                _site.anchor(folder).verify,
+                suites=POST_QUANTUM["prefer"],
+                known=KnownCertificates(),
+            ),
         )
         ports.put((*(s.sockets[0].getsockname()[1] for s in (a, b)), c.port))
         await asyncio.Event().wait()
@@ -163,16 +165,16 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
         return Pipe(None, opened)
 
     async def rossec() -> Pipe:
-        return Pipe(await connect("127.0.0.1", ports[2], own, verify))
+        return Pipe(await connect("127.0.0.1", ports[2], SecureContext(own, verify)))
 
     async def hybrid() -> Pipe:
         suites = POST_QUANTUM["require"]
-        return Pipe(await connect("127.0.0.1", ports[2], own, verify, suites=suites))
+        return Pipe(await connect("127.0.0.1", ports[2], SecureContext(own, verify, suites=suites)))
 
     known = KnownCertificates()
 
     async def request_x5t() -> Pipe:
-        return Pipe(await connect("127.0.0.1", ports[2], own, verify, known=known))
+        return Pipe(await connect("127.0.0.1", ports[2], SecureContext(own, verify, known=known)))
 
     makers: Makers = {
         "plain": plain,

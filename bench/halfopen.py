@@ -25,7 +25,7 @@ from typing import TypeAlias
 from bench import _site
 from ca.certificates import Identity
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureStream, connect, serve
+from rossec.net.aio import SecureContext, SecureStream, connect, serve
 
 COUNT = 10_000
 WAVES = 10
@@ -45,7 +45,9 @@ def _server(folder: Path, ports: "Queue[int]") -> None:
 
     async def main() -> None:
         own = _site.credentials(folder, "server")
-        async with serve(echo, "127.0.0.1", 0, own, _site.anchor(folder).verify) as server:
+        async with serve(
+            echo, "127.0.0.1", 0, SecureContext(own, _site.anchor(folder).verify)
+        ) as server:
             ports.put(server.port)
             await asyncio.Event().wait()
 
@@ -57,7 +59,7 @@ def _client(folder: Path, port: int, done: Event, rates: "Queue[list[Slice]]") -
 
     async def main() -> list[Slice]:
         own = _site.credentials(folder, "client")
-        stream = await connect("127.0.0.1", port, own, _site.anchor(folder).verify)
+        stream = await connect("127.0.0.1", port, SecureContext(own, _site.anchor(folder).verify))
         slices = []
         while not done.is_set():
             count, begin = 0, time.monotonic()
@@ -124,7 +126,9 @@ async def _newcomer(folder: Path, port: int) -> float:
     own, begin = _site.credentials(folder, "client"), time.monotonic()
     while True:
         try:
-            async with await connect("127.0.0.1", port, own, _site.anchor(folder).verify) as stream:
+            async with await connect(
+                "127.0.0.1", port, SecureContext(own, _site.anchor(folder).verify)
+            ) as stream:
                 await stream.send(b"x")
                 await stream.receive()
                 return time.monotonic() - begin

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from rossec.environment import rossec_home
 from rossec.errors import RossecError
 from rossec.home import NodeHome
-from rossec.net.aio import connect
+from rossec.net.aio import SecureContext, connect
 from rossec.terminal import say_json
 
 
@@ -40,7 +40,7 @@ async def main(name: str, port: int) -> None:
     """Try to get a secure connection to the node listening on `port`."""
     home = NodeHome.of(rossec_home(os.environ), name)
     try:
-        stream = await connect("127.0.0.1", port, home.credentials(), accept_any)
+        stream = await connect("127.0.0.1", port, SecureContext(home.credentials(), accept_any))
         await stream.send(b"let me in")
         await stream.receive()
     except RossecError as error:

@@ -101,11 +101,7 @@ class BackgroundLoop:
 
     def _new_dialer(self) -> Dialer:
         local_identity = self._local_identity
-        return Dialer(
-            local_identity.name, local_identity.credentials, local_identity.anchor,
-            local_identity.access.check_peer,
-            suites=local_identity.suites,
-        )  # fmt: skip
+        return Dialer(local_identity.name, local_identity.context, local_identity.access.check_peer)
 
     # -- from other threads
 

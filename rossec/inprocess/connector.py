@@ -1,17 +1,14 @@
 """Makes the secure connections of one process, both ways; `sockets` adapts them to rospy."""
 
-import secrets
 import socket
 from functools import partial
 from typing import Final
 from weakref import WeakKeyDictionary
 
 from ca.certificates import Identity
-from rossec.channel.connection import Connection
 from rossec.channel.opening import WireProtocol
-from rossec.inprocess.identity import LocalIdentity, now
-from rossec.net.bounds import ACCEPTED, DIALLED
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.inprocess.identity import LocalIdentity
+from rossec.net.halfopen import HalfOpenSlot
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.own_addresses import Address, OwnAddresses
 
@@ -24,14 +21,10 @@ class Connector:
     """Makes the secure connections of one process, both ways."""
 
     def __init__(
-        self,
-        local_identity: LocalIdentity,
-        half_open: HalfOpen = HalfOpen(),  # noqa: B008 - frozen
-        own_addresses: OwnAddresses | None = None,
+        self, local_identity: LocalIdentity, own_addresses: OwnAddresses | None = None
     ) -> None:
         self._local_identity = local_identity
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
-        self._half_open = HalfOpenCount(half_open)
         self._slots: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
 
     def initiate(self, sock: socket.socket, protocol: WireProtocol, address: Address) -> Stream:
@@ -40,28 +33,20 @@ class Connector:
         Raises:
             ChannelError: the handshake failed; the socket is closed.
         """
-        core = Connection.initiator(
-            self._local_identity.credentials, self._local_identity.anchor.verify,
-            random=secrets.token_bytes, now=now(), opening=protocol, limits=DIALLED[protocol],
-            suites=self._local_identity.suites,
-            own_dials=self._own_addresses.own_dials_for(address),
-        )  # fmt: skip
-        stream = SecureSocket(sock, core)
-        try:
-            stream.settimeout(CONNECT_TIMEOUT)
-            stream.do_handshake()
-            stream.settimeout(None)
-        except BaseException:
-            stream.close()
-            raise
-        return stream
+        return SecureSocket.initiate(
+            sock,
+            self._local_identity.context,
+            protocol,
+            to_itself=self._own_addresses.is_own(address),
+            timeout=CONNECT_TIMEOUT,
+        )
 
     def admit(self, sock: socket.socket, address: str) -> bool:
         """Whether one more half-open connection is within the limits.
 
         It counts until the peer is authenticated, or `sock` is closed.
         """
-        slot = self._half_open.admit(address)
+        slot = self._local_identity.context.half_open.admit(address)
         if slot is not None:
             slot.bind(sock)
             self._slots[sock] = slot
@@ -80,11 +65,7 @@ class Connector:
             OSError: it is gone already.
         """
         try:
-            core = Connection.responder(
-                self._local_identity.credentials, self._local_identity.anchor.verify,
-                random=secrets.token_bytes, now=now(), accept={protocol}, limits=ACCEPTED[protocol],
-                suites=self._local_identity.suites, own_dials=self._own_addresses.dials,
-            )  # fmt: skip
+            core = self._local_identity.context.responder(protocol)
             sock.settimeout(None)  # rospy sets a default for all sockets of the process
             return SecureSocket(sock, core, partial(self.release, sock))
         except BaseException:

@@ -5,6 +5,7 @@ fresh, and every peer that is checked would be refused.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from threading import RLock
 
 from ca.certificates import Identity
@@ -13,6 +14,7 @@ from grants.model import Right
 from rossec import clock
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
+from rossec.net.context import SecureContext
 from rossec.participant.access import Access, HeldGrant
 from rossec.participant.connections import AuthorizedPeer, termination_reason
 from rossec.saved_revocations import saved_revocations
@@ -104,10 +106,10 @@ class LocalIdentity:
 
     def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
         self.name = name
-        self.suites = suites
         self.home = home
         self.anchor = home.anchor()
         self.credentials = home.credentials()
+        self.context = SecureContext(self.credentials, self.anchor.verify, suites=suites)
         self.identity = home.identity(now())
         self.revocations = saved_revocations(home, self.anchor, now())
         self.access = LockedAccess(Access(self.anchor, self.revocations))
@@ -149,6 +151,7 @@ class LocalIdentity:
         if credentials.chain == self.credentials.chain:
             return False
         self.identity, self.credentials = self.home.identity(now()), credentials
+        self.context = replace(self.context, credentials=credentials)  # one step for other threads
         return True
 
     def termination_reason(self, connection: AuthorizedPeer) -> str | None:

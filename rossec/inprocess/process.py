@@ -48,7 +48,7 @@ class SecuredProcess:
     def begin(self, local_identity: LocalIdentity, master: tuple[str, int]) -> None:
         """Use `local_identity` and the master at that address from now on."""
         connector, registrations = (
-            Connector(local_identity, own_addresses=self.own_addresses),
+            Connector(local_identity, self.own_addresses),
             Registrations(local_identity.name, clock.counter()),
         )
         background_loop = BackgroundLoop(self, local_identity, registrations, master)

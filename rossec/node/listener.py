@@ -11,16 +11,11 @@ from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Final
 
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from rossec import clock
-from rossec.channel.edhoc.credentials import OwnCredential
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.errors import ConnectionHeaderRefused
-from rossec.net.aio import SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.bounds import ACCEPTED
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node.publisher import Publisher
 from rossec.node.services import Services
@@ -50,30 +45,22 @@ class Listener:
     def __init__(
         self,
         name: str,
-        credentials: OwnCredential,
-        anchor: TrustAnchor,
+        context: SecureContext[Identity],
         access: Access,
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
-        *,
-        suites: tuple[int, ...] = PRODUCTION,
-        known: KnownCertificates | None = None,
-        own_addresses: OwnAddresses | None = None,
+        own_addresses: OwnAddresses,
     ) -> None:
         self._name = name
-        self._credentials = credentials
-        self._anchor = anchor
+        self._context = context
         self._access = access
         self._publishers = publishers
         self._services = services
         self._slave = slave
-        self._suites = suites
-        self._known = known
-        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
+        self._own_addresses = own_addresses
         self._servers: list[SecureServer[Identity]] = []
         self._accepted = AcceptedConnections()
-        self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
 
     @property
     def slave_port(self) -> int:
@@ -88,23 +75,11 @@ class Listener:
     async def start(self, address: str) -> None:
         """Listen; on loopback only when `address`, which the node registers, is loopback."""
         bind = address if is_loopback(address) else None
-        for handler, flavour in (
+        for handler, protocol in (
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
         ):
-            server = serve(
-                self._accepted.bounded(handler),
-                bind,
-                0,
-                self._credentials,
-                self._anchor.verify,
-                accept={flavour},
-                limits=ACCEPTED[flavour],
-                suites=self._suites,
-                known=self._known,
-                own_dials=self._own_addresses.dials,
-                half_open=self._half_open,
-            )
+            server = serve(self._accepted.bounded(handler), bind, 0, self._context, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
 

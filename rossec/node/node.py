@@ -22,7 +22,7 @@ from rossec.channel.suite_selection import post_quantum
 from rossec.environment import own_home
 from rossec.errors import AnswerRefused, NodeShutdown
 from rossec.home import NodeHome
-from rossec.net.aio import SecureStream
+from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.node.context import NodeContext
 from rossec.node.listener import Listener
@@ -83,11 +83,12 @@ class Node:
         self.identity = self.home.identity(clock.now())
         self.revocations = saved_revocations(self.home, self.anchor, clock.now())
         self.access = Access(self.anchor, self.revocations)
-        suites, known, own_addresses = post_quantum(environ), KnownCertificates(), OwnAddresses()
-        self._dialer = Dialer(
-            self.name, self.credentials, self.anchor, self.access.check_peer,
-            suites=suites, known=known, own_addresses=own_addresses,
+        secure = SecureContext(
+            self.credentials, self.anchor.verify,
+            suites=post_quantum(environ), known=KnownCertificates(),
         )  # fmt: skip
+        own_addresses = OwnAddresses()
+        self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses)
         self._grant_directory = GrantDirectory(self.home, self.access)
         self._grant_directory.take_new()
         self._tasks = TaskSet(on_crash=self._crashed)
@@ -116,9 +117,8 @@ class Node:
         self.params = NodeParameters(context, self.settings.resolve)
         self._identity_renewal = IdentityRenewal(self.home, self.credentials, clock.now())
         self._listener = Listener(
-            self.name, self.credentials, self.anchor, self.access,
-            self._topics.publishers, self.services, SlaveApi(self),
-            suites=suites, known=known, own_addresses=own_addresses,
+            self.name, secure, self.access,
+            self._topics.publishers, self.services, SlaveApi(self), own_addresses,
         )  # fmt: skip
         self._watchdog = ConnectionWatchdog(self.revocations, self._connections, self._listener)
         self._host = ""

@@ -7,14 +7,10 @@ which the master has sent it as well, and the subscriber's grant for that topic.
 
 from collections.abc import Callable
 
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity
 from rossec import clock
-from rossec.channel.edhoc.credentials import OwnCredential
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.errors import ConnectionHeaderRefused
-from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.bounds import DIALLED
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.ros import settings
@@ -28,20 +24,13 @@ class Dialer:
     def __init__(
         self,
         name: str,
-        credentials: OwnCredential,
-        anchor: TrustAnchor,
+        context: SecureContext[Identity],
         check_peer: CheckPeer,
-        *,
-        suites: tuple[int, ...] = PRODUCTION,
-        known: KnownCertificates | None = None,
         own_addresses: OwnAddresses | None = None,
     ) -> None:
         self._name = name
-        self._credentials = credentials
-        self._anchor = anchor
+        self._context = context
         self._check_peer = check_peer
-        self._suites = suites
-        self._known = known
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
@@ -69,18 +58,11 @@ class Dialer:
         self._check_identity(stream)
         return stream
 
-    async def _connect(self, host: str, port: int, opening: WireProtocol) -> SecureStream[Identity]:
-        return await connect(
-            host,
-            port,
-            self._credentials,
-            self._anchor.verify,
-            opening=opening,
-            limits=DIALLED[opening],
-            suites=self._suites,
-            known=self._known,
-            own_dials=self._own_addresses.own_dials_for((host, port)),
-        )
+    async def _connect(
+        self, host: str, port: int, protocol: WireProtocol
+    ) -> SecureStream[Identity]:
+        to_itself = self._own_addresses.is_own((host, port))
+        return await connect(host, port, self._context, protocol, to_itself=to_itself)
 
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
         self._check_identity(stream)

@@ -4,7 +4,6 @@ An address that a peer sends is not enough: the answer to `requestTopic` could s
 itself. A redirect from another node to this one is therefore refused (`check_redirect`).
 """
 
-from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.errors import ConnectionHeaderRefused
 
 Address = tuple[str, int]
@@ -15,12 +14,10 @@ class OwnAddresses:
 
     Attributes:
         host: the host name it registers; empty while it does not listen.
-        dials: its connections to itself.
     """
 
     def __init__(self) -> None:
         self.host = ""
-        self.dials = OwnDials()
         self._ports: set[int] = set()
 
     def add_ports(self, host: str, *ports: int) -> None:
@@ -32,10 +29,6 @@ class OwnAddresses:
         """Whether this node listens at this host and port."""
         host, port = address
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
-
-    def own_dials_for(self, address: Address) -> OwnDials | None:
-        """Where a connection to `address` is recorded; None: it is to another node."""
-        return self.dials if self.is_own(address) else None
 
     def check_redirect(self, first: Address, then: Address) -> None:
         """Refuse a redirect from another node back to this one.

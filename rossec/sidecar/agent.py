@@ -10,11 +10,12 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.home import NodeHome
-from rossec.net.aio import SecureStream
+from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
 from rossec.participant.access import Access
@@ -25,7 +26,7 @@ from rossec.ros.settings import Settings
 from rossec.saved_revocations import saved_revocations
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.connection_cache import ConnectionCache
-from rossec.sidecar.connector import PeerConnector
+from rossec.sidecar.connector import ACCEPT_LIMITS, PeerConnector
 from rossec.sidecar.core import master_calls
 from rossec.sidecar.core.endpoints import Endpoint, EndpointMap
 from rossec.sidecar.core.layers import AgentState
@@ -69,7 +70,11 @@ class Agent:
         self.state = AgentState(
             identity, access, endpoints, master_uri, known_type, publisher_grace
         )
-        self._connector = PeerConnector(credentials, anchor, access, suites, half_open)
+        context = SecureContext(
+            credentials, anchor.verify, suites=suites, known=KnownCertificates(),
+            accept_limits=ACCEPT_LIMITS, half_open=half_open,
+        )  # fmt: skip
+        self._connector = PeerConnector(context, access)
         self._connections, accepted = PeerConnections(revocations), AcceptedConnections()
         self._watchdog = ConnectionWatchdog(revocations, lambda: self._connections, accepted)
         self._membership = Membership(

@@ -5,19 +5,15 @@ A shell. A peer is checked before anything is sent to it.
 
 from typing import Final
 
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from rossec import clock
-from rossec.channel.edhoc.credentials import OwnCredential
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp
-from rossec.net.aio import SecureStream, connect
+from rossec.net.aio import SecureContext, SecureStream, connect
 from rossec.net.aio.server import Handler, SecureServer, serve
-from rossec.net.bounds import ACCEPTED, DIALLED, PREAUTH_LIMIT
-from rossec.net.halfopen import HalfOpenCount
+from rossec.net.bounds import ACCEPTED, PREAUTH_LIMIT
 from rossec.participant.access import Access
 from rossec.ros.header import MESSAGE_LIMIT
 from rossec.ros.settings import is_loopback
@@ -26,7 +22,7 @@ from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.loopback_port import bind_free_port
 
 # Peers send headers and requests; what programs send leaves in small units.
-_ACCEPTED: Final = {
+ACCEPT_LIMITS: Final = {
     **ACCEPTED,
     WireProtocol.TCPROS: ChannelLimits(
         unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT
@@ -35,27 +31,11 @@ _ACCEPTED: Final = {
 
 
 class PeerConnector:
-    """Authenticates with `credentials`; peers need a certificate of `anchor`, valid for `access`.
+    """Authenticates with `context`; the identities of peers must be valid for `access`."""
 
-    Args:
-        half_open: the unauthenticated connections at all ports of this process.
-    """
-
-    def __init__(
-        self,
-        credentials: OwnCredential,
-        anchor: TrustAnchor,
-        access: Access,
-        suites: tuple[int, ...],
-        half_open: HalfOpenCount,
-    ) -> None:
-        self._half_open = half_open
-        self._credentials = credentials
-        self._anchor = anchor
+    def __init__(self, context: SecureContext[Identity], access: Access) -> None:
+        self._context = context
         self._access = access
-        self._suites = suites
-        self._known = KnownCertificates()
-        self._own_dials = OwnDials()
 
     async def dial(
         self, remote: Endpoint, *, allow_stale: bool = False, own_identity: bool = False
@@ -69,7 +49,9 @@ class PeerConnector:
         Raises:
             HangUp: the identity is invalid, or its revocation status unknown.
         """
-        stream = await self._connect(remote, self._own_dials if own_identity else None)
+        stream = await connect(
+            remote.host, remote.port, self._context, remote.protocol, to_itself=own_identity
+        )
         try:
             self._access.check_peer(stream.peer, clock.now())
         except HintedError as error:
@@ -77,15 +59,6 @@ class PeerConnector:
                 stream.abort("the peer's identity is invalid")
                 raise HangUp(str(error), error.hint) from error
         return stream
-
-    async def _connect(
-        self, remote: Endpoint, own_dials: OwnDials | None
-    ) -> SecureStream[Identity]:
-        return await connect(
-            remote.host, remote.port, self._credentials, self._anchor.verify,
-            opening=remote.protocol, limits=DIALLED[remote.protocol],
-            suites=self._suites, known=self._known, own_dials=own_dials,
-        )  # fmt: skip
 
     def listen(
         self, handler: Handler[Identity], host: str, protocol: WireProtocol
@@ -95,10 +68,4 @@ class PeerConnector:
         The port is bound explicitly, so that the kernel reserves it while the server is suspended.
         """
         bind = host if is_loopback(host) else None
-        return bind_free_port(
-            lambda port: serve(
-                handler, bind, port, self._credentials, self._anchor.verify,
-                accept={protocol}, limits=_ACCEPTED[protocol], half_open=self._half_open,
-                suites=self._suites, known=self._known, own_dials=self._own_dials,
-            )
-        )  # fmt: skip
+        return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))

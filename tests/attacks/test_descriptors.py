@@ -5,6 +5,7 @@ The attacker is a process of its own; what is counted are the descriptors of the
 
 import asyncio
 import contextlib
+import socket
 import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from rossec.channel.opening import WireProtocol
 from rossec.enrollment.node import WaitingNode
 from rossec.errors import ChannelError
-from rossec.net.aio import connect
+from rossec.net.aio import SecureContext, connect
 from rossec.net.halfopen import HalfOpen
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant import connections
@@ -92,7 +93,10 @@ async def watched(pid: int | None = None) -> AsyncIterator[list[int]]:
 async def served(site: Site, port: int, protocol: WireProtocol) -> None:
     """An honest caller is authenticated at its first attempt."""
     stream = await connect(
-        HOST, port, site.enroll("/honest").credentials(), site.anchor.verify, opening=protocol
+        HOST,
+        port,
+        SecureContext(site.enroll("/honest").credentials(), site.anchor.verify),
+        protocol,
     )
     stream.abort("done")
 
@@ -158,11 +162,11 @@ async def test_an_enrolled_caller_that_never_closes_is_limited(
 ) -> None:
     """It is refused after it was authenticated; its open socket still counts as its own."""
     monkeypatch.setattr(connections, "PEER_CONNECTIONS", 8)
-    own, verify, held = credentials(site), site.anchor.verify, []
+    own, held = SecureContext(credentials(site), site.anchor.verify), []
     async with site.node("/robot") as robot, watched() as most:
         for _ in range(40):
-            place = (HOST, robot.topic_endpoint()[1])
-            held.append(await asyncio.to_thread(SecureSocket.connect, place, own, verify, 30))
+            dialled = socket.create_connection((HOST, robot.topic_endpoint()[1]))
+            held.append(await asyncio.to_thread(SecureSocket.initiate, dialled, own, timeout=30))
             with contextlib.suppress(ChannelError):
                 held[-1].sendall(b"no header of a connection")
         assert most[0] - len(held) <= 8 + 8

@@ -11,7 +11,7 @@ import pytest
 
 from ca.encoding import encode
 from grants.model import Restriction, Right
-from rossec.net.aio import connect
+from rossec.net.aio import SecureContext, connect
 from rossec.participant.access import FIELD
 from rossec.ros import header
 from tests.support.attacker import EVE, HOST
@@ -107,7 +107,9 @@ async def test_calls_over_many_connections_share_the_rate(site: Site) -> None:
     async with lamp(site, calls) as node:
         for persistent in ("0", "1") * 5:
             stream = await connect(
-                HOST, node.topic_endpoint()[1], site.enroll(EVE).credentials(), site.anchor.verify
+                HOST,
+                node.topic_endpoint()[1],
+                SecureContext(site.enroll(EVE).credentials(), site.anchor.verify),
             )
             fields = {
                 "callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent,

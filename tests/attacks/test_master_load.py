@@ -15,7 +15,7 @@ import pytest
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.master.operation.limits import MasterLimits
-from rossec.net.aio import SecureStream, serve
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import xmlrpc
 from rossec.ros.xmlrpc import Fault
@@ -132,7 +132,9 @@ async def test_m9_what_a_node_answers_is_bounded(
 
     home = site.enroll(EVE)
     async with (
-        serve(flood, HOST, 0, home.credentials(), site.anchor.verify) as server,
+        serve(
+            flood, HOST, 0, SecureContext(home.credentials(), site.anchor.verify), WireProtocol.HTTP
+        ) as server,
         caller(site, EVE, {"/t": Right.SUBSCRIBE | Right.PUBLISH}) as eve,
     ):
         uri = f"http://{HOST}:{server.port}/"

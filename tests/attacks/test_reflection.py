@@ -15,7 +15,7 @@ from ca.errors import HintedError
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, IdentityRefused
-from rossec.net.aio import SecureStream, serve
+from rossec.net.aio import SecureContext, SecureStream, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import Node, Subscriber
 from rossec.participant.slave_api import NO_TRANSPORT
@@ -111,7 +111,9 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
         await serve_calls(stream, answer)
 
     verify = site.anchor.verify
-    async with serve(api, HOST, 0, credentials(site), verify, accept={WireProtocol.HTTP}) as server:
+    async with serve(
+        api, HOST, 0, SecureContext(credentials(site), verify), WireProtocol.HTTP
+    ) as server:
         yield f"http://{HOST}:{server.port}/"
 
 

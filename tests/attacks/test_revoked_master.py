@@ -22,7 +22,7 @@ from rossec import clock
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
-from rossec.net.aio import SecureStream, WireProtocol, serve
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import Node
 from rossec.participant import master_session
@@ -81,9 +81,8 @@ async def instead_of_the_master(
         handle,
         "127.0.0.1",
         port,
-        home.credentials(),
-        site.anchor.verify,
-        accept={WireProtocol.HTTP},
+        SecureContext(home.credentials(), site.anchor.verify),
+        WireProtocol.HTTP,
     )
     try:
         yield told

@@ -17,7 +17,7 @@ import pytest_asyncio
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureStream, connect
+from rossec.net.aio import SecureContext, SecureStream, connect
 from rossec.participant.access import FIELD
 from rossec.ros import header
 from rossec.ros.header import FrameReader
@@ -78,7 +78,7 @@ class Target:
     async def connect(self, fields: dict[str, Any]) -> SecureStream[Any]:
         """One more connection of Eve's, with its header answered."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
-        stream = await connect(HOST, self.port, credentials, verify)
+        stream = await connect(HOST, self.port, SecureContext(credentials, verify))
         await stream.send(header.encode(fields))
         return stream
 

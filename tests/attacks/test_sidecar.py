@@ -18,7 +18,7 @@ import pytest
 from grants.model import Restriction, Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
-from rossec.net.aio import connect
+from rossec.net.aio import SecureContext, connect
 from rossec.net.aio.dial import dial
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc.client import RpcClient
@@ -204,7 +204,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     agent = near._agent_for("/robot")
     port = next(iter(agent._ingress.ports)).port
     stream = await connect(
-        "127.0.0.1", port, home.credentials(), site.anchor.verify, opening=WireProtocol.HTTP
+        "127.0.0.1", port, SecureContext(home.credentials(), site.anchor.verify), WireProtocol.HTTP
     )
     client = RpcClient(stream)
     for method, params in (

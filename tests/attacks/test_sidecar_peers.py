@@ -12,7 +12,7 @@ from ca.revocation.state import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError
-from rossec.net.aio import SecureServer, SecureStream, connect, serve
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, serve
 from rossec.net.aio.dial import dial
 from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
 from rossec.participant.access import FIELD
@@ -53,7 +53,9 @@ async def connect_as_mallory(
 ) -> SecureStream[Identity]:
     """Connect as /mallory to a port of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
-    return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=protocol)
+    return await connect(
+        "127.0.0.1", port, SecureContext(credentials, site.anchor.verify), protocol
+    )
 
 
 def port_of(near: Sidecar) -> SecureServer[Identity]:
@@ -91,7 +93,13 @@ async def false_publisher(site: Site, answer: object) -> AsyncIterator[str]:
     async def handler(stream: SecureStream[Identity]) -> None:
         await serve_calls(stream, lambda *_: answer)
 
-    server = serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
+    server = serve(
+        handler,
+        "127.0.0.1",
+        0,
+        SecureContext(home.credentials(), site.anchor.verify),
+        WireProtocol.HTTP,
+    )
     assert site.master is not None
     port = int(site.master.uri.rstrip("/").rpartition(":")[2])
     client = RpcClient(await connect_as_mallory(site, port, WireProtocol.HTTP))

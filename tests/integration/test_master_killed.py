@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
-from rossec.net.aio import WireProtocol, connect
+from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node
 from tests.support.masterprocess import MasterProcess, master_process
@@ -23,9 +23,8 @@ async def client_of(master: MasterProcess, name: str) -> RpcClient:
     stream = await connect(
         "127.0.0.1",
         master.port,
-        home.credentials(),
-        home.anchor().verify,
-        opening=WireProtocol.HTTP,
+        SecureContext(home.credentials(), home.anchor().verify),
+        WireProtocol.HTTP,
     )
     client = RpcClient(stream)
     await client.ask("rossec.presentGrants", name, home.grants())

@@ -19,7 +19,7 @@ from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureStream, WireProtocol, connect
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import FIELD
 from rossec.ros import header
@@ -58,7 +58,7 @@ async def send_header(
     port: int, credentials: Credentials, fields: Mapping[str, str | bytes], at_most: int = 1 << 20
 ) -> Reply:
     """Send a connection header to a topic port and take everything that comes until the end."""
-    stream = await connect(HOST, port, credentials, accept_any)
+    stream = await connect(HOST, port, SecureContext(credentials, accept_any))
     data = b""
     try:
         await stream.send(header.encode(fields))
@@ -76,7 +76,7 @@ async def send_header(
 async def dial(uri: str, credentials: Credentials) -> SecureStream[UnverifiedPeer]:
     """A secure connection to the XML-RPC port in `uri`."""
     port = int(uri.rstrip("/").rpartition(":")[2])
-    return await connect(HOST, port, credentials, accept_any, opening=WireProtocol.HTTP)
+    return await connect(HOST, port, SecureContext(credentials, accept_any), WireProtocol.HTTP)
 
 
 async def call(uri: str, credentials: Credentials, method: str, *params: object) -> object:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from grants.model import Right
 from rossec.demo.intruder import UnverifiedPeer
-from rossec.net.aio import SecureStream, serve
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from tests.support.attacker import HOST, credentials, dial
 from tests.support.site import Site
@@ -67,7 +67,9 @@ async def caller(
         await serve_calls(stream, found.dispatch)
 
     own = site.enroll(name)
-    async with serve(slave, HOST, 0, own.credentials(), site.anchor.verify) as server:
+    async with serve(
+        slave, HOST, 0, SecureContext(own.credentials(), site.anchor.verify), WireProtocol.HTTP
+    ) as server:
         found.uri = f"http://{HOST}:{server.port}/"
         assert (await found("rossec.presentGrants", own.grants()))[0] == 1
         try:

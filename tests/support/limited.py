@@ -9,7 +9,7 @@ from typing import Any, Final
 from ca.certificates import Identity
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureStream, connect
+from rossec.net.aio import SecureContext, SecureStream, connect
 from rossec.node import Node, Publisher
 from rossec.ros import header
 from rossec.ros.header import FrameReader
@@ -41,7 +41,9 @@ class Eve:
         """One more connection; returns once the publisher has it."""
         before = len(self.publisher.links)
         stream = await connect(
-            HOST, self.port, self.site.enroll(EVE).credentials(), self.site.anchor.verify
+            HOST,
+            self.port,
+            SecureContext(self.site.enroll(EVE).credentials(), self.site.anchor.verify),
         )
         await stream.send(header.encode(fields_for(EVE, TOPIC, [self.grant])))
         await until(lambda: len(self.publisher.links) == before + 1)

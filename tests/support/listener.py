@@ -4,34 +4,21 @@
 half open until it is authenticated or gone.
 """
 
-import secrets
 import socket
 from typing import Any, Generic
 
-from rossec import clock
-from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.opening import WireProtocol
+from rossec.net.context import SecureContext
 from rossec.net.threads.secure_socket import SecureSocket
 
 
 class SecureListener(Generic[PeerT]):
-    """A listening socket whose connections are secure; `options` are `Connection.responder`'s."""
+    """A listening socket whose connections are secure."""
 
-    def __init__(
-        self,
-        sock: socket.socket,
-        credentials: OwnCredential,
-        verify: Verify[PeerT],
-        *,
-        half_open: HalfOpen = HalfOpen(),  # noqa: B008 - frozen
-        **options: Any,
-    ) -> None:
+    def __init__(self, sock: socket.socket, context: SecureContext[PeerT]) -> None:
         self._socket = sock
-        self._credentials = credentials
-        self._verify: Verify[PeerT] = verify
-        self._options = options
-        self._count = HalfOpenCount(half_open)
+        self._context = context
 
     def accept(self) -> tuple[SecureSocket[PeerT], Any]:
         """Return the next connection and its address; callers over the limits are dropped.
@@ -41,18 +28,12 @@ class SecureListener(Generic[PeerT]):
         """
         while True:
             sock, where = self._socket.accept()
-            place = self._count.admit(where[0])
+            place = self._context.half_open.admit(where[0])
             if place is not None:
                 break
             sock.close()
         place.bind(sock)
-        core = Connection.responder(
-            self._credentials,
-            self._verify,
-            random=secrets.token_bytes,
-            now=clock.now(),
-            **self._options,
-        )
+        core = self._context.responder(WireProtocol.TCPROS)
         return SecureSocket(sock, core, place.release), where
 
     def fileno(self) -> int:

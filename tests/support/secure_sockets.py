@@ -4,22 +4,28 @@ import select
 import socket
 import threading
 from collections.abc import Callable
+from typing import Any
 
+from rossec.channel.records import ChannelLimits
+from rossec.net.context import SecureContext
 from rossec.net.threads.secure_socket import SecureSocket
+from tests.support.contexts import context
 from tests.support.listener import SecureListener
-from tests.support.wire import ALICE, BOB, FakeIdentity, trust
+from tests.support.wire import ALICE, BOB, DEFAULTS, FakeIdentity
 
 Secure = SecureSocket[FakeIdentity]
 
 
-def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
-    found = trust(chain, now)
-    return FakeIdentity(found.name, found.public_key, found.certificate, 1 << 40)
-
-
-def make_listener(**options: object) -> SecureListener[FakeIdentity]:
+def make_listener(limits: ChannelLimits = DEFAULTS, **options: Any) -> SecureListener[FakeIdentity]:
     sock = socket.create_server(("127.0.0.1", 0))
-    return SecureListener(sock, BOB, live, **options)  # type: ignore[arg-type]  # passed on
+    return SecureListener(sock, context(BOB, limits=limits, **options))
+
+
+def dial(listener: Any, own: SecureContext[FakeIdentity]) -> Secure:
+    """Connect to a listening socket."""
+    sock = Secure.initiate(socket.create_connection(listener.getsockname()), own, timeout=5)
+    sock.settimeout(5)
+    return sock
 
 
 def background(work: Callable[[], object]) -> threading.Thread:
@@ -28,7 +34,9 @@ def background(work: Callable[[], object]) -> threading.Thread:
     return thread
 
 
-def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Secure, Secure]:
+def pair(
+    listener: SecureListener[FakeIdentity], limits: ChannelLimits = DEFAULTS
+) -> tuple[Secure, Secure]:
     accepted: list[Secure] = []
 
     def accept() -> None:
@@ -37,7 +45,7 @@ def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Sec
         accepted.append(sock)
 
     thread = background(accept)
-    left = Secure.connect(listener.getsockname(), ALICE, live, 5, **options)
+    left = dial(listener, context(ALICE, limits=limits))
     thread.join(30)
     return left, accepted[0]
 

@@ -2,17 +2,10 @@
 
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureServer, SecureStream, connect
-from tests.support.wire import ALICE, FakeIdentity, trust
+from tests.support.contexts import context
+from tests.support.wire import ALICE, FakeIdentity
 
 Stream = SecureStream[FakeIdentity]
-
-
-LIVE = 1 << 40  # a not_after which the host's clock does not reach
-
-
-def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
-    found = trust(chain, now)
-    return FakeIdentity(found.name, found.public_key, found.certificate, LIVE)
 
 
 async def echo(stream: Stream) -> None:
@@ -21,9 +14,9 @@ async def echo(stream: Stream) -> None:
 
 
 async def call(
-    server: SecureServer[FakeIdentity], opening: WireProtocol = WireProtocol.TCPROS
+    server: SecureServer[FakeIdentity], protocol: WireProtocol = WireProtocol.TCPROS
 ) -> Stream:
-    return await connect("127.0.0.1", server.port, ALICE, live, opening=opening)
+    return await connect("127.0.0.1", server.port, context(ALICE), protocol)
 
 
 async def still_works(server: SecureServer[FakeIdentity]) -> None:

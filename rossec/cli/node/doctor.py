@@ -21,7 +21,7 @@ from rossec.cli.shared.context import Environment, format_time, now, pass_enviro
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.options import file_of, read
-from rossec.net.aio import WireProtocol, connect
+from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.slave_api import MASTER
 from rossec.ros import settings
@@ -106,13 +106,8 @@ def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
 
 async def _ask_master(home: NodeHome, own: settings.Settings) -> str:
     anchor = home.anchor()
-    stream = await connect(
-        own.master_host,
-        own.master_port,
-        home.credentials(),
-        anchor.verify,
-        opening=WireProtocol.HTTP,
-    )
+    context = SecureContext(home.credentials(), anchor.verify)
+    stream = await connect(own.master_host, own.master_port, context, WireProtocol.HTTP)
     try:
         if stream.peer.name != MASTER:
             raise ConfigurationError(f"{stream.peer.name} answers there", "check ROS_MASTER_URI")

@@ -8,7 +8,7 @@ from rossec.channel.suite_selection import post_quantum
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.net.aio import WireProtocol, connect
+from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.slave_api import MASTER
 from rossec.ros import settings
@@ -31,14 +31,12 @@ async def master_as(
         HintedError, OSError, TimeoutError: it is unreachable.
     """
     host, port = settings.parse_uri(uri, "the master's URI")
-    stream = await connect(
-        host,
-        port,
+    context = SecureContext(
         home.credentials() if own is None else own,
         home.anchor().verify,
-        opening=WireProtocol.HTTP,
         suites=post_quantum(environment.variables),
     )
+    stream = await connect(host, port, context, WireProtocol.HTTP)
     try:
         if stream.peer.name != MASTER:
             raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")

@@ -9,14 +9,11 @@ import contextlib
 from collections.abc import Callable
 from typing import Final
 
-from rossec.channel.edhoc.credentials import OwnCredential, Verify
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.records import ChannelLimits
 from rossec.errors import CallerMismatch, RossecError
 from rossec.master.rights.interfaces import ChannelPeer
 from rossec.master.server.updates import CALL_DEADLINE
 from rossec.master.state.registry import NodeRef
-from rossec.net.aio import WireProtocol, connect
+from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.settings import parse_uri
 
@@ -25,27 +22,17 @@ class SlaveDialer:
     """Connects as the master; `probed` are the nodes that are being probed.
 
     Args:
-        credentials, verify: the master's own identity, and verification of the peer's.
+        context: the master's own identity.
         on_mismatch: called with the node and the other peer that answered at its address.
-        limits, suites, known: as for accepted connections.
     """
 
     def __init__(
         self,
-        credentials: OwnCredential,
-        verify: Verify[ChannelPeer],
+        context: SecureContext[ChannelPeer],
         on_mismatch: Callable[[NodeRef, ChannelPeer], None],
-        *,
-        limits: ChannelLimits,
-        suites: tuple[int, ...],
-        known: KnownCertificates,
     ) -> None:
-        self._credentials = credentials
-        self._verify = verify
+        self._context = context
         self._on_mismatch = on_mismatch
-        self._limits = limits
-        self._suites = suites
-        self._known = known
         self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
@@ -56,16 +43,7 @@ class SlaveDialer:
             RossecError, OSError: the node cannot be reached.
         """
         host, port = parse_uri(node.uri, "the slave API")
-        stream = await connect(
-            host,
-            port,
-            self._credentials,
-            self._verify,
-            opening=WireProtocol.HTTP,
-            limits=self._limits,
-            suites=self._suites,
-            known=self._known,
-        )
+        stream = await connect(host, port, self._context, WireProtocol.HTTP)
         if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
             stream.abort("not the node that was registered")
             self._on_mismatch(node, stream.peer)

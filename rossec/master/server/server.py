@@ -44,8 +44,8 @@ from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import MAX_CLOSING, Updates
 from rossec.master.state.parameters import Parameters
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.net.aio import SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.halfopen import HalfOpen
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
 from rossec.ros.http import HEADERS_LIMIT
 from rossec.ros.settings import is_loopback
@@ -97,8 +97,6 @@ class MasterServer:
         turns: Turns | None = None,
         find_revocations: FindRevocations = no_authority,
     ) -> None:
-        self._credentials = credentials
-        self._verify = verify
         self._trust = trust
         self._name = name
         self._address = (host, port)
@@ -107,23 +105,23 @@ class MasterServer:
         self._parameter_file = parameter_file
         self._limits = limits
         self._turns = Turns(time.monotonic) if turns is None else turns
-        self._channel_limits = ChannelLimits(
+        channel_limits = ChannelLimits(
             unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
         )
-        self._suites = suites
-        self._known = KnownCertificates()
+        self._context = SecureContext(
+            credentials,
+            verify,
+            suites=suites,
+            known=KnownCertificates(),
+            dial_limits={WireProtocol.HTTP: channel_limits},
+            accept_limits={WireProtocol.HTTP: channel_limits},
+            half_open=HalfOpenCount(HalfOpen(limits.unfinished_per_address, limits.unfinished)),
+        )
         self._registry = Registry(limits.nodes_per_identity)
         self._answers: CallAnswers | None = None
         self._server: SecureServer[ChannelPeer] | None = None
         self._revoked_connections = RevokedConnections()
-        self._dialer = SlaveDialer(
-            credentials,
-            verify,
-            self._on_mismatch,
-            limits=self._channel_limits,
-            suites=suites,
-            known=self._known,
-        )
+        self._dialer = SlaveDialer(self._context, self._on_mismatch)
         self._updates = Updates(self._dialer.dial, limits.nodes_per_identity + MAX_CLOSING)
         self._state = state = MasterState(
             name, self._now, self._registry, trust, self._updates, parameter_file
@@ -153,18 +151,7 @@ class MasterServer:
             OSError: the address is not of this host, or the port is in use.
         """
         (host, port), limits = self._address, self._limits
-        self._server = serve(
-            self._handle,
-            host,
-            port,
-            self._credentials,
-            self._verify,
-            accept={WireProtocol.HTTP},
-            limits=self._channel_limits,
-            half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
-            suites=self._suites,
-            known=self._known,
-        )
+        self._server = serve(self._handle, host, port, self._context, WireProtocol.HTTP)
         api = MasterApi(
             self._registry,
             self._trust,

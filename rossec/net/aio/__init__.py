@@ -4,6 +4,6 @@ from rossec.channel.opening import WireProtocol
 from rossec.net.aio.client import connect
 from rossec.net.aio.server import SecureServer, serve
 from rossec.net.aio.stream import SecureStream
-from rossec.net.halfopen import HalfOpen
+from rossec.net.context import SecureContext
 
-__all__ = ["HalfOpen", "SecureServer", "SecureStream", "WireProtocol", "connect", "serve"]
+__all__ = ["SecureContext", "SecureServer", "SecureStream", "WireProtocol", "connect", "serve"]

@@ -1,19 +1,14 @@
 """Connecting: TCP over IPv4 or IPv6, whichever answers first, then the handshake."""
 
 import asyncio
-import secrets
 import socket
 from collections.abc import Callable
 from functools import partial
 from typing import Final
 
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
-from rossec.channel.records import ChannelLimits
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -25,70 +20,48 @@ from rossec.errors import (
     PeerUnreachable,
 )
 from rossec.net.aio.dial import dial
-from rossec.net.aio.driver import Driver, wall_clock
+from rossec.net.aio.driver import Driver
 from rossec.net.aio.stream import SecureStream
+from rossec.net.context import SecureContext
 
 _CONNECT_TIMEOUT: Final = 10.0
-_DEFAULTS: Final = ChannelLimits()
 
 
 async def connect(
     host: str,
     port: int,
-    credentials: OwnCredential,
-    verify: Verify[PeerT],
+    context: SecureContext[PeerT],
+    protocol: WireProtocol = WireProtocol.TCPROS,
     *,
-    opening: WireProtocol = WireProtocol.TCPROS,
-    limits: ChannelLimits = _DEFAULTS,
+    to_itself: bool = False,
     timeout: float = _CONNECT_TIMEOUT,  # noqa: ASYNC109 - one deadline over TCP and handshake
-    suites: tuple[int, ...] = PRODUCTION,
-    known: KnownCertificates | None = None,
-    own_dials: OwnDials | None = None,
 ) -> SecureStream[PeerT]:
     """Connect and authenticate; one round trip after TCP's own.
 
     The responder's verdict on this side's certificate arrives later, as `PeerRefused` from
-    `receive` or `send`.
-
-    `suites` is the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`). With `known`, certificates
-    of known peers are named by a hash; after error 3 the handshake is repeated by value.
-    `own_dials`: this node means to reach itself (`Connection.initiator`).
+    `receive` or `send`. With `context.known`, the handshake is repeated by value after error 3.
+    `to_itself`: this node means to reach itself.
 
     Raises:
         PeerUnreachable: no TCP connection.
         PlainPeer: a plain ROS node answered.
         ChannelError: the handshake failed; the leaf says how.
     """
-
-    def core(*, request_x5t: bool) -> Connection[PeerT]:
-        return Connection.initiator(
-            credentials,
-            verify,
-            random=secrets.token_bytes,
-            now=wall_clock(),
-            opening=opening,
-            suites=suites,
-            limits=limits,
-            known=known,
-            request_x5t=request_x5t,
-            own_dials=own_dials,
-        )
-
+    core = partial(context.initiator, protocol, to_itself=to_itself)
+    known = context.known
     if known is None:
-        return await _handshake(await _dial(host, port, timeout), partial(core, request_x5t=False))
+        return await _handshake(await _dial(host, port, timeout), core)
     request_x5t = known.knows_address((host, port))
     try:
-        stream = await _handshake(
-            await _dial(host, port, timeout), partial(core, request_x5t=request_x5t)
-        )
+        by_hash = partial(core, request_x5t=request_x5t)
+        stream = await _handshake(await _dial(host, port, timeout), by_hash)
     except (HandshakeFailed, PeerRefused) as error:
         # Any failure of a handshake by hash may be due to the hash.
         if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
             known.forget_introductions()
         elif not request_x5t or isinstance(error, HandshakeTimeout):
             raise
-        by_value = partial(core, request_x5t=False)
-        stream = await _handshake(await _dial(host, port, timeout), by_value)
+        stream = await _handshake(await _dial(host, port, timeout), core)
     known.note_address((host, port))
     return stream
 

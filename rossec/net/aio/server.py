@@ -7,29 +7,23 @@ that connection only.
 
 import asyncio
 import logging
-import secrets
 import socket
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from types import TracebackType
 from typing import Final, Generic, Self, TypeAlias
 
-from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
-from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
-from rossec.net.aio.driver import Driver, wall_clock
+from rossec.net.aio.driver import Driver
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.tasks import TaskSet
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.context import SecureContext
+from rossec.net.halfopen import HalfOpenSlot
 
 _log = logging.getLogger("rossec.net.server")
-_DEFAULTS: Final = ChannelLimits()
 _BACKLOG: Final = 128
 _ACCEPTS_PER_TURN: Final = 16
 _ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
@@ -38,21 +32,18 @@ _REPORT_EVERY: Final = 10.0
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
 
 
-_CAPS: Final = HalfOpen()
-
-
 class SecureServer(Generic[PeerT]):
     """A listening port and its connections; made by `serve`."""
 
     def __init__(
         self,
         handler: Handler[PeerT],
-        make_core: Callable[[], Connection[PeerT]],
-        half_open: HalfOpenCount,
+        context: SecureContext[PeerT],
+        protocol: WireProtocol,
     ) -> None:
         self._handler = handler
-        self._make_core = make_core
-        self._half_open = half_open
+        self._context = context
+        self._protocol = protocol
         self._drivers: set[Driver[PeerT]] = set()
         self._slots: dict[Driver[PeerT], HalfOpenSlot] = {}  # of the unauthenticated ones
         self._tasks = TaskSet()
@@ -105,7 +96,7 @@ class SecureServer(Generic[PeerT]):
 
     def _admit(self, address: str) -> HalfOpenSlot | None:
         """A slot for one more unfinished handshake, if the limits allow it."""
-        slot = self._half_open.admit(address)
+        slot = self._context.half_open.admit(address)
         if slot is not None:
             return slot
         self._refused += 1
@@ -118,7 +109,8 @@ class SecureServer(Generic[PeerT]):
 
     def _begin(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
         try:
-            driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
+            core = self._context.responder(self._protocol)
+            driver = Driver(core, sock, address, self.on_authenticated, self.on_end)
         except BaseException:
             sock.close()
             slot.release()
@@ -211,41 +203,18 @@ def serve(
     handler: Handler[PeerT],
     host: str | None,
     port: int,
-    credentials: OwnCredential,
-    verify: Verify[PeerT],
-    *,
-    accept: Collection[WireProtocol] = frozenset(WireProtocol),
-    limits: ChannelLimits = _DEFAULTS,
-    half_open: HalfOpen | HalfOpenCount = _CAPS,
-    suites: tuple[int, ...] = PRODUCTION,
-    known: KnownCertificates | None = None,
-    own_dials: OwnDials | None = None,
+    context: SecureContext[PeerT],
+    protocol: WireProtocol = WireProtocol.TCPROS,
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
-    `handler` runs once per authenticated connection, which is closed when it returns. `accept`
-    says which openings are accepted; others get the refusal meant for plain peers. With a
-    `HalfOpenCount` several ports of a process share one limit.
+    `handler` runs once per authenticated connection, which is closed when it returns. A connection
+    that opens in another protocol gets the refusal meant for plain peers.
 
     Raises:
         OSError: not an address of this host, or the port is taken.
     """
-
-    def make_core() -> Connection[PeerT]:
-        return Connection.responder(
-            credentials,
-            verify,
-            random=secrets.token_bytes,
-            now=wall_clock(),
-            accept=accept,
-            suites=suites,
-            limits=limits,
-            known=known,
-            own_dials=own_dials,
-        )
-
-    count = HalfOpenCount(half_open) if isinstance(half_open, HalfOpen) else half_open
-    server = SecureServer(handler, make_core, count)
+    server = SecureServer(handler, context, protocol)
     server.listen(host, port)
     return server
 

@@ -6,20 +6,20 @@ already. Linux only: that descriptor is an epoll over the socket and an eventfd.
 """
 
 import os
-import secrets
 import select
 import socket
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Final
+from typing import Final, Self
 
-from rossec import clock
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.channel.states import ENDED
 from rossec.errors import ChannelClosed
+from rossec.net.context import SecureContext
 from rossec.net.threads.carrier import AT_ONCE, Carrier
 
 _PUMPED: Final = 16  # buffers in one go
@@ -50,27 +50,27 @@ class SecureSocket(Carrier[PeerT]):
         self._epoll: select.epoll | None = None
 
     @classmethod
-    def connect(
+    def initiate(
         cls,
-        address: tuple[str, int],
-        credentials: OwnCredential,
-        verify: Verify[PeerT],
+        sock: socket.socket,
+        context: SecureContext[PeerT],
+        protocol: WireProtocol = WireProtocol.TCPROS,
+        *,
+        to_itself: bool = False,
         timeout: float | None = None,
-        **options: Any,
-    ) -> "SecureSocket[PeerT]":
-        """Connect and authenticate; `options` are those of `Connection.initiator`.
+    ) -> Self:
+        """Authenticate, within `timeout` in seconds, over a socket that was connected.
+
+        `to_itself`: this node means to reach itself.
 
         Raises:
-            OSError: no TCP connection.
-            ChannelError: the handshake failed.
+            OSError, ChannelError: the handshake failed; the socket is closed.
         """
-        sock = socket.create_connection(address, timeout)
-        core = Connection.initiator(
-            credentials, verify, random=secrets.token_bytes, now=clock.now(), **options
-        )
-        secure = SecureSocket(sock, core)
+        secure = cls(sock, context.initiator(protocol, to_itself=to_itself))
         try:
+            secure.settimeout(timeout)
             secure.do_handshake()
+            secure.settimeout(None)
         except BaseException:
             secure.close()
             raise

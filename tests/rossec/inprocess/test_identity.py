@@ -68,9 +68,12 @@ def test_a_renewed_identity_is_used(site: Site) -> None:
     local_identity = LocalIdentity(home, "/robot")
     assert not local_identity.refresh_identity()
     site.renew("/robot", 3600)
-    before = local_identity.credentials
+    before, context = local_identity.credentials, local_identity.context
     assert local_identity.refresh_identity()
     assert local_identity.credentials.chain != before.chain
+    assert local_identity.context.credentials is local_identity.credentials
+    assert local_identity.context.half_open is context.half_open
+    assert context.credentials is before, "a handshake under way has the credentials it began with"
     assert local_identity.identity.not_after <= site.now() + 3600
 
 

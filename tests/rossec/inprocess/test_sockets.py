@@ -4,13 +4,13 @@ import contextlib
 import errno
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError, LimitExceeded
 from rossec.inprocess import plain_stream, sockets
 from rossec.inprocess.allow_plain import PlainPeers
@@ -18,7 +18,7 @@ from rossec.inprocess.connector import Connector
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.module_proxy import ModuleProxy
 from rossec.inprocess.sockets import RosSocket
-from rossec.net.halfopen import HalfOpen
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
 from tests.support.secure_sockets import background
@@ -28,10 +28,8 @@ from tests.support.site import Site
 class Owner:
     """What a socket uses of its process."""
 
-    def __init__(
-        self, local_identity: LocalIdentity, plain: PlainPeers, half_open: HalfOpen
-    ) -> None:
-        self.connector = Connector(local_identity, half_open)
+    def __init__(self, local_identity: LocalIdentity, plain: PlainPeers) -> None:
+        self.connector = Connector(local_identity)
         self.plain = plain
         self.closed: list[RosSocket] = []
         self.ports: list[int] = []
@@ -57,12 +55,8 @@ def local_identity(site: Site) -> LocalIdentity:
     return LocalIdentity(site.enroll("/robot"), "/robot")
 
 
-def owner(
-    local_identity: LocalIdentity,
-    plain: PlainPeers | None = None,
-    half_open: HalfOpen | None = None,
-) -> Owner:
-    return Owner(local_identity, plain or PlainPeers(()), half_open or HalfOpen())
+def owner(local_identity: LocalIdentity, plain: PlainPeers | None = None) -> Owner:
+    return Owner(local_identity, plain or PlainPeers(()))
 
 
 @pytest.fixture
@@ -169,10 +163,10 @@ def test_a_socket_that_is_not_connected_raises(local_identity: LocalIdentity) ->
     sock.close()
 
 
-def test_a_caller_over_the_limit_is_dropped(local_identity: LocalIdentity) -> None:
-    sock = RosSocket(
-        owner(local_identity, half_open=HalfOpen(total=1, per_address=1)), socket.socket()
-    )
+def test_a_caller_over_the_limit_is_dropped(site: Site) -> None:
+    robot = LocalIdentity(site.enroll("/robot"), "/robot")
+    robot.context = replace(robot.context, half_open=HalfOpenCount(HalfOpen(total=1)))
+    sock = RosSocket(owner(robot), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen()
     first = socket.create_connection(sock.getsockname())
@@ -284,17 +278,6 @@ def test_a_module_proxy_replaces_some_names() -> None:
     proxy = ModuleProxy(socket, socket=dict)
     assert proxy.socket is dict
     assert proxy.AF_INET == socket.AF_INET
-
-
-def test_a_caller_that_is_gone_is_not_counted(local_identity: LocalIdentity) -> None:
-    """Else a peer that disconnects often enough locks all others out."""
-    connector = Connector(local_identity, HalfOpen(total=1, per_address=1))
-    for _ in range(3):
-        gone = socket.socket()
-        assert connector.admit(gone, "127.0.0.1")
-        gone.close()
-        with pytest.raises(OSError, match="descriptor"):
-            connector.respond(gone, WireProtocol.TCPROS)
 
 
 def test_a_caller_that_is_gone_does_not_end_accept(

@@ -13,7 +13,7 @@ from rossec.errors import RossecError
 from rossec.master.api.turns import Turns
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.server import MasterServer
-from rossec.net.aio import SecureStream, WireProtocol, connect, serve
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.ros.settings import parse_uri
 from tests.support.authority import EnrolledNode, Site
@@ -33,7 +33,11 @@ class SlaveNode:
 
     async def start(self, rights: dict[str, Right]) -> None:
         self.server = serve(
-            self.handle, "127.0.0.1", 0, self.member.credentials, self.world.site.anchor.verify
+            self.handle,
+            "127.0.0.1",
+            0,
+            SecureContext(self.member.credentials, self.world.site.anchor.verify),
+            WireProtocol.HTTP,
         )
         self.world.exit.push_async_callback(self.server.close)
         self.uri = f"http://127.0.0.1:{self.server.port}/"
@@ -89,7 +93,10 @@ class World:
     async def call_as(self, member: EnrolledNode) -> RpcClient:
         host, port = parse_uri(self.server.uri)
         stream = await connect(
-            host, port, member.credentials, self.site.anchor.verify, opening=WireProtocol.HTTP
+            host,
+            port,
+            SecureContext(member.credentials, self.site.anchor.verify),
+            WireProtocol.HTTP,
         )
         client = RpcClient(stream)
         self.exit.push_async_callback(client.close)

@@ -10,9 +10,9 @@ import pytest
 from rossec.errors import ChannelClosed
 from rossec.net.aio import connect, serve
 from rossec.net.forks import forget_in_children
-from rossec.net.threads.secure_socket import SecureSocket
+from tests.support.contexts import context
 from tests.support.listener import SecureListener
-from tests.support.secure_sockets import live, make_listener, pair
+from tests.support.secure_sockets import dial, make_listener, pair
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
 
@@ -87,17 +87,15 @@ def test_a_count_locked_at_the_fork_stops_no_child(
     with socket.create_connection(listener.getsockname()):
         stranger, _ = listener.accept()
         with stranger:
-            with listener._count._lock:
+            with listener._context.half_open._lock:
                 assert in_child(lambda: stranger.recv(1)) == "b''"
-            assert len(listener._count) == 1
-        assert len(listener._count) == 0
+            assert len(listener._context.half_open) == 1
+        assert len(listener._context.half_open) == 0
 
 
 def test_a_child_may_connect_for_itself(listener: SecureListener[FakeIdentity]) -> None:
-    where = listener.getsockname()
-
     def work() -> bytes:
-        with SecureSocket[FakeIdentity].connect(where, ALICE, live, 5) as own:
+        with dial(listener, context(ALICE)) as own:
             own.sendall(b"child")
             return own.recv(10)
 
@@ -123,8 +121,8 @@ async def test_a_child_cannot_use_streams_of_the_parents_loop() -> None:
         while True:
             await heard.put(await stream.receive())  # type: ignore[attr-defined]
 
-    server = serve(handler, "127.0.0.1", 0, BOB, live)
-    stream = await connect("127.0.0.1", server.port, ALICE, live)
+    server = serve(handler, "127.0.0.1", 0, context(BOB))
+    stream = await connect("127.0.0.1", server.port, context(ALICE))
     try:
         await stream.send(b"one")
         assert in_child(lambda: stream.send_nowait(b"child")).startswith(ChannelClosed.__name__)

@@ -16,10 +16,9 @@ def own() -> OwnAddresses:
 
 def test_own_addresses_are_recognized(own: OwnAddresses) -> None:
     assert own.is_own(("robot.LOCAL", 4001))
-    assert own.own_dials_for(("robot.local", 4000)) is own.dials
+    assert own.is_own(("robot.local", 4000))
     for other in ("robot.local", 4002), ("other", 4000), ("", 4000):
         assert not own.is_own(other)
-        assert own.own_dials_for(other) is None
 
 
 def test_no_address_is_own_without_a_port() -> None:

@@ -8,6 +8,7 @@ import pytest
 from rossec.errors import PeerUnreachable
 from rossec.net.aio import client as module
 from rossec.net.aio import connect
+from tests.support.contexts import context
 from tests.support.wire import ALICE, trust
 
 
@@ -25,21 +26,23 @@ def dialled(monkeypatch: pytest.MonkeyPatch) -> socket.socket:
 
 async def test_a_connection_that_is_reset_at_once(dialled: socket.socket) -> None:
     with pytest.raises(PeerUnreachable, match="reset at once") as caught:
-        await connect("127.0.0.1", 1, ALICE, trust)
+        await connect("127.0.0.1", 1, context(ALICE, trust))
     assert caught.value.hint
     assert dialled.fileno() == -1
 
 
 async def test_a_handshake_that_cannot_begin(dialled: socket.socket) -> None:
     with pytest.raises(IndexError):
-        await connect("127.0.0.1", 1, ALICE, trust, suites=())
+        await connect("127.0.0.1", 1, context(ALICE, trust, suites=()))
     assert dialled.fileno() == -1
 
 
 async def test_a_cancelled_handshake() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        calling = asyncio.get_running_loop().create_task(connect("127.0.0.1", port, ALICE, trust))
+        calling = asyncio.get_running_loop().create_task(
+            connect("127.0.0.1", port, context(ALICE, trust))
+        )
         peer, _ = await asyncio.to_thread(listener.accept)
         calling.cancel()
         with pytest.raises(asyncio.CancelledError):

@@ -11,7 +11,8 @@ from rossec.net.aio import serve
 from rossec.net.aio.driver import Driver
 from rossec.net.aio.server import SecureServer
 from rossec.progress import MIN_BYTES, STEP, WINDOW
-from tests.support.secure_streams import Stream, call, echo, live
+from tests.support.contexts import context
+from tests.support.secure_streams import Stream, call, echo
 from tests.support.wire import BOB, FakeIdentity
 
 WHOLE = bytes(4 * MIN_BYTES)
@@ -33,7 +34,7 @@ async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[Fa
 async def test_a_peer_that_stalls_in_a_unit_is_disconnected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         driver = await begin(stream, server)
         assert driver._timer is not None
@@ -48,7 +49,7 @@ async def test_a_peer_that_stalls_in_a_unit_is_disconnected(
 
 
 async def test_a_peer_that_is_not_read_does_not_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         driver = await begin(stream, server)
         driver.transport.pause_reading()

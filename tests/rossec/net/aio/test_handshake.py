@@ -18,7 +18,8 @@ from rossec.errors import (
 )
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio.transport import Transport
-from tests.support.secure_streams import Stream, call, echo, live, still_works
+from tests.support.contexts import context
+from tests.support.secure_streams import Stream, call, echo, still_works
 from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
 
 
@@ -33,7 +34,7 @@ async def test_data_sent_at_once_leaves_with_the_last_flight(
         write(self, data)
 
     monkeypatch.setattr(Transport, "write", note)
-    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         await stream.send(b"x" * 1000)
         assert await stream.receive() == b"x" * 1000
@@ -42,7 +43,7 @@ async def test_data_sent_at_once_leaves_with_the_last_flight(
 
 
 async def test_a_peer_that_sends_nothing_finishes_the_handshake() -> None:
-    async with serve(greet, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(greet, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         assert await stream.receive() == b"welcome"
         stream.abort("done")
@@ -54,10 +55,10 @@ async def greet(stream: Stream) -> None:
 
 
 async def test_a_stranger_is_refused_on_either_side(server: SecureServer[FakeIdentity]) -> None:
-    stream = await connect("127.0.0.1", server.port, STRANGER, live)
+    stream = await connect("127.0.0.1", server.port, context(STRANGER))
     with pytest.raises(PeerRefused):
         await stream.receive()
-    async with serve(echo, "127.0.0.1", 0, STRANGER, live) as false:
+    async with serve(echo, "127.0.0.1", 0, context(STRANGER)) as false:
         with pytest.raises(IdentityRefused):
             await call(false)
     await still_works(server)
@@ -68,8 +69,8 @@ async def test_an_expiring_certificate_ends_the_connection() -> None:
         found = trust(chain, now)
         return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
 
-    async with serve(echo, "127.0.0.1", 0, BOB, short) as server:
-        stream = await connect("127.0.0.1", server.port, ALICE, short)
+    async with serve(echo, "127.0.0.1", 0, context(BOB, short)) as server:
+        stream = await connect("127.0.0.1", server.port, context(ALICE, short))
         with pytest.raises((IdentityExpired, ConnectionTruncated)):
             await stream.receive()
 
@@ -83,43 +84,43 @@ async def test_calling_a_plain_server() -> None:
     async with await asyncio.start_server(plain, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
         with pytest.raises(PlainPeer, match="go off"):
-            await connect("127.0.0.1", port, ALICE, live)
+            await connect("127.0.0.1", port, context(ALICE))
 
 
 async def test_the_second_connection_names_certificates() -> None:
     ours, theirs = KnownCertificates(), KnownCertificates()
-    async with serve(echo, "127.0.0.1", 0, BOB, live, known=theirs) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, known=theirs)) as server:
         for count in range(2):
-            stream = await connect("127.0.0.1", server.port, ALICE, live, known=ours)
+            stream = await connect("127.0.0.1", server.port, context(ALICE, known=ours))
             await stream.send(b"x")
             assert await stream.receive() == b"x"
             await stream.close()
             assert stream._driver.connection._negotiation._edhoc.send_x5t == (count == 1)
         theirs._chains.clear()  # forgotten: refused with error 3, called again by value
-        async with await connect("127.0.0.1", server.port, ALICE, live, known=ours) as stream:
+        async with await connect("127.0.0.1", server.port, context(ALICE, known=ours)) as stream:
             await stream.send(b"x")
             assert await stream.receive() == b"x"
 
 
 async def test_a_handshake_that_fails_by_hash_is_retried_by_value() -> None:
     ours, theirs = KnownCertificates(), KnownCertificates()
-    async with serve(echo, "127.0.0.1", 0, BOB, live, known=theirs) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, known=theirs)) as server:
         for _ in range(3):
-            stream = await connect("127.0.0.1", server.port, ALICE, live, known=ours)
+            stream = await connect("127.0.0.1", server.port, context(ALICE, known=ours))
             await stream.send(b"x")
             assert await stream.receive() == b"x"
             await stream.close()
             theirs._chains.update(dict.fromkeys(theirs._chains, STRANGER.chain))
         thief = dataclasses.replace(ALICE, signer=STRANGER.signer)
-        stream = await connect("127.0.0.1", server.port, thief, live, known=ours)
+        stream = await connect("127.0.0.1", server.port, context(thief, known=ours))
         with pytest.raises(PeerRefused):  # by value as well
             await stream.receive()
 
 
 async def test_the_hybrid_suite_by_policy() -> None:
     suites = POST_QUANTUM["require"]
-    async with serve(echo, "127.0.0.1", 0, BOB, live, suites=suites) as server:
-        stream = await connect("127.0.0.1", server.port, ALICE, live, suites=suites)
+    async with serve(echo, "127.0.0.1", 0, context(BOB, suites=suites)) as server:
+        stream = await connect("127.0.0.1", server.port, context(ALICE, suites=suites))
         await stream.send(b"x")
         assert await stream.receive() == b"x"
         await stream.close()
@@ -129,8 +130,17 @@ async def test_the_hybrid_suite_by_policy() -> None:
 
 async def test_keys_are_renewed_by_the_clock() -> None:
     limits = ChannelLimits(seconds=1)
-    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
-        stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
+    async with serve(
+        echo,
+        "127.0.0.1",
+        0,
+        context(BOB, limits=limits),
+    ) as server:
+        stream = await connect(
+            "127.0.0.1",
+            server.port,
+            context(ALICE, limits=limits),
+        )
         for _ in range(2):
             await stream.send(b"x")
             assert await stream.receive() == b"x"

@@ -8,26 +8,28 @@ import socket
 
 import pytest
 
-from rossec.channel.opening import REFUSAL
+from rossec.channel.opening import REFUSAL, WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.errors import (
     ChannelError,
     ConnectionTruncated,
     HandshakeFailed,
     PeerUnreachable,
+    PlainPeer,
 )
-from rossec.net.aio import HalfOpen, SecureServer, connect, serve
+from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import server as server_module
 from rossec.net.aio.server import bind
-from rossec.net.halfopen import source_of
-from tests.support.secure_streams import Stream, call, echo, live, still_works
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, source_of
+from tests.support.contexts import context
+from tests.support.secure_streams import Stream, call, echo, still_works
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
 async def test_both_families_on_one_port(host: str) -> None:
-    async with serve(echo, None, 0, BOB, live) as server:
-        stream = await connect(host, server.port, ALICE, live)
+    async with serve(echo, None, 0, context(BOB)) as server:
+        stream = await connect(host, server.port, context(ALICE))
         await stream.send(b"x")
         assert await stream.receive() == b"x"
         await stream.close()
@@ -41,7 +43,7 @@ async def test_a_crashing_handler_ends_only_its_connection(
         await stream.send(bytes([100 // unit[0]]))
         await echo(stream)
 
-    async with serve(picky, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(picky, "127.0.0.1", 0, context(BOB)) as server:
         bad, good = await call(server), await call(server)
         await bad.send(b"\x00")
         with pytest.raises(ChannelError):
@@ -54,7 +56,7 @@ async def test_a_crashing_handler_ends_only_its_connection(
 
 
 async def test_closing_the_server_ends_everything() -> None:
-    server = serve(echo, "127.0.0.1", 0, BOB, live)
+    server = serve(echo, "127.0.0.1", 0, context(BOB))
     stream = await call(server)
     await stream.send(b"x")
     await stream.receive()
@@ -108,7 +110,12 @@ async def test_garbage_is_dropped(server: SecureServer[FakeIdentity], data: byte
 async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     limits = ChannelLimits(handshake_seconds=1)
-    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+    async with serve(
+        echo,
+        "127.0.0.1",
+        0,
+        context(BOB, limits=limits),
+    ) as server:
         stream = await call(server)
         assert await raw(server, b"\x0c\0\0") == b""
         assert "did not finish the handshake in time" in caplog.text
@@ -119,7 +126,7 @@ async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
 
 @pytest.mark.parametrize("caps", [HalfOpen(per_address=3), HalfOpen(total=3)])
 async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
-    async with serve(echo, "127.0.0.1", 0, BOB, live, half_open=caps) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(caps))) as server:
         stream = await call(server)
         idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
         with contextlib.suppress(OSError):
@@ -135,11 +142,29 @@ async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
         await stream.close()
 
 
+async def test_the_ports_of_a_context_share_its_limit() -> None:
+    own = context(BOB, half_open=HalfOpenCount(HalfOpen(total=1)))
+    async with serve(echo, "127.0.0.1", 0, own) as one, serve(echo, "127.0.0.1", 0, own) as other:
+        _, idle = await asyncio.open_connection("127.0.0.1", one.port)
+        with pytest.raises(HandshakeFailed):
+            await call(other)
+        idle.close()
+        await asyncio.sleep(0.05)
+        await still_works(other)
+
+
+async def test_a_port_has_one_protocol() -> None:
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
+        with pytest.raises(PlainPeer):
+            await call(server, WireProtocol.HTTP)
+        await still_works(server)
+
+
 async def test_a_caller_that_closes_at_once_releases_its_slot(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     only = HalfOpen(total=1)
-    async with serve(echo, "127.0.0.1", 0, BOB, live, half_open=only) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(only))) as server:
         gone: list[str] = []
 
         def broken(*_: object) -> None:
@@ -209,7 +234,7 @@ async def test_accepting_goes_on_when_descriptors_come_back(
 
     monkeypatch.setattr(server_module, "bind", bind_exhausted)
     monkeypatch.setattr(server_module, "_ACCEPT_PAUSE", 0.01)
-    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         await still_works(server)
     assert "too many open files" in caplog.text
     closed = socket.socket()

@@ -18,18 +18,20 @@ from rossec.errors import (
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import driver as driver_module
 from rossec.net.aio import stream as secure_module
-from tests.support.secure_streams import Stream, call, echo, live, still_works
+from tests.support.contexts import context
+from tests.support.secure_streams import Stream, call, echo, still_works
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
 
-@pytest.mark.parametrize("opening", list(WireProtocol))
+@pytest.mark.parametrize("protocol", list(WireProtocol))
 @pytest.mark.parametrize("size", [1, 70_000, 3_000_000])
-async def test_units_there_and_back(
-    server: SecureServer[FakeIdentity], opening: WireProtocol, size: int
-) -> None:
-    async with await call(server, opening) as stream:
+async def test_units_there_and_back(protocol: WireProtocol, size: int) -> None:
+    async with (
+        serve(echo, "127.0.0.1", 0, context(BOB), protocol) as server,
+        await call(server, protocol) as stream,
+    ):
         assert stream.peer.name == "/bob"
-        assert stream.opening is opening
+        assert stream.opening is protocol
         assert stream.address == "127.0.0.1"
         await stream.send(b"x" * size, b"tail")
         assert await stream.receive() == b"x" * size + b"tail"
@@ -69,7 +71,7 @@ async def test_a_connection_that_ended_holds_nothing() -> None:
         ended.append(weakref.ref(stream._driver))
         await echo(stream)
 
-    async with serve(serving, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(serving, "127.0.0.1", 0, context(BOB)) as server:
         gc.collect()
         gc.disable()  # or it might do the work
         try:
@@ -136,7 +138,7 @@ async def test_a_slow_reader_stops_the_writer() -> None:
         while True:
             got += len(await stream.receive())
 
-    async with serve(slow, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(slow, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         lags = [stream.lags]
         sent = 0
@@ -162,7 +164,7 @@ async def test_a_send_given_up_half_way_ends_the_connection() -> None:
     async def deaf(stream: Stream) -> None:
         await asyncio.sleep(60)
 
-    async with serve(deaf, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(deaf, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         await stream.send(b"x" * 3_000_000)  # more than the peer takes unread: it stops reading
         with pytest.raises(TimeoutError):
@@ -186,7 +188,7 @@ async def test_an_abort_is_a_truncation_for_the_peer(server: SecureServer[FakeId
 
 
 async def test_when_closed_is_called_at_the_end_of_the_socket() -> None:
-    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         called: list[str] = []
         stream.when_closed(lambda: called.append("then"))
@@ -221,7 +223,7 @@ async def test_units_queued_behind_a_waiting_large_one() -> None:
             got += len(await stream.receive())
         await stream.send(b"all")
 
-    async with serve(count, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(count, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         large = asyncio.ensure_future(stream.send(bytes(20_000_000)))
         await asyncio.sleep(0.01)
@@ -233,8 +235,17 @@ async def test_units_queued_behind_a_waiting_large_one() -> None:
 
 async def test_a_unit_limit_below_what_is_joined() -> None:
     limits = ChannelLimits(unit=10)
-    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
-        stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
+    async with serve(
+        echo,
+        "127.0.0.1",
+        0,
+        context(BOB, limits=limits),
+    ) as server:
+        stream = await connect(
+            "127.0.0.1",
+            server.port,
+            context(ALICE, limits=limits),
+        )
         for _ in range(5):
             stream.send_nowait(b"1234567")
             await stream.send(memoryview(b"89"), b"")
@@ -252,8 +263,12 @@ async def test_a_unit_limit_below_what_is_joined() -> None:
 
 async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
     limits = ChannelLimits(records=1)
-    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
-        stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
+    async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
+        stream = await connect(
+            "127.0.0.1",
+            server.port,
+            context(ALICE, limits=limits),
+        )
         stream._driver.transport.pause_reading()
         with pytest.raises(LimitExceeded, match="renewal"):  # noqa: PT012 - some sends
             for _ in range(9):
@@ -280,7 +295,7 @@ async def test_small_units_wait_for_a_peer_that_lags() -> None:
             got = (got + await stream.receive())[-3:]
         await stream.send(b"all")
 
-    async with serve(late, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(late, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         while stream._driver.writable:
             await stream.send(b"x" * 1000)

@@ -18,13 +18,13 @@ from rossec.errors import (
     IdentityRefused,
     PeerRefused,
 )
-from rossec.net.halfopen import HalfOpen
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.threads import carrier
+from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
 from tests.support.secure_sockets import (
-    Secure,
     background,
-    live,
+    dial,
     make_listener,
     pair,
 )
@@ -43,7 +43,7 @@ def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
                 errors.append(error)
 
     thread = background(serve)
-    left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
+    left = dial(listener, context(STRANGER))
     with left, pytest.raises(PeerRefused):
         left.recv(1)
     thread.join(30)
@@ -61,7 +61,7 @@ def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
 
     thread = background(serve)
     with pytest.raises(IdentityRefused):
-        Secure.connect(listener.getsockname(), ALICE, refuse_all, 5)
+        dial(listener, context(ALICE, refuse_all))
     thread.join(30)
 
 
@@ -107,7 +107,7 @@ def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> Non
 
         done = threading.Event()
         thread = background(half_way)
-        left = Secure.connect(server.getsockname(), ALICE, live, 5)
+        left = dial(server, context(ALICE))
         monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
         with left, pytest.raises(HandshakeTimeout):
             left.sendall(b"x")
@@ -116,7 +116,7 @@ def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_half_open_caps() -> None:
-    listener = make_listener(half_open=HalfOpen(per_address=1))
+    listener = make_listener(half_open=HalfOpenCount(HalfOpen(per_address=1)))
     with listener, socket.create_connection(listener.getsockname()):
         held, _ = listener.accept()
         with socket.create_connection(listener.getsockname()) as refused:
@@ -136,8 +136,7 @@ def test_an_expiring_certificate_ends_a_waiting_read() -> None:
         found = trust(chain, now)
         return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
 
-    with make_listener() as listener:
-        listener._verify = short
+    with make_listener(verify=short) as listener:
         left, right = pair(listener)
         with left, right, pytest.raises(IdentityExpired):
             right.recv(1)

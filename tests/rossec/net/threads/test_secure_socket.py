@@ -5,27 +5,18 @@ import itertools
 import secrets
 import select
 import socket
+from functools import partial
 
 import pytest
 
 from rossec.channel.connection import Connection
 from rossec.channel.records import ChannelLimits
-from rossec.errors import (
-    ChannelClosed,
-    ChannelError,
-    ConnectionTruncated,
-)
+from rossec.errors import ChannelClosed, ChannelError, ConnectionTruncated, IdentityRefused
 from rossec.net.threads.secure_socket import SecureSocket
+from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
-from tests.support.secure_sockets import (
-    Secure,
-    background,
-    live,
-    pair,
-    read,
-    readable,
-)
-from tests.support.wire import ALICE, FakeIdentity
+from tests.support.secure_sockets import Secure, background, dial, pair, read, readable
+from tests.support.wire import ALICE, BOB, FakeIdentity
 
 
 def test_bytes_there_and_back(listener: SecureListener[FakeIdentity]) -> None:
@@ -143,7 +134,7 @@ def test_sending_first_makes_the_handshake(listener: SecureListener[FakeIdentity
             sock.recv(1)
 
     thread = background(serve)
-    with Secure.connect(listener.getsockname(), ALICE, live, 5) as left:
+    with dial(listener, context(ALICE)) as left:
         assert left.recv(5) == b"first"
     thread.join(30)
 
@@ -320,3 +311,37 @@ def test_run_timers_renews_the_keys_of_an_idle_connection(
             for _ in range(3):
                 left.run_timers()
         assert left.recv(1) == b""
+
+
+def answer(listener: SecureListener[FakeIdentity], callers: int = 1) -> None:
+    """Accept so many callers, one after another."""
+    for _ in range(callers):
+        accepted, _ = listener.accept()
+        with accepted, contextlib.suppress(ChannelError):
+            accepted.do_handshake()
+
+
+def test_an_initiator_waits_no_longer_than_it_may(
+    listener: SecureListener[FakeIdentity],
+) -> None:
+    own = socket.create_connection(listener.getsockname())
+    with pytest.raises(TimeoutError):
+        Secure.initiate(own, context(ALICE), timeout=0.05)
+    assert own.fileno() == -1
+
+
+def test_an_initiator_reaches_itself_where_it_means_to() -> None:
+    own = context(BOB)
+
+    with SecureListener(socket.create_server(("127.0.0.1", 0)), own) as listener:
+        thread = background(partial(answer, listener, 2))
+        sock = socket.create_connection(listener.getsockname())
+        with Secure.initiate(sock, own, to_itself=True, timeout=5) as secure:
+            assert secure.peer is not None
+            assert secure.peer.name == "/bob"
+            assert secure.gettimeout() is None
+        sock = socket.create_connection(listener.getsockname())
+        with pytest.raises(IdentityRefused):
+            Secure.initiate(sock, own, timeout=5)
+        assert sock.fileno() == -1
+        thread.join(30)
