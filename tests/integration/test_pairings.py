@@ -1,7 +1,7 @@
-"""rospy with two lines more, built-in nodes, and programs behind a sidecar: each with each.
+"""In-process rospy, built-in nodes, and programs behind a sidecar: every pair of them.
 
 Nine pairs for topics and nine for services, with the same master; what one form of rossec refuses,
-cuts or filters, every other one does.
+closes or filters, every other one does too.
 """
 
 import asyncio
@@ -33,7 +33,7 @@ pairs = pytest.mark.parametrize(
 
 @dataclass(frozen=True)
 class Cast:
-    """Everybody who runs, the grants that will be revoked, and the file that hearers wait for."""
+    """The running programs, the grants to be revoked, and the file that subscribers wait for."""
 
     world: World
     speakers: Mapping[str, Running]
@@ -47,7 +47,7 @@ class Cast:
         return [*self.speakers.values(), *self.hearers.values()]
 
     def revoke(self, grants: Mapping[str, bytes]) -> None:
-        """Revoke a grant of every hearer; the master tells them all."""
+        """Revoke a grant of every subscriber; the master notifies all nodes."""
         site = self.world.site
         data = [site.revoke(grant) for grant in grants.values()][-1]
         uri = f"http://127.0.0.1:{self.world.port}/"
@@ -99,7 +99,7 @@ def test_a_late_subscriber_gets_the_latched_message(cast: Cast, source: str, sin
 
 @pairs
 def test_publishers_filter_and_withhold(cast: Cast, source: str, sink: str) -> None:
-    """Whoever publishes applies the restriction, to whomever."""
+    """Every kind of publisher applies the restriction to every kind of subscriber."""
     about = f"HEARD {source} pose "
     hearer = cast.hearers[sink]
     wait(lambda: hearer.said.count(about) > 5)
@@ -121,11 +121,11 @@ def test_persistent_services_answer_every_call(cast: Cast, source: str, sink: st
 
 
 def test_every_kind_follows_the_end_of_a_grant(cast: Cast) -> None:
-    """Granted for some seconds while the programs run; cut at both ends when they are over."""
+    """Granted for some seconds while the programs run; closed at both ends when it expires."""
     end = int(time.time()) + BRIEF
     for kind in KINDS:
         cast.world.site.grant(f"/{kind}_hearer", Right.SUBSCRIBE, "/*/brief", lifetime=BRIEF)
-    time.sleep(2.5)  # every directory of grants has been looked at: an entry is made once
+    time.sleep(2.5)  # every grant directory has been read: an entry is made once
     cast.signal.touch()
     for source, sink in PAIRS:
         cast.hearers[sink].wait_for(f"HEARD {source} brief {source} ")
@@ -147,7 +147,7 @@ def test_a_revoked_right_to_subscribe_closes_the_connection_at_both_ends(cast: C
 
 
 def test_a_new_grant_resumes_the_messages(cast: Cast) -> None:
-    """Also to a program that itself gives up what has ended, as stock rospy does."""
+    """Also for a program that does not reconnect itself, such as stock rospy."""
     heard = _from_now(cast)
     for kind in KINDS:
         cast.world.site.subscribe(f"/{kind}_hearer", "/*/words")
@@ -171,7 +171,7 @@ def last(running: Running, words: str) -> str:
 
 
 def _is_silent(cast: Cast, topic: str) -> None:
-    """While poses arrive in every pairing, nothing of `topic` does."""
+    """While poses arrive in every pair, no message of `topic` does."""
     heard = _from_now(cast)
     for source, sink in PAIRS:
         wait(lambda source=source, sink=sink: heard(sink).count(f"HEARD {source} pose") >= 3)  # type: ignore[misc]
@@ -179,13 +179,13 @@ def _is_silent(cast: Cast, topic: str) -> None:
 
 
 def _from_now(cast: Cast) -> Callable[[str], str]:
-    """What the hearer of a kind has said since."""
+    """The output of the subscriber of this kind since then."""
     begins = {kind: len(hearer.lines) for kind, hearer in cast.hearers.items()}
     return lambda kind: "".join(cast.hearers[kind].lines[begins[kind] :])
 
 
 def _nobody_spins(before: Mapping[Running, int]) -> None:
-    """What was refused is tried again, ever more slowly, and said some times at most."""
+    """A refused connection is retried at growing intervals, and logged a few times at most."""
     own = ("HEARD", "CALLED", "KEPT", "NOT", "LISTENERS")
     for running, begin in before.items():
         lines = [line for line in running.lines[begin:] if not line.startswith(own)]

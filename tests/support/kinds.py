@@ -1,12 +1,12 @@
-"""A speaker and a hearer in each of the three forms a program can have; they all do the same.
+"""A publishing and a subscribing program in each of the three forms; all forms behave alike.
 
-The rospy sources serve twice: with two lines more they run inside, as they are behind a sidecar.
+The rospy sources are used twice: in-process with two more lines, and unmodified behind a sidecar.
 
-A speaker KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
+A publisher KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
 string) and /KIND/pose (every second one in a frame that no grant allows), and provides
-/KIND/switch. A hearer subscribes to those of all kinds and calls them for ever, over a connection
-for each call (CALLED) and over one that is kept (KEPT); it follows /KIND/brief once the file that
-it is given exists.
+/KIND/switch. A subscriber subscribes to those of all kinds and calls them in a loop, over a
+connection for each call (CALLED) and over a persistent one (KEPT); it subscribes to /KIND/brief
+once the given file exists.
 """
 
 from collections.abc import Mapping, Sequence
@@ -175,6 +175,6 @@ HEARERS: Final[Mapping[str, str]] = {
 
 
 def command(kind: str, python: str, rossec: str, source: str, *more: str) -> Sequence[str]:
-    """How a program of this kind is started."""
+    """The command that starts a program of this kind."""
     plain = (python, "-c", source, kind, *more)
     return (rossec, "run", "--", *plain) if kind == "sidecar" else plain
