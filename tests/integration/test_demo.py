@@ -43,7 +43,7 @@ class Played:
     directory: Path
     code: int
     said: str
-    complaints: str
+    errors: str
     seconds: float
     recording: Recording
 
@@ -66,8 +66,8 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
 
 
 def test_the_demo_succeeds_with_its_claims(played: Played) -> None:
-    assert played.code == 0, played.said + played.complaints
-    assert played.complaints == ""
+    assert played.code == 0, played.said + played.errors
+    assert played.errors == ""
     assert played.seconds < LIMIT
     assert played.said.count("done in") == 7
     figure = re.search(r"last image (-?\d+) ms after the command was given", played.said)
@@ -229,10 +229,10 @@ def test_a_step_that_fails_ends_the_demo_with_its_reason(tmp_path: Path) -> None
         for line in demo.stdout:
             if " another authority " in line:
                 os.kill(child_of(demo.pid, "rossec.demo.subscriber", "/doctor"), signal.SIGKILL)
-        _, complaints = demo.communicate(timeout=30)
+        _, errors = demo.communicate(timeout=30)
         assert demo.returncode == 1
-        assert complaints.startswith("rossec: error: doctor: an image did not happen")
-        assert "Traceback" not in complaints
+        assert errors.startswith("rossec: error: doctor: an image did not happen")
+        assert "Traceback" not in errors
 
 
 def test_a_disk_without_space_is_reported(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ async def witness(site: Site) -> AsyncIterator[Witness]:
         yield witness
 
 
-def doors(site: Site, witness: Witness) -> dict[str, int]:
+def open_ports(site: Site, witness: Witness) -> dict[str, int]:
     """Every port that a network scan finds."""
     assert site.master is not None
     return {
@@ -123,9 +123,9 @@ async def test_a_stock_node_logs_why_it_cannot_register(
 # --- plain HTTP
 
 
-@pytest.mark.parametrize("door", range(5))
-async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, door: int) -> None:
-    port = list(doors(site, witness).values())[door]
+@pytest.mark.parametrize("index", range(5))
+async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, index: int) -> None:
+    port = list(open_ports(site, witness).values())[index]
     calls = ("getSystemState", "getPublications", "requestTopic", "shutdown", "system.multicall")
     for method in calls:
         body = xmlrpc.client.dumps(("/viewer", TOPIC, [["TCPROS"]]), method)
@@ -208,7 +208,7 @@ GARBAGE: Final[dict[str, bytes]] = {
 
 async def test_invalid_bytes_get_no_useful_answer(site: Site, witness: Witness) -> None:
     for data in GARBAGE.values():
-        for port in doors(site, witness).values():
+        for port in open_ports(site, witness).values():
             heard = await asyncio.to_thread(exchange, port, data)
             assert harmless(heard), (data[:40], heard)
     await witness.goes_on()
@@ -228,7 +228,7 @@ async def test_slow_and_silent_peers_delay_no_other_peer(site: Site, witness: Wi
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
         slow = []
-        for port in doors(site, witness).values():
+        for port in open_ports(site, witness).values():
             for data in (b"", TCPROS_OPENING, HTTP_OPENING, PLAIN_HEADER, client_hello()):
                 connection = socket.create_connection((HOST, port))
                 stack.callback(connection.close)

@@ -48,13 +48,13 @@ while not rospy.is_shutdown():
     time.sleep(0.1)
 """
 
-_ROSPY_HEARER: Final = """
+_ROSPY_LISTENER: Final = """
 import os, sys, time, rospy
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 kind, kinds, signal = sys.argv[1], sys.argv[2].split(), sys.argv[3]
-rospy.init_node(f"{kind}_hearer")
+rospy.init_node(f"{kind}_listener")
 def say(*words):
     sys.stdout.write(" ".join(words) + "\\n")  # at once: several threads speak
     sys.stdout.flush()
@@ -121,7 +121,7 @@ async def main(kind):
 asyncio.run(main(sys.argv[1]))
 """
 
-_BUILTIN_HEARER: Final = """
+_BUILTIN_LISTENER: Final = """
 import asyncio, os, sys
 from ca.errors import HintedError
 from rossec.node import Node
@@ -138,7 +138,7 @@ async def call(about, other, client):
     except HintedError as error:
         print("NOT", about, other, error, flush=True)
 async def main(kind, kinds, signal):
-    async with Node(f"/{kind}_hearer") as node, asyncio.TaskGroup() as group:
+    async with Node(f"/{kind}_listener") as node, asyncio.TaskGroup() as group:
         async def follow(other, topic, form, hear):
             subscriber = await node.subscriber(f"/{other}/{topic}", form)
             group.create_task(hear(subscriber, f"{other} {topic}"))
@@ -169,8 +169,8 @@ asyncio.run(main(sys.argv[1], sys.argv[2].split(), sys.argv[3]))
 SPEAKERS: Final[Mapping[str, str]] = {
     "inprocess": SECURE + _ROSPY_SPEAKER, "builtin": _BUILTIN_SPEAKER, "sidecar": _ROSPY_SPEAKER,
 }  # fmt: skip
-HEARERS: Final[Mapping[str, str]] = {
-    "inprocess": SECURE + _ROSPY_HEARER, "builtin": _BUILTIN_HEARER, "sidecar": _ROSPY_HEARER,
+LISTENERS: Final[Mapping[str, str]] = {
+    "inprocess": SECURE + _ROSPY_LISTENER, "builtin": _BUILTIN_LISTENER, "sidecar": _ROSPY_LISTENER,
 }  # fmt: skip
 
 

@@ -85,7 +85,7 @@ def record(
     file: Path, marker: bytes, command: Sequence[str], env: dict[str, str]
 ) -> tuple[Recording, subprocess.CompletedProcess[str]]:
     """Run `command` under the recorder; skips the test where packets cannot be recorded."""
-    complaints = ""
+    errors = ""
     for isolation in _ISOLATION:
         own = [sys.executable, "-m", "tests.support.recorder", str(file), marker.decode()]
         done = subprocess.run(
@@ -94,9 +94,9 @@ def record(
         )  # fmt: skip
         if file.exists():
             return _load(file), done
-        complaints += done.stderr
+        errors += done.stderr
     if os.environ.get("CI"):
-        pytest.fail(f"packets on loopback cannot be recorded here: {complaints}")
+        pytest.fail(f"packets on loopback cannot be recorded here: {errors}")
     pytest.skip("NOT RUN: recording loopback needs CAP_NET_RAW or user namespaces")
 
 
