@@ -8,7 +8,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.net.context import SecureContext
 from tests.support.wire import DEFAULTS, FakeIdentity, trust
 
-LIVE = 1 << 40  # a not_after which the host's clock does not reach
+LIVE = 1 << 40  # a not_after later than the host's clock
 
 
 def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:

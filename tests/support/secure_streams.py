@@ -1,4 +1,4 @@
-"""Secure streams over loopback: a server that echoes, its clients, certificates that last."""
+"""Secure streams over loopback: a server that echoes, its clients, lasting certificates."""
 
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureServer, SecureStream, connect
