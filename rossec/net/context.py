@@ -64,6 +64,6 @@ class SecureContext(Generic[PeerT]):
         """The core of an accepted connection, which must open in `protocol`."""
         return Connection.responder(
             self.credentials, self.verify, random=secrets.token_bytes, now=clock.now(),
-            accept={protocol}, suites=self.suites, limits=self.accept_limits[protocol],
+            accept=(protocol,), suites=self.suites, limits=self.accept_limits[protocol],
             known=self.known, own_dials=self.own_dials,
         )  # fmt: skip

@@ -130,17 +130,8 @@ async def test_the_hybrid_suite_by_policy() -> None:
 
 async def test_keys_are_renewed_by_the_clock() -> None:
     limits = ChannelLimits(seconds=1)
-    async with serve(
-        echo,
-        "127.0.0.1",
-        0,
-        context(BOB, limits=limits),
-    ) as server:
-        stream = await connect(
-            "127.0.0.1",
-            server.port,
-            context(ALICE, limits=limits),
-        )
+    async with serve(echo, "127.0.0.1", 0, context(BOB, limits=limits)) as server:
+        stream = await connect("127.0.0.1", server.port, context(ALICE, limits=limits))
         for _ in range(2):
             await stream.send(b"x")
             assert await stream.receive() == b"x"

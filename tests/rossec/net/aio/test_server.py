@@ -110,12 +110,7 @@ async def test_garbage_is_dropped(server: SecureServer[FakeIdentity], data: byte
 async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     limits = ChannelLimits(handshake_seconds=1)
-    async with serve(
-        echo,
-        "127.0.0.1",
-        0,
-        context(BOB, limits=limits),
-    ) as server:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, limits=limits)) as server:
         stream = await call(server)
         assert await raw(server, b"\x0c\0\0") == b""
         assert "did not finish the handshake in time" in caplog.text

@@ -235,17 +235,8 @@ async def test_units_queued_behind_a_waiting_large_one() -> None:
 
 async def test_a_unit_limit_below_what_is_joined() -> None:
     limits = ChannelLimits(unit=10)
-    async with serve(
-        echo,
-        "127.0.0.1",
-        0,
-        context(BOB, limits=limits),
-    ) as server:
-        stream = await connect(
-            "127.0.0.1",
-            server.port,
-            context(ALICE, limits=limits),
-        )
+    async with serve(echo, "127.0.0.1", 0, context(BOB, limits=limits)) as server:
+        stream = await connect("127.0.0.1", server.port, context(ALICE, limits=limits))
         for _ in range(5):
             stream.send_nowait(b"1234567")
             await stream.send(memoryview(b"89"), b"")
@@ -264,11 +255,7 @@ async def test_a_unit_limit_below_what_is_joined() -> None:
 async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
     limits = ChannelLimits(records=1)
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
-        stream = await connect(
-            "127.0.0.1",
-            server.port,
-            context(ALICE, limits=limits),
-        )
+        stream = await connect("127.0.0.1", server.port, context(ALICE, limits=limits))
         stream._driver.transport.pause_reading()
         with pytest.raises(LimitExceeded, match="renewal"):  # noqa: PT012 - some sends
             for _ in range(9):
