@@ -28,6 +28,7 @@ from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, connect, serve
+from tests.support.contexts import unlimited
 
 SIZES = (64, 1024, 16 * 1024, 256 * 1024, 1024 * 1024, 6 * 1024 * 1024)
 VOLUME = {64: 256 * 1024, 1024: 2 << 20}  # bytes per slice; the others below
@@ -104,7 +105,7 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
             secure,
             "127.0.0.1",
             0,
-            SecureContext(
+            unlimited(
                 _site.credentials(folder, "server"),
                 _site.anchor(folder).verify,
                 suites=POST_QUANTUM["prefer"],

@@ -16,7 +16,7 @@ import pytest
 from rossec.channel.opening import WireProtocol
 from rossec.enrollment.node import WaitingNode
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureContext, connect
+from rossec.net.aio import connect
 from rossec.net.halfopen import HalfOpen
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant import connections
@@ -24,6 +24,7 @@ from rossec.ros.settings import parse_uri
 from rossec.sidecar.core.endpoints import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import HOST, credentials
+from tests.support.contexts import unlimited
 from tests.support.enrolling import Robot
 from tests.support.pki import NOW
 from tests.support.site import Site
@@ -95,7 +96,7 @@ async def served(site: Site, port: int, protocol: WireProtocol) -> None:
     stream = await connect(
         HOST,
         port,
-        SecureContext(site.enroll("/honest").credentials(), site.anchor.verify),
+        unlimited(site.enroll("/honest").credentials(), site.anchor.verify),
         protocol,
     )
     stream.abort("done")
@@ -162,7 +163,7 @@ async def test_an_enrolled_caller_that_never_closes_is_limited(
 ) -> None:
     """It is refused after it was authenticated; its open socket still counts as its own."""
     monkeypatch.setattr(connections, "PEER_CONNECTIONS", 8)
-    own, held = SecureContext(credentials(site), site.anchor.verify), []
+    own, held = unlimited(credentials(site), site.anchor.verify), []
     async with site.node("/robot") as robot, watched() as most:
         for _ in range(40):
             dialled = socket.create_connection((HOST, robot.topic_endpoint()[1]))

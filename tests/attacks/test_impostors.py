@@ -14,13 +14,14 @@ from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, IdentityRefused
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
+from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import message_type
 from rossec.participant.access import FIELD
 from rossec.participant.slave_api import MASTER
 from rossec.ros import header
 from tests.support.attacker import EVE, HOST, call, credentials, flip, signed
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness, until
 
@@ -59,8 +60,8 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
         await serve_calls(stream, where)
 
     async with (
-        serve(topic, HOST, 0, SecureContext(own, accept_any)) as server,
-        serve(slave, HOST, 0, SecureContext(own, accept_any), WireProtocol.HTTP) as api,
+        serve(topic, HOST, 0, unlimited(own, accept_any)) as server,
+        serve(slave, HOST, 0, unlimited(own, accept_any), WireProtocol.HTTP) as api,
     ):
         yield f"http://{HOST}:{api.port}/"
 

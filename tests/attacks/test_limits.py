@@ -11,10 +11,11 @@ import pytest
 
 from ca.encoding import encode
 from grants.model import Restriction, Right
-from rossec.net.aio import SecureContext, connect
+from rossec.net.aio import connect
 from rossec.participant.access import FIELD
 from rossec.ros import header
 from tests.support.attacker import EVE, HOST
+from tests.support.contexts import unlimited
 from tests.support.limited import (
     HELD,
     NEAR_A_BOUNDARY,
@@ -109,7 +110,7 @@ async def test_calls_over_many_connections_share_the_rate(site: Site) -> None:
             stream = await connect(
                 HOST,
                 node.topic_endpoint()[1],
-                SecureContext(site.enroll(EVE).credentials(), site.anchor.verify),
+                unlimited(site.enroll(EVE).credentials(), site.anchor.verify),
             )
             fields = {
                 "callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent,

@@ -15,12 +15,13 @@ import pytest
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.master.operation.limits import MasterLimits
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
+from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import xmlrpc
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial
 from tests.support.caller import caller
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -133,7 +134,7 @@ async def test_m9_what_a_node_answers_is_bounded(
     home = site.enroll(EVE)
     async with (
         serve(
-            flood, HOST, 0, SecureContext(home.credentials(), site.anchor.verify), WireProtocol.HTTP
+            flood, HOST, 0, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP
         ) as server,
         caller(site, EVE, {"/t": Right.SUBSCRIBE | Right.PUBLISH}) as eve,
     ):

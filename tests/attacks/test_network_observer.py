@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from rossec.errors import PeerRefused
-from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from tests.support.attacker import EVE, HOST, credentials, dial, fields_for, send_header, signed
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import FRAME, POSE, TOPIC, Witness
 
@@ -80,7 +81,7 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
         return site.anchor.verify(chain, now)
 
     async def heard(port: int, opening: WireProtocol) -> bytes:
-        stream = await connect(HOST, port, SecureContext(intruder, look), opening)
+        stream = await connect(HOST, port, unlimited(intruder, look), opening)
         return await stream.receive()
 
     for port, opening in (

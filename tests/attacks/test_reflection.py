@@ -15,7 +15,7 @@ from ca.errors import HintedError
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, IdentityRefused
-from rossec.net.aio import SecureContext, SecureStream, serve
+from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import Node, Subscriber
 from rossec.participant.slave_api import NO_TRANSPORT
@@ -23,6 +23,7 @@ from rossec.ros.settings import parse_uri
 from rossec.sidecar.core.endpoints import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
+from tests.support.contexts import unlimited
 from tests.support.fleet import SECURE, entitle, environment, program
 from tests.support.site import Site
 from tests.support.witness import until
@@ -112,7 +113,7 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
 
     verify = site.anchor.verify
     async with serve(
-        api, HOST, 0, SecureContext(credentials(site), verify), WireProtocol.HTTP
+        api, HOST, 0, unlimited(credentials(site), verify), WireProtocol.HTTP
     ) as server:
         yield f"http://{HOST}:{server.port}/"
 

@@ -22,13 +22,14 @@ from rossec import clock
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
+from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import Node
 from rossec.participant import master_session
 from rossec.participant.slave_api import MASTER
 from tests.attacks.test_clock import HOUR, ClockControl, hand, stop_master
 from tests.attacks.test_intermediates import send_list
+from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site
 from tests.support.witness import until
 
@@ -81,7 +82,7 @@ async def instead_of_the_master(
         handle,
         "127.0.0.1",
         port,
-        SecureContext(home.credentials(), site.anchor.verify),
+        unlimited(home.credentials(), site.anchor.verify),
         WireProtocol.HTTP,
     )
     try:

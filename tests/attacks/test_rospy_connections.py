@@ -18,7 +18,7 @@ from rossec.channel.opening import REFUSAL, tcpros_refusal
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.inprocess.live_connections import PEER_CONNECTIONS
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
+from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc.client import serve_calls
 from rossec.participant.access import FIELD
@@ -35,6 +35,7 @@ from tests.support.attacker import (
     fields_for,
     send_header,
 )
+from tests.support.contexts import unlimited
 from tests.support.victim import (
     COMMAND,
     SERVICE,
@@ -83,7 +84,7 @@ async def test_without_a_grant_no_data_is_sent(victim: Victim, grants: list[byte
 async def test_units_before_authorization_are_limited_to_a_header(victim: Victim) -> None:
     """A unit is buffered before it is checked."""
     own, verify = credentials(victim.site), victim.site.anchor.verify
-    await expect_no_room(await connect(HOST, victim.port, SecureContext(own, verify)), 300_000)
+    await expect_no_room(await connect(HOST, victim.port, unlimited(own, verify)), 300_000)
     await expect_no_room(await dial(victim.uri, own), 3 * 1024 * 1024)
     await victim.goes_on()
 
@@ -158,7 +159,7 @@ def exchange(port: int, data: bytes) -> bytes:
 
 async def raw(victim: Victim, data: bytes) -> bytes:
     """Send `data` as Eve inside the channel; all that comes back."""
-    stream = await connect(HOST, victim.port, SecureContext(credentials(victim.site), accept_any))
+    stream = await connect(HOST, victim.port, unlimited(credentials(victim.site), accept_any))
     answer = b""
     with contextlib.suppress(ChannelError):
         await stream.send(data)
@@ -228,8 +229,8 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
         await serve_calls(stream, dispatch)
 
     commander, anchor = credentials(site, "/commander"), site.anchor
-    topics = serve(talk, HOST, 0, SecureContext(credentials(site), anchor.verify))
-    api = serve(answer_calls, HOST, 0, SecureContext(commander, anchor.verify), WireProtocol.HTTP)
+    topics = serve(talk, HOST, 0, unlimited(credentials(site), anchor.verify))
+    api = serve(answer_calls, HOST, 0, unlimited(commander, anchor.verify), WireProtocol.HTTP)
     try:
         assert site.master is not None
         master = site.master.uri
@@ -285,7 +286,7 @@ async def test_connections_are_limited_per_identity(victim: Victim) -> None:
     fields = for_service(name, SERVICE, grants, persistent="1")
     streams = []
     for _ in range(PEER_CONNECTIONS):
-        streams.append(await connect(HOST, victim.port, SecureContext(own, site.anchor.verify)))
+        streams.append(await connect(HOST, victim.port, unlimited(own, site.anchor.verify)))
         await streams[-1].send(header.encode(fields))
         assert b"callerid=/robot" in await streams[-1].receive()
     expect_refusal(await heard(victim, fields, name), "has 64 connections already")

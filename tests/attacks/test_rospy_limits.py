@@ -17,11 +17,12 @@ import pytest_asyncio
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureContext, SecureStream, connect
+from rossec.net.aio import SecureStream, connect
 from rossec.participant.access import FIELD
 from rossec.ros import header
 from rossec.ros.header import FrameReader
 from tests.support.attacker import EVE, HOST, fields_for
+from tests.support.contexts import unlimited
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 from tests.support.witness import until
@@ -78,7 +79,7 @@ class Target:
     async def connect(self, fields: dict[str, Any]) -> SecureStream[Any]:
         """One more connection of Eve's, with its header answered."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
-        stream = await connect(HOST, self.port, SecureContext(credentials, verify))
+        stream = await connect(HOST, self.port, unlimited(credentials, verify))
         await stream.send(header.encode(fields))
         return stream
 

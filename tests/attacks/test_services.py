@@ -12,7 +12,7 @@ from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError, RossecError
-from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, serve
+from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.node import Node
 from rossec.node import service as provider
 from rossec.node.listener import first_frame
@@ -30,6 +30,7 @@ from tests.support.attacker import (
     send_header,
     signed,
 )
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -123,7 +124,7 @@ async def open_call(
     site: Site, lamp: Node, grant: bytes | None = None, **changes: str
 ) -> AsyncIterator[SecureStream[Any]]:
     """Eve's connection after the headers."""
-    stream = await connect(HOST, port_of(lamp), SecureContext(credentials(site), accept_any))
+    stream = await connect(HOST, port_of(lamp), unlimited(credentials(site), accept_any))
     try:
         await stream.send(header.encode(asking([grant or may_call(site)], **changes)))
         async with asyncio.timeout(30):
@@ -268,7 +269,7 @@ async def impostor(
         await stream.send(reply)
         await stream.wait_ended()
 
-    server: SecureServer[Any] = serve(play, HOST, 0, SecureContext(credentials(site), accept_any))
+    server: SecureServer[Any] = serve(play, HOST, 0, unlimited(credentials(site), accept_any))
 
     async def lookup(_: str) -> str:
         return f"rosrpc://{HOST}:{server.port}"

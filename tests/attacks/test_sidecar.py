@@ -18,7 +18,7 @@ import pytest
 from grants.model import Restriction, Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
-from rossec.net.aio import SecureContext, connect
+from rossec.net.aio import connect
 from rossec.net.aio.dial import dial
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc.client import RpcClient
@@ -27,6 +27,7 @@ from rossec.sidecar.core import tcpros
 from rossec.sidecar.core.endpoints import local_endpoint
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -204,7 +205,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     agent = near._agent_for("/robot")
     port = next(iter(agent._ingress.ports)).port
     stream = await connect(
-        "127.0.0.1", port, SecureContext(home.credentials(), site.anchor.verify), WireProtocol.HTTP
+        "127.0.0.1", port, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP
     )
     client = RpcClient(stream)
     for method, params in (

@@ -11,7 +11,7 @@ import pytest
 from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.message_types import message_type
 from rossec.ros import header
@@ -19,6 +19,7 @@ from rossec.ros.header import FrameReader
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.attacker import EVE, HOST, fields_for
+from tests.support.contexts import unlimited
 from tests.support.limited import (
     HELD,
     NEAR_A_BOUNDARY,
@@ -66,16 +67,14 @@ class SidecarTarget:
         """One more; the program knows of it."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
         grants = self.site.enroll(EVE).grants()
-        slave = await connect(
-            HOST, self.port, SecureContext(credentials, verify), WireProtocol.HTTP
-        )
+        slave = await connect(HOST, self.port, unlimited(credentials, verify), WireProtocol.HTTP)
         client = RpcClient(slave)
         await client.call("rossec.presentGrants", EVE, encode([*grants]))
         answer = await client.call("requestTopic", EVE, TOPIC, [["TCPROS"]])
         assert isinstance(answer, list), answer
         await client.close()
         before = len(self.robot.connections)
-        stream = await connect(HOST, answer[2][2], SecureContext(credentials, verify))
+        stream = await connect(HOST, answer[2][2], unlimited(credentials, verify))
         await stream.send(header.encode(fields_for(EVE, TOPIC, grants)))
         await until(lambda: len(self.robot.connections) == before + 1)
         return stream

@@ -12,7 +12,7 @@ from ca.revocation.state import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError
-from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, serve
+from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.net.aio.dial import dial
 from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
 from rossec.participant.access import FIELD
@@ -24,6 +24,7 @@ from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import expect_no_room
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -53,9 +54,7 @@ async def connect_as_mallory(
 ) -> SecureStream[Identity]:
     """Connect as /mallory to a port of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
-    return await connect(
-        "127.0.0.1", port, SecureContext(credentials, site.anchor.verify), protocol
-    )
+    return await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify), protocol)
 
 
 def port_of(near: Sidecar) -> SecureServer[Identity]:
@@ -97,7 +96,7 @@ async def false_publisher(site: Site, answer: object) -> AsyncIterator[str]:
         handler,
         "127.0.0.1",
         0,
-        SecureContext(home.credentials(), site.anchor.verify),
+        unlimited(home.credentials(), site.anchor.verify),
         WireProtocol.HTTP,
     )
     assert site.master is not None

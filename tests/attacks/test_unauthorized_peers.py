@@ -28,7 +28,7 @@ from rossec.errors import (
     PeerRefused,
     RossecError,
 )
-from rossec.net.aio import SecureContext, connect
+from rossec.net.aio import connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.slave_api import MASTER
 from rossec.ros import header
@@ -48,6 +48,7 @@ from tests.support.attacker import (
     send_header,
     signed,
 )
+from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site
 from tests.support.witness import FRAME, TOPIC, Witness, until
 
@@ -256,7 +257,7 @@ async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, 
 
 @pytest.mark.attack("outlived-right")
 async def test_the_connection_of_a_revoked_node_is_closed(site: Site, witness: Witness) -> None:
-    own = SecureContext(credentials(site), site.anchor.verify)
+    own = unlimited(credentials(site), site.anchor.verify)
     eve = await connect(HOST, witness.topic_port, own)
     await eve.send(header.encode(fields_for(EVE, TOPIC, [signed(site)])))
     await until(lambda: len(witness.publisher.links) == 2)
@@ -313,7 +314,7 @@ async def test_units_before_authorization_are_limited_to_a_header(
     site: Site, witness: Witness
 ) -> None:
     """A unit is buffered before it is checked."""
-    own = SecureContext(credentials(site), site.anchor.verify)
+    own = unlimited(credentials(site), site.anchor.verify)
     stream = await connect(HOST, witness.topic_port, own)
     await expect_no_room(stream, 300_000)
     uri = f"http://{HOST}:{witness.robot._listener.slave_port}/"

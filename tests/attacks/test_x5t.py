@@ -17,9 +17,10 @@ from rossec.channel.edhoc import known
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.known import KnownCertificates, reference
 from rossec.errors import HandshakeFailed, OwnCredentialUnknown, PeerRefused
-from rossec.net.aio import SecureContext, SecureStream, connect, serve
+from rossec.net.aio import SecureStream, connect, serve
 from rossec.node import Node
 from tests.support.attacker import EVE, HOST, credentials, fields_for, send_header
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import TOPIC, Witness
 
@@ -61,7 +62,7 @@ async def refused(witness: Witness, own: Credentials, named: Value, shown: bytes
 async def met(site: Site, witness: Witness, name: str) -> bytes:
     """The certificate of a node that the robot has cached."""
     own = site.enroll(name).credentials()
-    stream = await connect(HOST, witness.topic_port, SecureContext(own, site.anchor.verify))
+    stream = await connect(HOST, witness.topic_port, unlimited(own, site.anchor.verify))
     await stream.send(b"\0\0\0\0")
     await stream.wait_ended()
     assert memory(witness.robot).find(reference(own.certificate))[0] == own.certificate
@@ -141,7 +142,7 @@ async def test_two_certificates_of_one_hash(
     answer = await refused(witness, other, reference(other.certificate), other.certificate)
     assert not isinstance(answer, OwnCredentialUnknown)
     # Once it knows both, the hash is ambiguous.
-    stream = await connect(HOST, witness.topic_port, SecureContext(other, site.anchor.verify))
+    stream = await connect(HOST, witness.topic_port, unlimited(other, site.anchor.verify))
     await stream.send(b"\0\0\0\0")
     await stream.wait_ended()
     for own in (site.enroll(first).credentials(), other):
@@ -167,7 +168,7 @@ async def reached(
     site: Site, witness: Witness, own: Credentials, remembered: KnownCertificates
 ) -> None:
     stream = await connect(
-        HOST, witness.topic_port, SecureContext(own, site.anchor.verify, known=remembered)
+        HOST, witness.topic_port, unlimited(own, site.anchor.verify, known=remembered)
     )
     await stream.send(b"\0\0\0\0")
     await stream.wait_ended()
@@ -187,8 +188,8 @@ async def test_a_responder_that_names_the_certificate_of_another(
         called.append(stream.peer.name)
 
     verify = site.anchor.verify
-    async with serve(never, HOST, 0, SecureContext(forged, verify)) as server:
+    async with serve(never, HOST, 0, unlimited(forged, verify)) as server:
         remembered.note_address((HOST, server.port))
         with pytest.raises(HandshakeFailed, match="signature"):
-            await connect(HOST, server.port, SecureContext(own, verify, known=remembered))
+            await connect(HOST, server.port, unlimited(own, verify, known=remembered))
     assert called == []

@@ -8,9 +8,10 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
-from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node
+from tests.support.contexts import unlimited
 from tests.support.masterprocess import MasterProcess, master_process
 from tests.support.witness import POSE, TOPIC, until
 
@@ -23,7 +24,7 @@ async def client_of(master: MasterProcess, name: str) -> RpcClient:
     stream = await connect(
         "127.0.0.1",
         master.port,
-        SecureContext(home.credentials(), home.anchor().verify),
+        unlimited(home.credentials(), home.anchor().verify),
         WireProtocol.HTTP,
     )
     client = RpcClient(stream)

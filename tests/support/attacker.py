@@ -19,10 +19,11 @@ from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import FIELD
 from rossec.ros import header
+from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site
 from tests.support.witness import TOPIC, Witness, until
 
@@ -58,7 +59,7 @@ async def send_header(
     port: int, credentials: Credentials, fields: Mapping[str, str | bytes], at_most: int = 1 << 20
 ) -> Reply:
     """Send a connection header to a topic port and receive everything until the end."""
-    stream = await connect(HOST, port, SecureContext(credentials, accept_any))
+    stream = await connect(HOST, port, unlimited(credentials, accept_any))
     data = b""
     try:
         await stream.send(header.encode(fields))
@@ -76,7 +77,7 @@ async def send_header(
 async def dial(uri: str, credentials: Credentials) -> SecureStream[UnverifiedPeer]:
     """A secure connection to the XML-RPC port in `uri`."""
     port = int(uri.rstrip("/").rpartition(":")[2])
-    return await connect(HOST, port, SecureContext(credentials, accept_any), WireProtocol.HTTP)
+    return await connect(HOST, port, unlimited(credentials, accept_any), WireProtocol.HTTP)
 
 
 async def call(uri: str, credentials: Credentials, method: str, *params: object) -> object:

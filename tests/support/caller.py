@@ -7,9 +7,10 @@ from typing import Any, Final
 
 from grants.model import Right
 from rossec.demo.intruder import UnverifiedPeer
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
+from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from tests.support.attacker import HOST, credentials, dial
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 
 _NONE: Final[Mapping[str, Right]] = MappingProxyType({})
@@ -68,7 +69,7 @@ async def caller(
 
     own = site.enroll(name)
     async with serve(
-        slave, HOST, 0, SecureContext(own.credentials(), site.anchor.verify), WireProtocol.HTTP
+        slave, HOST, 0, unlimited(own.credentials(), site.anchor.verify), WireProtocol.HTTP
     ) as server:
         found.uri = f"http://{HOST}:{server.port}/"
         assert (await found("rossec.presentGrants", own.grants()))[0] == 1

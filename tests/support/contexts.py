@@ -1,8 +1,8 @@
-"""Contexts of the fake nodes in `wire`, whose certificates last on the host's clock."""
+"""Contexts without the limits of nodes, and of the fake nodes in `wire`, which never expire."""
 
 from typing import Any
 
-from rossec.channel.edhoc.credentials import Credentials, Verify
+from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.net.context import SecureContext
@@ -16,12 +16,22 @@ def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
     return FakeIdentity(found.name, found.public_key, found.certificate, LIVE)
 
 
+def unlimited(
+    credentials: OwnCredential,
+    verify: Verify[PeerT],
+    limits: ChannelLimits = DEFAULTS,
+    **options: Any,
+) -> SecureContext[PeerT]:
+    """With the channel's own limits, or `limits`, for every protocol: as an attacker has them."""
+    every = dict.fromkeys(WireProtocol, limits)
+    return SecureContext(credentials, verify, dial_limits=every, accept_limits=every, **options)
+
+
 def context(
-    credentials: Credentials,
+    credentials: OwnCredential,
     verify: Verify[FakeIdentity] = live,
     limits: ChannelLimits = DEFAULTS,
     **options: Any,
 ) -> SecureContext[FakeIdentity]:
-    """With the same limits for every connection."""
-    every = dict.fromkeys(WireProtocol, limits)
-    return SecureContext(credentials, verify, dial_limits=every, accept_limits=every, **options)
+    """An `unlimited` one of a fake node."""
+    return unlimited(credentials, verify, limits, **options)

@@ -9,12 +9,13 @@ from typing import Any, Final
 from ca.certificates import Identity
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
-from rossec.net.aio import SecureContext, SecureStream, connect
+from rossec.net.aio import SecureStream, connect
 from rossec.node import Node, Publisher
 from rossec.ros import header
 from rossec.ros.header import FrameReader
 from rossec.sidecar.plain_stream import PlainStream
 from tests.support.attacker import EVE, HOST, fields_for
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -43,7 +44,7 @@ class Eve:
         stream = await connect(
             HOST,
             self.port,
-            SecureContext(self.site.enroll(EVE).credentials(), self.site.anchor.verify),
+            unlimited(self.site.enroll(EVE).credentials(), self.site.anchor.verify),
         )
         await stream.send(header.encode(fields_for(EVE, TOPIC, [self.grant])))
         await until(lambda: len(self.publisher.links) == before + 1)

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.records import ChannelLimits
 from rossec.channel.suite_selection import post_quantum
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
@@ -35,6 +36,7 @@ async def master_as(
         home.credentials() if own is None else own,
         home.anchor().verify,
         suites=post_quantum(environment.variables),
+        dial_limits={WireProtocol.HTTP: ChannelLimits()},  # `limits: body` is the master's to set
     )
     stream = await connect(host, port, context, WireProtocol.HTTP)
     try:

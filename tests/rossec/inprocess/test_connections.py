@@ -12,13 +12,14 @@ import pytest_asyncio
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError, RossecError
-from rossec.net.aio import SecureContext, connect
+from rossec.net.aio import connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import FIELD
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import HOST, call, credentials, dial, fields_for, send_header
+from tests.support.contexts import unlimited
 from tests.support.site import coarse
 from tests.support.victim import SERVICE, STATE, TYPE, Victim, attacked
 from tests.support.witness import until
@@ -82,7 +83,7 @@ async def test_callers_that_disconnect_or_send_garbage_are_dropped(victim: Victi
         pass
     own = credentials(victim.site, GUEST)
     for data in (b"\xff\xff\xff\x7f", header.frame(b"\x05\0\0\0nope!"), b"\x01"):
-        stream = await connect(HOST, victim.port, SecureContext(own, victim.site.anchor.verify))
+        stream = await connect(HOST, victim.port, unlimited(own, victim.site.anchor.verify))
         await stream.send(data)
         await stream.close()
     await until(lambda: "a connection header of 2147483647 bytes" in victim.said)
@@ -95,7 +96,7 @@ async def test_a_service_is_probed_and_called_on_a_persistent_connection(victim:
     fields: Fields = {"callerid": GUEST, "service": SERVICE, "md5sum": "*", FIELD: grants}
     answer = await send_header(victim.port, own, {**fields, "probe": "1"})
     assert answer.fields["callerid"] == b"/robot"
-    stream = await connect(HOST, victim.port, SecureContext(own, victim.site.anchor.verify))
+    stream = await connect(HOST, victim.port, unlimited(own, victim.site.anchor.verify))
     await stream.send(header.encode({**fields, "persistent": "1"}))
     await stream.receive()
     for request in (b"", bytes(30_000)):  # rospy ignores bytes after a request
@@ -115,7 +116,7 @@ async def test_a_large_request_passes_if_its_type_allows_it(victim: Victim) -> N
     grants = encode(list(victim.site.enroll(GUEST).grants()))
     service = "/robot/set_logger_level"
     fields: Fields = {"callerid": GUEST, "service": service, "md5sum": "*", FIELD: grants}
-    stream = await connect(HOST, victim.port, SecureContext(own, victim.site.anchor.verify))
+    stream = await connect(HOST, victim.port, unlimited(own, victim.site.anchor.verify))
     await stream.send(header.encode(fields))
     await stream.receive()
     logger, level = b"rosout." + b"x" * 300_000, b"info"

@@ -13,10 +13,11 @@ from rossec.errors import RossecError
 from rossec.master.api.turns import Turns
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.server import MasterServer
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
+from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.ros.settings import parse_uri
 from tests.support.authority import EnrolledNode, Site
+from tests.support.contexts import unlimited
 
 T = "std_msgs/String"
 EVERYTHING = {"/**": Right(255)}
@@ -36,7 +37,7 @@ class SlaveNode:
             self.handle,
             "127.0.0.1",
             0,
-            SecureContext(self.member.credentials, self.world.site.anchor.verify),
+            unlimited(self.member.credentials, self.world.site.anchor.verify),
             WireProtocol.HTTP,
         )
         self.world.exit.push_async_callback(self.server.close)
@@ -95,7 +96,7 @@ class World:
         stream = await connect(
             host,
             port,
-            SecureContext(member.credentials, self.site.anchor.verify),
+            unlimited(member.credentials, self.site.anchor.verify),
             WireProtocol.HTTP,
         )
         client = RpcClient(stream)

@@ -11,13 +11,14 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, PlainPeer
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node, listener
 from rossec.participant import connections, slave_api
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
+from tests.support.contexts import unlimited
 from tests.support.site import Site
 
 POSE = "geometry_msgs/PoseStamped"
@@ -41,7 +42,7 @@ async def request(site: Site, robot: Node, *pieces: bytes) -> dict[str, bytes]:
     """The answer of the topic port to `/viewer` sending `pieces`, one unit each."""
     credentials = site.enroll("/viewer").credentials()
     _, port = robot.topic_endpoint()
-    stream = await connect("127.0.0.1", port, SecureContext(credentials, site.anchor.verify))
+    stream = await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify))
     for piece in pieces:
         await stream.send(piece)
     reader = header.FrameReader()
@@ -124,7 +125,7 @@ async def test_a_peer_that_sends_no_header_is_disconnected(
     monkeypatch.setattr(listener, "HEADER_DEADLINE", 0.1)
     credentials = site.enroll("/viewer").credentials()
     _, port = robot.topic_endpoint()
-    stream = await connect("127.0.0.1", port, SecureContext(credentials, site.anchor.verify))
+    stream = await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify))
     await ended(stream)
 
 
@@ -134,16 +135,14 @@ async def test_each_port_accepts_one_protocol(site: Site, robot: Node) -> None:
     slave_port = int(robot.uri.rstrip("/").rpartition(":")[2])
     for port, flavour in ((topic_port, WireProtocol.HTTP), (slave_port, WireProtocol.TCPROS)):
         with pytest.raises(PlainPeer):
-            await connect(
-                "127.0.0.1", port, SecureContext(credentials, site.anchor.verify), flavour
-            )
+            await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify), flavour)
 
 
 async def test_the_slave_api_refuses_a_revoked_node(site: Site, robot: Node) -> None:
     credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)
-    stream = await connect("127.0.0.1", port, SecureContext(*dial), WireProtocol.HTTP)
+    stream = await connect("127.0.0.1", port, unlimited(*dial), WireProtocol.HTTP)
     answer = await RpcClient(stream).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
     assert isinstance(answer, list)
     assert answer[0] == 1
@@ -151,7 +150,7 @@ async def test_the_slave_api_refuses_a_revoked_node(site: Site, robot: Node) -> 
         "rossec.updateRevocations", site.revoke(site.identity("/viewer").thumbprint)
     )
     await ended(stream)
-    again = await connect("127.0.0.1", port, SecureContext(*dial), WireProtocol.HTTP)
+    again = await connect("127.0.0.1", port, unlimited(*dial), WireProtocol.HTTP)
     answer = await RpcClient(again).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
     assert isinstance(answer, list)
     assert (answer[0], "is revoked" in answer[1], answer[2]) == (-1, True, 0)
@@ -166,7 +165,7 @@ async def test_the_connections_of_one_identity_are_bounded(
 
     async def connected(name: str) -> SecureStream[Identity]:
         who = site.enroll(name).credentials(), site.anchor.verify
-        return await connect("127.0.0.1", port, SecureContext(*who), WireProtocol.HTTP)
+        return await connect("127.0.0.1", port, unlimited(*who), WireProtocol.HTTP)
 
     callers = ["/viewer"] * 3 + ["/master"] * 4
     streams = [await connected(name) for name in callers]
@@ -183,7 +182,7 @@ async def test_a_caller_that_stays_is_disconnected(
     credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)
-    await ended(await connect("127.0.0.1", port, SecureContext(*dial), WireProtocol.HTTP))
+    await ended(await connect("127.0.0.1", port, unlimited(*dial), WireProtocol.HTTP))
 
 
 async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
@@ -197,7 +196,7 @@ async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
     credentials = site.enroll("/operator").credentials()
     host, port = parse_uri(robot.uri)
     stream = await connect(
-        host, port, SecureContext(credentials, site.anchor.verify), WireProtocol.HTTP
+        host, port, unlimited(credentials, site.anchor.verify), WireProtocol.HTTP
     )
     client = RpcClient(stream)
 

@@ -1,8 +1,13 @@
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+from rossec.channel.opening import WireProtocol
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import master_as, master_at
 from rossec.errors import ConfigurationError
+from rossec.net.bounds import DIALLED
 from tests.support.site import Site
 
 
@@ -26,3 +31,15 @@ async def test_another_node_at_the_masters_address_is_refused(site: Site) -> Non
         with pytest.raises(ConfigurationError, match="/robot answers there"):
             async with master_as(Environment(site.environ), home, robot.uri):
                 pass
+
+
+async def test_how_long_a_call_may_be_is_up_to_the_master(tmp_path: Path) -> None:
+    site, length = Site(tmp_path / "site"), DIALLED[WireProtocol.HTTP].unit + 1
+    site.limits = replace(site.limits, body=2 * length)
+    home = site.enroll("/looker")
+    async with site.running():
+        environment = Environment(site.environ)
+        async with master_as(environment, home, master_at(environment)) as client:
+            answer = await client.call("setParam", home.name, "/p", bytes(length))
+            assert isinstance(answer, list)
+            assert answer[0] == -1, "refused for want of a grant, not for its length"
