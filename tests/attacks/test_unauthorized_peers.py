@@ -315,8 +315,7 @@ async def test_units_before_authorization_are_limited_to_a_header(
 ) -> None:
     """A unit is buffered before it is checked."""
     own = unlimited(credentials(site), site.anchor.verify)
-    stream = await connect(HOST, witness.topic_port, own)
-    await expect_no_room(stream, 300_000)
+    await expect_no_room(await connect(HOST, witness.topic_port, own), 300_000)
     uri = f"http://{HOST}:{witness.robot._listener.slave_port}/"
     await expect_no_room(await dial(uri, credentials(site)), 3 * 1024 * 1024)
     await witness.goes_on()
