@@ -58,7 +58,7 @@ RETIRED: Final = {
     "Dialler": "SlaveDialer",
     "dialler": "dialer",
     "dials_for": "own_dials_for",
-    "Door": "NodePorts",
+    "Door": "AcceptedConnections",
     "Doors": "Connector",
     "Doorways": "PortPool",
     "doorways": "ports",

@@ -56,6 +56,7 @@ class Listener:
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
+        accepted: AcceptedConnections,
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
@@ -68,11 +69,11 @@ class Listener:
         self._publishers = publishers
         self._services = services
         self._slave = slave
+        self._accepted = accepted
         self._suites = suites
         self._known = known
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
         self._servers: list[SecureServer[Identity]] = []
-        self._accepted = AcceptedConnections()
         self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
 
     @property
@@ -107,10 +108,6 @@ class Listener:
             )
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
-
-    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
-        """Close every connection of a revoked key, for whatever purpose it was accepted."""
-        self._accepted.abort_revoked(revoked)
 
     async def close(self) -> None:
         """Stop listening and close the accepted connections."""
