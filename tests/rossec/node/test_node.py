@@ -181,6 +181,18 @@ async def test_a_node_ends_when_its_watchdog_fails(
             publisher.publish(pose(publisher))
 
 
+async def test_a_node_that_the_master_ended_is_closed_when_its_watchdog_fails(site: Site) -> None:
+    """The program may not have noticed its end yet."""
+    site.publish("/robot", "/robot/pose")
+    async with site.node("/robot") as robot:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        robot.shutdown_requested("a test")
+        robot.crashed(ValueError("boom"))
+        await until(lambda: not robot._membership.tasks, within=10)
+        with pytest.raises(NodeShutdown):
+            publisher.publish(pose(publisher))
+
+
 async def test_an_invalid_grant_file_is_logged_and_ignored(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:

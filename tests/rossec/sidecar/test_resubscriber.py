@@ -1,5 +1,8 @@
 """Publisher updates that programs do not get from a master."""
 
+import logging
+import time
+
 import pytest
 
 from tests.rossec.sidecar.program import string_message
@@ -42,3 +45,22 @@ async def test_a_publisher_not_yet_registered_again_is_kept_for_a_grace_period(
     named = pair.listener_sidecar._agent_for("/listener").state.publisher_grace
     monkeypatch.setattr(named, "_until", 0.0)
     await until(lambda: updates()[-1][2] == [], within=30)
+
+
+async def test_a_topic_without_a_grant_any_more_is_logged(
+    pair: SidecarPair, caplog: pytest.LogCaptureFixture
+) -> None:
+    agent = pair.listener_sidecar._agent_for("/listener")
+    agent._resubscriber.on_topic_ended("/secret", time.monotonic())
+    assert "/listener: no grant for subscribe on /secret any more" in caplog.text
+
+
+async def test_a_resubscription_fails_without_a_master(
+    pair: SidecarPair, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    _, source = await connect(pair)
+    assert pair.site.master is not None
+    await pair.site.master.close()
+    source.abort()
+    await until(lambda: "/listener: cannot subscribe again: /word" in caplog.text, within=20)
