@@ -123,7 +123,7 @@ RETIRED: Final = {
     "Network": "PeerConnector",
     "News": "GraphChanges",
     "news_for": "revocations_for",
-    "nothing_proved": "no_proofs",
+    "nothing_proved": "prove",
     "on_free_port": "bind_free_port",
     "open_own": "open_trusted",
     "OpenAuthority": "SigningAuthority",
