@@ -23,6 +23,7 @@ from rossec.inprocess.registrations import Registrations
 from rossec.net.aio import SecureStream
 from rossec.participant.dialer import Dialer
 from rossec.participant.membership import Membership
+from rossec.ros.xmlrpc import Fault
 
 PERIOD: Final = (
     1.0  # seconds between checks; a connection is closed within the second it expires in
@@ -159,7 +160,7 @@ class BackgroundLoop:
     async def _open_session(self) -> None:
         try:
             await self.membership.session.open()
-        except (HintedError, OSError, TimeoutError) as error:
+        except (HintedError, OSError, Fault) as error:
             _log.warning("%s: no answer from the master: %s", self._local_identity.name, error)
         self._first_attempt.set()
 

@@ -118,7 +118,7 @@ class MasterSession:
                 await self._wait_for_heartbeat()
                 await self._heartbeat()
                 retry.succeeded()
-            except (HintedError, OSError, TimeoutError) as error:
+            except (HintedError, OSError, Fault) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)
                 await self._disconnect()
                 await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))

@@ -29,6 +29,7 @@ from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_proofs import Provable, prove
+from rossec.ros.xmlrpc import Fault
 from rossec.saved_revocations import saved_revocations
 
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
@@ -203,7 +204,7 @@ class Membership:
             if new:
                 _log.info("%s: %d new grants", self._identity.name, len(new))
                 self.rights_version += 1
-            with contextlib.suppress(HintedError, OSError):  # else later, or on reconnection
+            with contextlib.suppress(HintedError, OSError, Fault):  # else later, or on reconnection
                 await self._update(new)
 
     async def _update(self, new: list[bytes]) -> None:

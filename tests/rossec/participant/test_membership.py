@@ -22,6 +22,7 @@ from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.slave_api import MASTER
 from rossec.ros.settings import parse_uri
+from rossec.ros.xmlrpc import Fault
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until
@@ -284,6 +285,27 @@ async def test_a_task_that_crashes_ends_everything_once(
         another = form.membership.tasks.spawn(fail_again())
         await asyncio.wait([another])
         assert [call for call in form.calls if "crashed" in call] == ["crashed: a fault"]
+
+
+async def test_a_fault_is_an_answer_of_the_master_and_no_crash(
+    site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+
+    async def answer() -> None:
+        form.calls.append("fault")
+        raise Fault(1, "rossec: internal error")
+
+    async with site.running(), Form(site).running() as form:
+        with monkeypatch.context() as faulty:
+            faulty.setattr(form, "rights_changed", answer)
+            site.publish("/robot", TOPIC)
+            await until(lambda: "fault" in form.calls, within=10)
+            faulty.setattr(form, "restore", answer)
+            await site.restart_master()
+            await until(lambda: form.calls.count("fault") > 1, within=30)
+        await until(lambda: "/robot: connected to the master again" in caplog.text, within=30)
+        assert not [call for call in form.calls if "crashed" in call]
 
 
 async def test_a_session_opened_later_is_watched_meanwhile(site: Site) -> None:
