@@ -50,16 +50,22 @@ async def test_stale_revocation_data_closes_the_connection(
     await wait_closed(source)
 
 
-async def test_an_agent_without_watchdog_closes_everything(
-    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("part", ["watchdog", "maintenance", "resubscriber"])
+async def test_an_agent_whose_task_crashes_closes_everything(
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
     stream, source = await connect(pair)
     agent = pair.talker_sidecar._agent_for("/talker")
 
-    def crash(_: int) -> None:
+    def crash(*_: object) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr(agent._watchdog, "close_terminated", crash)
+    owner, name = {
+        "watchdog": (agent._watchdog, "close_terminated"),
+        "maintenance": (agent, "maintain"),
+        "resubscriber": (agent._resubscriber._to_resubscribe, "take_due"),
+    }[part]
+    monkeypatch.setattr(owner, name, crash)
     await wait_closed(stream)
     await wait_closed(source)
     with pytest.raises(RossecError):
