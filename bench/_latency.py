@@ -189,7 +189,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
             await asyncio.sleep(0.5)
             data = _revoke(site, members)
             begin = time.perf_counter()
-            await robot._session.call("rossec.updateRevocations", data)  # noqa: SLF001
+            await robot._membership.session.call("rossec.updateRevocations", data)  # noqa: SLF001
             async with asyncio.timeout(60):
                 while len(ends) < count:  # noqa: ASYNC110
                     await asyncio.sleep(0.01)

@@ -6,18 +6,36 @@ fresh, and every peer that is checked would be refused.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
 from threading import RLock
+from typing import Concatenate, ParamSpec, TypeVar
 
 from ca.certificates import Identity
-from grants.decision import Decision
-from grants.model import Right
 from rossec import clock
+from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.net.context import SecureContext
-from rossec.participant.access import Access, HeldGrant
+from rossec.participant.access import Access
 from rossec.participant.connections import AuthorizedPeer, termination_reason
-from rossec.saved_revocations import saved_revocations
+from rossec.participant.membership import LoadedIdentity
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _locked(
+    method: Callable[Concatenate[Access, P], R],
+) -> Callable[Concatenate["LockedAccess", P], R]:
+    """The same method of `LockedAccess`."""
+
+    @wraps(method)
+    def call(locked: "LockedAccess", /, *args: P.args, **kwargs: P.kwargs) -> R:
+        with locked.lock:
+            value: R = getattr(locked._access, method.__name__)(*args, **kwargs)  # noqa: SLF001
+            return value
+
+    return call
 
 
 class LockedAccess:
@@ -36,110 +54,46 @@ class LockedAccess:
         with self.lock:
             return self._access.epoch
 
-    def hold(self, data: bytes) -> None:
-        """See `Access.hold`."""
+    @property
+    def unproved(self) -> list[bytes]:
+        """See `Access.unproved`."""
         with self.lock:
-            self._access.hold(data)
+            return self._access.unproved
 
-    def hold_renewed(self, token: bytes, now: int) -> None:
-        """See `Access.hold_renewed`."""
-        with self.lock:
-            self._access.hold_renewed(token, now)
-
-    def held_grants(self) -> list[HeldGrant]:
-        """See `Access.held_grants`."""
-        with self.lock:
-            return self._access.held_grants()
-
-    def update_revocations(
-        self,
-        revocations: bytes,
-        timestamp: bytes,
-        master: Identity,
-        now: int,
-        persist: Callable[[bytes], None],
-    ) -> None:
-        """See `Access.update_revocations`."""
-        with self.lock:
-            self._access.update_revocations(revocations, timestamp, master, now, persist)
-
-    def current(self, now: int) -> list[bytes]:
-        """See `Access.current`."""
-        with self.lock:
-            return self._access.current(now)
-
-    def present(self, right: Right, name: str, now: int) -> bytes:
-        """See `Access.present`."""
-        with self.lock:
-            return self._access.present(right, name, now)
-
-    def holds(self, right: Right, name: str, now: int) -> bool:
-        """See `Access.holds`."""
-        with self.lock:
-            return self._access.holds(right, name, now)
-
-    def check_peer(self, peer: Identity, now: int) -> None:
-        """See `Access.check_peer`."""
-        with self.lock:
-            self._access.check_peer(peer, now)
-
-    def authorize(
-        self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
-    ) -> Decision:
-        """See `Access.authorize`."""
-        with self.lock:
-            return self._access.authorize(peer, presented, right, name, now)
+    hold = _locked(Access.hold)
+    hold_renewed = _locked(Access.hold_renewed)
+    held_grants = _locked(Access.held_grants)
+    update_revocations = _locked(Access.update_revocations)
+    add_proof = _locked(Access.add_proof)
+    current = _locked(Access.current)
+    present = _locked(Access.present)
+    holds = _locked(Access.holds)
+    check_peer = _locked(Access.check_peer)
+    authorize = _locked(Access.authorize)
 
 
-class LocalIdentity:
+class LocalIdentity(LoadedIdentity):
     """The enrolled node that this process is.
 
     Args:
-        home: its directory.
-        name: the name it runs under, which its identity covers.
+        home, name: as of `LoadedIdentity`, which raises the same errors.
         suites: of its channels, by the post-quantum policy.
-
-    Raises:
-        ConfigurationError: no identity, or another node's.
-        CertificateRefused, KeyRefused: the identity or the key is invalid.
     """
 
     def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
-        self.name = name
-        self.home = home
-        self.anchor = home.anchor()
-        self.credentials = home.credentials()
+        super().__init__(home, name)
         self.context = SecureContext(self.credentials, self.anchor.verify, suites=suites)
-        self.identity = home.identity(now())
-        self.revocations = saved_revocations(home, self.anchor, now())
         self.access = LockedAccess(Access(self.anchor, self.revocations))
 
-    def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take a list (empty: the one held) and the master's confirmation that it is the newest.
-
-        Raises:
-            CAError: either is invalid. A valid list is taken nevertheless.
-        """
-        with self.access.lock:
-            self.access.update_revocations(
-                data, timestamp, master, now(), self.home.save_revocations
-            )
+    @property
+    def credentials(self) -> Credentials:
+        """Those of the next handshake, which uses them unchanged: it has a thread of its own."""
+        return self.live_credentials.current
 
     def expire_confirmation(self) -> None:
         """Treat the master's confirmation as expired: the clock it was received by went back."""
         with self.access.lock:
             self.revocations.expire_confirmation(now() - 1)
-
-    @property
-    def unproved(self) -> list[bytes]:
-        """Entries of a tree of revocations that wait for a proof."""
-        with self.access.lock:
-            return self.revocations.unproved
-
-    def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """See `Revocations.add_proof`."""
-        with self.access.lock:
-            self.revocations.add_proof(entry, proof)
 
     def refresh_identity(self) -> bool:
         """Use the certificate that is in the directory now; returns whether it is another one.
@@ -150,7 +104,8 @@ class LocalIdentity:
         credentials = self.home.credentials()
         if credentials.chain == self.credentials.chain:
             return False
-        self.identity, self.credentials = self.home.identity(now()), credentials
+        self.identity = self.home.identity(now())
+        self.live_credentials.current = credentials
         self.context = replace(self.context, credentials=credentials)  # one step for other threads
         return True
 

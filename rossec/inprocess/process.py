@@ -9,7 +9,6 @@ from collections.abc import Callable
 from threading import RLock
 from typing import Final
 
-from ca.certificates import Identity
 from rossec import clock
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
 from rossec.inprocess.allow_plain import PlainPeers
@@ -20,6 +19,7 @@ from rossec.inprocess.live_connections import LiveConnection, LiveConnections
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
+from rossec.participant.membership import Membership
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.revocation_watch import CLOCK_SET_BACK
 
@@ -38,8 +38,6 @@ class SecuredProcess:
         self.connections = LiveConnections()
         self._setbacks = clock.Setbacks()
         self.own_addresses = OwnAddresses()
-        self.rights_version = 0
-        """Incremented for each new grant or list: what was refused may be tried again."""
         self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
         self._begin_lock = RLock()
         self.begin_early: Callable[[], None] = lambda: None
@@ -75,7 +73,7 @@ class SecuredProcess:
 
     @property
     def local_identity(self) -> LocalIdentity:
-        """The node. Raises `ConfigurationError` while it has no name; so do the next three."""
+        """The node. Raises `ConfigurationError` while it has no name; so do the next four."""
         return self._require_begun()[0]
 
     @property
@@ -92,6 +90,11 @@ class SecuredProcess:
     def background_loop(self) -> BackgroundLoop:
         """Holds the session with the master."""
         return self._require_begun()[3]
+
+    @property
+    def membership(self) -> Membership:
+        """Keeps grants, identity and revocation data current."""
+        return self.background_loop.membership
 
     # -- connections
 
@@ -125,20 +128,6 @@ class SecuredProcess:
         return ConnectionAbortedError(errno.ECONNABORTED, f"rossec: {error}")  # rospy tries again
 
     # -- called by the background loop
-
-    def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take a list and its confirmation, then close the connections they end.
-
-        Raises:
-            CAError: either is invalid. What a valid list revokes is closed nevertheless.
-        """
-        before = self.local_identity.revocations.data
-        try:
-            self.local_identity.take_revocations(data, timestamp, master)
-        finally:
-            self.close_ended_connections()
-            if self.local_identity.revocations.data != before:
-                self.rights_version += 1
 
     def close_ended_connections(self) -> None:
         """Close every connection whose right has ended."""

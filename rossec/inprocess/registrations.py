@@ -39,11 +39,15 @@ Call = tuple[str, tuple[object, ...]]
 
 
 class Registrations:
-    """The registrations of one node."""
+    """The registrations of one node.
+
+    Attributes:
+        publishers: those that the master names, by topic.
+    """
 
     def __init__(self, name: str, now: Callable[[], float]) -> None:
         self._name = name
-        self._publishers = PublisherGrace(now)
+        self.publishers = PublisherGrace(now)
         self._calls: dict[tuple[str, object], tuple[object, ...]] = {}
         self._refused: set[tuple[str, object]] = set()
         self._nodes: dict[tuple[str, int], None] = {}
@@ -84,18 +88,14 @@ class Registrations:
         calls = self._calls.copy().items()
         return [(key[0], params) for key, params in calls if key in self._refused]
 
-    def session_opened(self) -> None:
-        """The master may have been restarted, and may name fewer publishers than there are."""
-        self._publishers.session_opened()
-
     def set_publishers(self, topic: str, uris: object) -> None:
         """Store the publishers of a topic that the master names."""
         if isinstance(uris, Iterable):
-            self._publishers.update(topic, [uri for uri in uris if isinstance(uri, str)])
+            self.publishers.update(topic, [uri for uri in uris if isinstance(uri, str)])
 
     def is_publisher(self, topic: str, uri: str) -> bool:
         """Whether the master still names `uri`, or may name it again."""
-        return uri in self._publishers.to_follow(topic)
+        return uri in self.publishers.to_follow(topic)
 
     def _add_node(self, uri: str) -> None:
         with suppress(ConfigurationError):

@@ -111,8 +111,9 @@ class SubscriptionLoop:
     def _wait_for_change(self, conn: Any, pause: float, topic: str, uri: str) -> bool:
         """Wait, at most `pause`, for a reason to try again; returns whether to."""
         end = time.monotonic() + pause
-        seen = self._process.rights_version
-        while seen == self._process.rights_version and time.monotonic() < end:
+        membership = self._process.membership
+        seen = membership.rights_version
+        while seen == membership.rights_version and time.monotonic() < end:
             if conn.done or rospy.is_shutdown():
                 return False
             time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))

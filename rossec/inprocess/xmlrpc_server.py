@@ -157,7 +157,7 @@ class XmlRpcServer:
 
     def _run(self, server: Any, method: str, params: Params, peer: Identity) -> object:
         if method == REVOCATION_UPDATE:
-            self._process.take_revocations(params[1], params[2], peer)
+            self._process.membership.update_revocations(params[1], params[2], peer)
             return [1, "", 0]
         if method == "requestTopic":
             start_tcpros_server()

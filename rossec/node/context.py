@@ -15,7 +15,7 @@ from rossec.participant.grant_renewal import MasterCall
 _log = logging.getLogger("rossec.node")
 
 
-@dataclass(frozen=True)
+@dataclass
 class NodeContext:
     """The context of one running node.
 
@@ -23,7 +23,7 @@ class NodeContext:
         call: calls the master.
         filter_key: finds a key for pseudonyms by its name.
         memory_scope: finds what a limited right has used up.
-        uri: its API URI, as registered.
+        uri: its API URI, as registered; empty until it listens.
         rosrpc: the URI of its services, as registered.
     """
 
@@ -34,8 +34,8 @@ class NodeContext:
     dialer: Dialer
     filter_key: Callable[[str], bytes]
     memory_scope: MemoryScope
-    uri: Callable[[], str]
-    rosrpc: Callable[[], str]
+    uri: str = ""
+    rosrpc: str = ""
 
     @contextlib.contextmanager
     def restoring(self, what: str) -> Iterator[None]:

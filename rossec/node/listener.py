@@ -50,6 +50,7 @@ class Listener:
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
+        accepted: AcceptedConnections,
         own_addresses: OwnAddresses,
     ) -> None:
         self._name = name
@@ -58,9 +59,9 @@ class Listener:
         self._publishers = publishers
         self._services = services
         self._slave = slave
+        self._accepted = accepted
         self._own_addresses = own_addresses
         self._servers: list[SecureServer[Identity]] = []
-        self._accepted = AcceptedConnections()
 
     @property
     def slave_port(self) -> int:
@@ -82,10 +83,6 @@ class Listener:
             server = serve(self._accepted.bounded(handler), bind, 0, self._context, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
-
-    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
-        """Close every connection of a revoked key, for whatever purpose it was accepted."""
-        self._accepted.abort_revoked(revoked)
 
     async def close(self) -> None:
         """Stop listening and close the accepted connections."""

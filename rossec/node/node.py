@@ -2,28 +2,24 @@
 
 Connects the parts: the master session, the slave API, the TCPROS server, topics and services, and
 the watchdog of their connections. Decisions are made elsewhere: `access` authorizes peers, the
-handshake modules check headers, `connections` says when a connection must end.
+handshake modules check headers, `connections` says when a connection must end, `membership` keeps
+grants, identity and revocation data current.
 """
 
 import asyncio
-import contextlib
-import logging
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Final, Self
+from typing import Self
 
 from ca.certificates import Identity
-from ca.errors import HintedError
 from rossec import clock
-from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.suite_selection import post_quantum
 from rossec.environment import own_home
-from rossec.errors import AnswerRefused, NodeShutdown
+from rossec.errors import NodeShutdown
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
-from rossec.net.aio.tasks import TaskSet
 from rossec.node.context import NodeContext
 from rossec.node.listener import Listener
 from rossec.node.params import NodeParameters
@@ -34,27 +30,18 @@ from rossec.node.services import Services
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
 from rossec.participant.access import Access
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.connections import AcceptedConnections, AuthorizedConnection
 from rossec.participant.dialer import Dialer
-from rossec.participant.grant_directory import GrantDirectory
-from rossec.participant.grant_renewal import Renewals, renew
-from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.limit_memory import memory_scope
-from rossec.participant.master_session import MasterSession
+from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.revocation_proofs import prove
+from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SlaveApi
 from rossec.participant.topic_handshake import TopicEndpoint
 from rossec.ros import settings
-from rossec.saved_revocations import saved_revocations
-
-_PRESENTED: Final = 64  # the master stores this many of one node
-_MAINTENANCE_PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
-
-_log = logging.getLogger("rossec.node")
 
 
 class Node:
@@ -77,11 +64,9 @@ class Node:
     ) -> None:
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        self.home = NodeHome.find(own_home(environ), self.name)
-        self.anchor = self.home.anchor()
-        self.credentials = LiveCredentials(self.home.credentials())
-        self.identity = self.home.identity(clock.now())
-        self.revocations = saved_revocations(self.home, self.anchor, clock.now())
+        loaded = LoadedIdentity(NodeHome.find(own_home(environ), self.name), self.name)
+        self.home, self.anchor, self.identity = loaded.home, loaded.anchor, loaded.identity
+        self.credentials, self.revocations = loaded.live_credentials, loaded.revocations
         self.access = Access(self.anchor, self.revocations)
         secure = SecureContext(
             self.credentials, self.anchor.verify,
@@ -89,38 +74,25 @@ class Node:
         )  # fmt: skip
         own_addresses = OwnAddresses()
         self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses)
-        self._grant_directory = GrantDirectory(self.home, self.access)
-        self._grant_directory.take_new()
-        self._tasks = TaskSet(on_crash=self._crashed)
-        self._session = MasterSession(
-            self.name,
-            self._dial_master,
-            self.revocations_arrived,
-            self._restore,
-            lambda: self.revocations.data,
-            lambda call: prove(call, self.revocations),
-        )
-        self._renewals = Renewals(self.access)
-        context = NodeContext(
+        accepted, grace = AcceptedConnections(), PublisherGrace(clock.counter())
+        self._watchdog = ConnectionWatchdog(self.revocations, self._connections, accepted)
+        self._membership = Membership(loaded, self.access, self._watchdog, grace, self)
+        self._context = context = NodeContext(
             self.name,
             self.access,
             self.revocations,
-            self._session.call,
+            self._membership.session.call,
             self._dialer,
             self.home.filter_key,
             memory_scope(self.name),
-            uri=lambda: self.uri,
-            rosrpc=lambda: settings.build_uri(*self.topic_endpoint(), scheme="rosrpc"),
         )
-        self._topics = Topics(context)
+        self._topics = Topics(context, grace)
         self.services = Services(context)
         self.params = NodeParameters(context, self.settings.resolve)
-        self._identity_renewal = IdentityRenewal(self.home, self.credentials, clock.now())
         self._listener = Listener(
-            self.name, secure, self.access,
-            self._topics.publishers, self.services, SlaveApi(self), own_addresses,
+            self.name, secure, self.access, self._topics.publishers, self.services,
+            SlaveApi(self), accepted, own_addresses,
         )  # fmt: skip
-        self._watchdog = ConnectionWatchdog(self.revocations, self._connections, self._listener)
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -234,8 +206,7 @@ class Node:
         await self.services.close()
         self.params.close()
         await self._topics.unregister()
-        await self._tasks.close()
-        await self._session.close()
+        await self._membership.close()
         self._ended.cancel()
 
     # --- calls of the slave API (SlaveEvents) ---
@@ -250,13 +221,7 @@ class Node:
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take a newer list and a fresh timestamp, then close connections that must end."""
-        now = clock.now()
-        try:
-            self.access.update_revocations(
-                revocations, timestamp, master, now, self.home.save_revocations
-            )
-        finally:  # the list takes effect even when the timestamp is refused
-            self._watchdog.close_terminated(now)
+        self._membership.update_revocations(revocations, timestamp, master)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator shut it down."""
@@ -282,55 +247,43 @@ class Node:
     @property
     def uri(self) -> str:
         """This node's API URI, as registered with the master."""
-        return settings.build_uri(self._host, self._listener.slave_port)
+        return self._context.uri
 
-    async def _start(self) -> None:
-        stream = await self._session.open()
-        self._host = self.settings.address or stream.local_address
-        await self._listener.start(self._host)
-        self._tasks.spawn(self._session.run(), f"{self.name}: master session")
-        self._tasks.spawn(self._watchdog.run(), f"{self.name}: watchdog")
-        self._tasks.spawn(self._maintain(), f"{self.name}: maintenance")
+    # --- hooks of the membership (MembershipHooks)
 
-    async def _dial_master(self) -> SecureStream[Identity]:
+    async def dial_master(self) -> SecureStream[Identity]:
+        """Connect to the master."""
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
-    async def _restore(self, session: MasterSession) -> None:
-        self._topics.session_opened()
-        with contextlib.suppress(AnswerRefused):  # requested again later
-            await renew(session.call, self._renewals, clock.now())
-        current = self.access.current(clock.now())
-        await session.call("rossec.presentGrants", current[:_PRESENTED])
-        await self._register()
-
-    async def _register(self) -> None:
+    async def restore(self) -> None:
+        """Make every registration again."""
         await self._topics.restore()
         await self.services.restore()
         await self.params.restore()
 
-    def _connections(self) -> Iterator[AuthorizedConnection]:
-        yield from self._topics.connections()
-        yield from self.services.connections()
+    async def rights_changed(self) -> None:
+        """Make registrations again: the master may have refused them for lack of a grant."""
+        await self.restore()
 
-    async def _maintain(self) -> None:
-        """Load new grants, renew grants and the identity, request proofs: periodically."""
-        while True:
-            await asyncio.sleep(_MAINTENANCE_PERIOD)
-            self._topics.drop_expired_publishers()
-            new = self._grant_directory.take_new()
-            with contextlib.suppress(HintedError, OSError):  # retried later
-                if new:
-                    _log.info("%s: %d new grants", self.name, len(new))
-                    await self._session.call("rossec.presentGrants", new)
-                renewed = await renew(self._session.call, self._renewals, clock.now())
-                if new or renewed:
-                    await self._register()  # registrations refused before for lack of the grant
-                await renew_identity(self._session.call, self._identity_renewal, clock.now())
-                if await prove(self._session.call, self.revocations):
-                    self._watchdog.close_terminated(clock.now())
+    def maintain(self) -> None:
+        """Drop publishers that a restarted master did not list again in time."""
+        self._topics.drop_expired_publishers()
 
-    def _crashed(self, error: BaseException) -> None:
+    def crashed(self, error: BaseException) -> None:
         """Close the node when a task fails: without its watchdog it would close no connection."""
         if not self._ended.done():
             self._ended.set_exception(error)
-            self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")
+        if not self._ended.cancelled():
+            self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
+
+    async def _start(self) -> None:
+        stream = await self._membership.session.open()
+        self._host = self.settings.address or stream.local_address
+        await self._listener.start(self._host)
+        self._context.uri = settings.build_uri(self._host, self._listener.slave_port)
+        self._context.rosrpc = settings.build_uri(*self.topic_endpoint(), scheme="rosrpc")
+        self._membership.start()
+
+    def _connections(self) -> Iterator[AuthorizedConnection]:
+        yield from self._topics.connections()
+        yield from self.services.connections()

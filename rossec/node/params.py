@@ -136,7 +136,7 @@ class NodeParameters:
 
     async def _register(self, key: str) -> None:
         before = [item.updates for item in self._subscriptions[key]]
-        value = await self._ask("subscribeParam", self._context.uri(), key)
+        value = await self._ask("subscribeParam", self._context.uri, key)
         for subscription, updates in zip(self._subscriptions.get(key, []), before, strict=False):
             if subscription.updates == updates:  # an update may have arrived first
                 subscription.take(value)
@@ -145,7 +145,7 @@ class NodeParameters:
         self._drop(subscription)
         if subscription.name not in self._subscriptions:
             with contextlib.suppress(HintedError, OSError, TimeoutError):
-                await self._ask("unsubscribeParam", self._context.uri(), subscription.name)
+                await self._ask("unsubscribeParam", self._context.uri, subscription.name)
 
     def _drop(self, subscription: "ParameterSubscription") -> None:
         others = self._subscriptions.get(subscription.name, [])

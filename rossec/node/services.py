@@ -201,13 +201,13 @@ class Services:
 
     async def _register(self, service: Service) -> None:
         context = self._context
-        await context.call("registerService", service.name, context.rosrpc(), context.uri())
+        await context.call("registerService", service.name, context.rosrpc, context.uri)
 
     async def _unregister(self, service: Service) -> None:
         if self._provided.get(service.name) is service:
             del self._provided[service.name]
             with contextlib.suppress(HintedError, OSError, TimeoutError):
-                await self._context.call("unregisterService", service.name, self._context.rosrpc())
+                await self._context.call("unregisterService", service.name, self._context.rosrpc)
 
 
 def _provided(item: object) -> tuple[str, list[str]]:

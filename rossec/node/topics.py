@@ -8,7 +8,6 @@ from itertools import count
 from ca.errors import HintedError
 from grants.filters import layout
 from grants.memory import MemoryScope
-from rossec import clock
 from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher
@@ -23,11 +22,11 @@ _log = logging.getLogger("rossec.node")
 class Topics:
     """Publishers by topic, and any number of subscribers."""
 
-    def __init__(self, context: NodeContext) -> None:
+    def __init__(self, context: NodeContext, grace: PublisherGrace) -> None:
         self._context = context
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
-        self._grace = PublisherGrace(clock.counter())
+        self._grace = grace
 
     @property
     def publishers(self) -> Mapping[str, Publisher]:
@@ -101,10 +100,6 @@ class Topics:
         """Follow the master's list of publishers."""
         self._follow(topic, self._grace.update(topic, uris))
 
-    def session_opened(self) -> None:
-        """The master may have been restarted, and its publisher lists be incomplete."""
-        self._grace.session_opened()
-
     def drop_expired_publishers(self) -> None:
         """Drop publishers that the master did not list again within the grace period."""
         for topic in self._grace.expired_topics():
@@ -139,18 +134,18 @@ class Topics:
         """Unregister the publishers."""
         try:
             for topic in self._publishers:
-                await self._context.call("unregisterPublisher", topic, self._context.uri())
+                await self._context.call("unregisterPublisher", topic, self._context.uri)
         except (HintedError, OSError, TimeoutError) as error:
             _log.info("%s: closed without unregistering: %s", self._context.name, error)
 
     async def _register_publisher(self, publisher: Publisher) -> None:
         endpoint = publisher.endpoint
         await self._context.call(
-            "registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri()
+            "registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri
         )
 
     async def _register_subscriber(self, subscriber: Subscriber) -> None:
-        endpoint, uri = subscriber.endpoint, self._context.uri()
+        endpoint, uri = subscriber.endpoint, self._context.uri
         before = subscriber.updates
         uris = await self._context.call(
             "registerSubscriber", endpoint.topic, endpoint.type.name, uri
@@ -168,7 +163,7 @@ class Topics:
             self._grace.forget(subscriber.topic)
             with contextlib.suppress(HintedError, OSError):
                 await self._context.call(
-                    "unregisterSubscriber", subscriber.topic, self._context.uri()
+                    "unregisterSubscriber", subscriber.topic, self._context.uri
                 )
 
 

@@ -124,6 +124,15 @@ class Access:
         self.check_peer(master, now)
         self._delegate = master.public_key
 
+    @property
+    def unproved(self) -> list[bytes]:
+        """Entries of a tree of revocations that wait for a proof."""
+        return self._revocations.unproved
+
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
+        """Take a proof. Raises `RevocationRefused`."""
+        self._revocations.add_proof(entry, proof)
+
     def current(self, now: int) -> list[bytes]:
         """The grants that are valid now and not known to be revoked, the latest expiry first."""
         return [held.token for held in self._current(now)]

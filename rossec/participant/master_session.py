@@ -33,11 +33,6 @@ HEARTBEAT: Final = 10.0
 _log = logging.getLogger("rossec.node")
 
 
-async def no_proofs(_: MasterCall) -> int:
-    """For a node that requests no proofs: where revocations are a tree it stays refused."""
-    return 0
-
-
 class MasterSession:
     """Calls to the master, over a connection that is kept open.
 
@@ -46,8 +41,7 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
-        held: the signed revocation list this node holds, which the master then need not send;
-            without it every answer contains the list.
+        held: the signed revocation list this node holds, which the master then need not send.
         prove: requests the proofs that are wanted; returns how many were accepted.
     """
 
@@ -57,8 +51,8 @@ class MasterSession:
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
-        held: Callable[[], bytes] | None = None,
-        prove: Callable[[MasterCall], Awaitable[int]] = no_proofs,
+        held: Callable[[], bytes],
+        prove: Callable[[MasterCall], Awaitable[int]],
     ) -> None:
         self._name = name
         self._dial = dial
@@ -124,7 +118,7 @@ class MasterSession:
                 await self._wait_for_heartbeat()
                 await self._heartbeat()
                 retry.succeeded()
-            except (HintedError, OSError, TimeoutError) as error:
+            except (HintedError, OSError, Fault) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)
                 await self._disconnect()
                 await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
@@ -158,7 +152,7 @@ class MasterSession:
 
         Of a tree a node does not have the entries, which the master needs.
         """
-        newest = b"" if self._held is None else self._held()
+        newest = self._held()
         if not newest or is_tree(newest):
             return False
         try:
@@ -177,10 +171,7 @@ class MasterSession:
         return newer
 
     async def _fetch_revocations(self) -> None:
-        if self._held is None:
-            answer = await self.call("rossec.revocations")
-        else:
-            answer = await self.call("rossec.revocationsSince", digest(self._held()))
+        answer = await self.call("rossec.revocationsSince", digest(self._held()))
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 try:

@@ -17,7 +17,7 @@ _log = logging.getLogger("rossec.node")
 
 
 class Provable(Protocol):
-    """`ca.revocation.state.Revocations`, or an object that locks it."""
+    """`Access`, or an object that locks it."""
 
     @property
     def unproved(self) -> list[bytes]:

@@ -6,12 +6,16 @@ It waits for the clock only: a master that hangs must not keep an expired connec
 import asyncio
 import logging
 from collections.abc import Callable, Iterable
-from typing import Final, Protocol
+from typing import Final
 from weakref import WeakSet
 
 from ca.revocation.state import Revocations
 from rossec import clock
-from rossec.participant.connections import AuthorizedConnection, termination_reason
+from rossec.participant.connections import (
+    AcceptedConnections,
+    AuthorizedConnection,
+    termination_reason,
+)
 
 PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
 
@@ -23,13 +27,6 @@ CLOCK_SET_BACK: Final = (
 _log = logging.getLogger("rossec.node")
 
 
-class NodePorts(Protocol):
-    """The ports of a node."""
-
-    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
-        """Close every connection of a revoked key, for whatever purpose it was accepted."""
-
-
 class ConnectionWatchdog:
     """Closes the connections of one node."""
 
@@ -37,11 +34,11 @@ class ConnectionWatchdog:
         self,
         revocations: Revocations,
         connections: Callable[[], Iterable[AuthorizedConnection]],
-        listener: NodePorts,
+        accepted: AcceptedConnections,
     ) -> None:
         self._revocations = revocations
         self._connections = connections
-        self._listener = listener
+        self._accepted = accepted
         self._setbacks = clock.Setbacks()
         # aborted, and not yet removed by the task that serves them
         self._terminated: WeakSet[AuthorizedConnection] = WeakSet()
@@ -69,7 +66,7 @@ class ConnectionWatchdog:
                 self._terminated.add(connection)
                 _log.warning("cut %s: %s", connection.stream.peer.name, reason)
                 connection.stream.abort(reason)
-        self._listener.abort_revoked(self._revocations.entries)
+        self._accepted.abort_revoked(self._revocations.entries)
 
     def _live(self) -> list[AuthorizedConnection]:
         return [

@@ -1,41 +1,44 @@
 """One identity of the sidecar: assembles its parts and provides the agent services.
 
-A shell around `layers.AgentState`. `membership` holds the master session, `ingress` and `egress`
-the ports; the watchdog closes connections that expire or are revoked: if it fails, all are closed.
+A shell around `layers.AgentState`. `participant.membership` holds the master session, `ingress` and
+`egress` the ports; the watchdog closes connections that expire or are revoked. If a task fails, all
+are closed.
 """
 
 import asyncio
+import logging
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
-from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
-from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
 from rossec.participant.access import Access
 from rossec.participant.connections import AcceptedConnections
+from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.settings import Settings
-from rossec.saved_revocations import saved_revocations
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.connection_cache import ConnectionCache
 from rossec.sidecar.connector import ACCEPT_LIMITS, PeerConnector
-from rossec.sidecar.core import master_calls
+from rossec.sidecar.core import master_calls, registrations
 from rossec.sidecar.core.endpoints import Endpoint, EndpointMap
 from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.egress import Egress
-from rossec.sidecar.executor import CommandExecutor, SlaveApiClient
+from rossec.sidecar.executor import SlaveApiClient, run_layer
 from rossec.sidecar.host_types import known_type
 from rossec.sidecar.ingress import Ingress
-from rossec.sidecar.membership import Membership
 from rossec.sidecar.peer_connections import PeerConnections
+from rossec.sidecar.resubscriber import Resubscriber
+
+_log = logging.getLogger("rossec.sidecar")
 
 
 class Agent:
@@ -61,35 +64,30 @@ class Agent:
         self.home = home
         self.callers = callers
         self._settings = settings
-        anchor, credentials = home.anchor(), LiveCredentials(home.credentials())
-        revocations = saved_revocations(home, anchor, clock.now())
-        access = Access(anchor, revocations)
-        identity = home.identity(clock.now())
+        loaded = LoadedIdentity(home, home.name)
+        access = Access(loaded.anchor, loaded.revocations)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
         publisher_grace = PublisherGrace(clock.counter())
         self.state = AgentState(
-            identity, access, endpoints, master_uri, known_type, publisher_grace
+            loaded.identity, access, endpoints, master_uri, known_type, publisher_grace
         )
         context = SecureContext(
-            credentials, anchor.verify, suites=suites, known=KnownCertificates(),
+            loaded.live_credentials, loaded.anchor.verify, suites=suites, known=KnownCertificates(),
             accept_limits=ACCEPT_LIMITS, half_open=half_open,
         )  # fmt: skip
         self._connector = PeerConnector(context, access)
-        self._connections, accepted = PeerConnections(revocations), AcceptedConnections()
-        self._watchdog = ConnectionWatchdog(revocations, lambda: self._connections, accepted)
-        self._membership = Membership(
-            self, home, self.state, credentials, revocations,
-            self._dial_master, self._watchdog.close_terminated,
-        )  # fmt: skip
+        self._connections, accepted = PeerConnections(loaded.revocations), AcceptedConnections()
+        self._watchdog = ConnectionWatchdog(loaded.revocations, lambda: self._connections, accepted)
+        self._membership = Membership(loaded, access, self._watchdog, publisher_grace, self)
+        self._resubscriber = Resubscriber(self, self.state)
         self._ingress = Ingress(
             self, self.state, self._connector, self._connections, accepted, home.filter_key,
-            self._membership.on_revocations,
+            self._membership.update_revocations,
         )  # fmt: skip
         self._egress = Egress(
-            self, self.state, self._connections, home.filter_key, self._membership.on_topic_ended
+            self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
         )
         self._cache = ConnectionCache()
-        self._tasks = TaskSet(self._watchdog_failed)
         self._has_failed = False
         self._start_lock = asyncio.Lock()
         self._started = False
@@ -102,17 +100,12 @@ class Agent:
     async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
         """Answer a program's call to its master."""
         await self._ensure_started()
-        executor = CommandExecutor(self)
-        try:
-            return await executor.run(master_calls.handle_call(self.state, method, params))
-        finally:
-            await executor.close()
+        return await run_layer(self, master_calls.handle_call(self.state, method, params))
 
     async def close(self) -> None:
         """Close every port and every connection."""
         await self._ingress.close()
         await self._egress.close()
-        await self._tasks.close()
         await self._cache.close()
         await self._membership.close()
 
@@ -152,8 +145,14 @@ class Agent:
         self.state.access.check_peer(peer, clock.now())
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
-        """The master's answer."""
-        return await self._membership.call_master(method, params)
+        """The master's answer; refusals are logged, since a program may not print them."""
+        answer = await self._membership.session.forward(method, *params)
+        match answer:
+            case [code, str(status), *_] if code != 1 and status.startswith("rossec: "):
+                _log.warning("the master refuses %s: %s", method, status.removeprefix("rossec: "))
+            case _:
+                pass
+        return answer
 
     def proof(self, right: Right, name: str) -> bytes:
         """The grants for `right` on `name`."""
@@ -165,20 +164,38 @@ class Agent:
         """Connect to the master once; until it is up programs retry, as in ROS."""
         async with self._start_lock:
             if self._has_failed:
-                raise HangUp("the watchdog of this identity has failed")
+                raise HangUp("a task of this identity has failed")
             if self._started:
                 return
-            local_address = await self._membership.start()
-            self.state.endpoints.host = self._settings.address or local_address
+            try:
+                stream = await self._membership.session.open()
+            except (HintedError, OSError, TimeoutError) as error:
+                _log.warning("%s: the master does not answer: %s", self.name, error)
+                raise HangUp(str(error)) from error
+            self.state.endpoints.host = self._settings.address or stream.local_address
             self._started = True
-            self._tasks.spawn(self._watchdog.run(), f"{self.name}: watchdog")
+            self._membership.start()
+            self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
 
-    async def _dial_master(self) -> SecureStream[Identity]:
+    # --- hooks of the membership (MembershipHooks)
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        """Connect to the master; it provides fresh revocation data."""
         host, port = self._settings.master_host, self._settings.master_port
         return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
 
-    def _watchdog_failed(self, _: BaseException) -> None:
-        """The watchdog has failed: close what it can no longer check."""
+    async def restore(self) -> None:
+        """Make every registration of the programs again."""
+        await run_layer(self, registrations.restore(self.state))
+
+    async def rights_changed(self) -> None:
+        """Nothing: a program makes a registration that was refused again itself."""
+
+    def maintain(self) -> None:
+        """Nothing: `Resubscriber` drops expired publishers."""
+
+    def crashed(self, _: BaseException) -> None:
+        """Close what would not be checked any more."""
         self._has_failed = True
-        self._connections.abort("the watchdog has failed")
-        self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")
+        self._connections.abort("a task of this identity has failed")
+        self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")

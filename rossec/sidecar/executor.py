@@ -272,3 +272,12 @@ class CommandExecutor:
 async def _call(rpc: RpcClient, method: str, params: tuple[object, ...], *, parse: bool) -> Event:
     body = await rpc.fetch(method, *params)
     return Answered(xmlrpc.load_response(body)) if parse else RawResponse(body)
+
+
+async def run_layer(services: AgentServices, layer: Layer[Outcome]) -> Outcome:
+    """Run one layer; the connections it opens are closed at its end."""
+    executor = CommandExecutor(services)
+    try:
+        return await executor.run(layer)
+    finally:
+        await executor.close()

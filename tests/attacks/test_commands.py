@@ -110,7 +110,7 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_master(
         assert isinstance(answer, list)
         assert answer[0] == -1
         assert said in answer[1]
-    held = await witness.robot._session.call("rossec.revocations")
+    held = await witness.robot._membership.session.call("rossec.revocations")
     assert isinstance(held, list)
     assert held[0] == newest
 

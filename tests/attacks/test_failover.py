@@ -26,7 +26,7 @@ class Ahead:
 
 
 def _is_another(node: Node, before: object) -> bool:
-    return node._session._stream is not before
+    return node._membership.session._stream is not before
 
 
 @pytest.mark.attack("reset-sessions")
@@ -40,11 +40,11 @@ async def test_resetting_sessions_does_not_extend_a_registration(
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
         pose, sight = await robot.publisher(TOPIC, POSE), await viewer.subscriber(TOPIC, POSE)
         await until(lambda: pose.links and sight.links)
-        absent.names, session = {"/robot"}, viewer._session._stream
+        absent.names, session = {"/robot"}, viewer._membership.session._stream
         await site.restart_master()
         for _ in range(4):
             await until(partial(_is_another, viewer, session))
-            session = viewer._session._stream
+            session = viewer._membership.session._stream
             assert session is not None
             ahead.seconds += GRACE / 4
             session.abort("an attacker resets it")
@@ -68,6 +68,6 @@ async def test_a_publisher_that_is_not_named_is_still_authorized(
         await site.restart_master()
         await until(lambda: viewer._topics._grace._missing)
         [link] = sight.links
-        await viewer._session.call("rossec.updateRevocations", site.revoke(right))
+        await viewer._membership.session.call("rossec.updateRevocations", site.revoke(right))
         await until(lambda: link not in sight.links)
         assert viewer._topics._grace.to_follow(TOPIC) == [robot.uri]

@@ -223,7 +223,7 @@ async def test_a_revoked_identity_learns_nothing(victim: Victim) -> None:
     assert answer[0] == 1
     open_still = await dial(victim.uri, traitor)
     data = site.revoke(site.identity("/traitor").thumbprint)
-    await victim.viewer._session.call("rossec.updateRevocations", data)
+    await victim.viewer._membership.session.call("rossec.updateRevocations", data)
     async with asyncio.timeout(20):
         await open_still.wait_ended()
     for _ in range(5):

@@ -257,7 +257,7 @@ async def test_a_revocation_closes_only_its_connection(victim: Victim, what: str
         sight = await visitor.subscriber(STATE, TYPE)
         await until(lambda: sight.received > 0, within=20)
         data = site.revoke(grant if what == "grant" else site.identity(name).thumbprint)
-        await victim.viewer._session.call("rossec.updateRevocations", data)
+        await victim.viewer._membership.session.call("rossec.updateRevocations", data)
         await until(lambda: f"closed the connection with {name}" in victim.said, within=20)
         await until(lambda: not sight.links, within=20)
         received = sight.received
@@ -291,7 +291,7 @@ async def test_connections_are_limited_per_identity(victim: Victim) -> None:
         assert b"callerid=/robot" in await streams[-1].receive()
     expect_refusal(await heard(victim, fields, name), "has 64 connections already")
     data = site.revoke(site.identity(name).thumbprint)
-    await victim.viewer._session.call("rossec.updateRevocations", data)
+    await victim.viewer._membership.session.call("rossec.updateRevocations", data)
     async with asyncio.timeout(20):
         for stream in streams:
             await stream.wait_ended()

@@ -113,7 +113,7 @@ async def test_tampered_records_end_the_connection(
     wire.sock.sendall(flight)
     assert await asyncio.to_thread(wire.ended)
     wire.sock.close()
-    await victim.viewer._session.call("getPid")
+    await victim.viewer._membership.session.call("getPid")
     assert victim.said.count("RESET") - before <= called
     victim.program.said = victim.said.replace("RESET", "")
     await victim.goes_on()

@@ -212,7 +212,7 @@ async def test_a_call_in_progress_ends_with_its_grant(site: Site, lamp: Node) ->
     async with open_call(site, lamp, grant, service="/lamp/slow", persistent="1") as stream:
         await stream.send(REQUEST)
         await begun.wait()
-        await lamp._session.call("rossec.updateRevocations", site.revoke(grant))
+        await lamp._membership.session.call("rossec.updateRevocations", site.revoke(grant))
         assert await ended(stream) == b""
         go_on.set()
     await until(lambda: not service.links)
@@ -245,7 +245,7 @@ async def test_one_caller_cannot_use_every_worker(site: Site, lamp: Node) -> Non
 async def test_a_revoked_key_cannot_call(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="1") as stream:
         revoked = site.revoke(site.identity(EVE).thumbprint)
-        await lamp._session.call("rossec.updateRevocations", revoked)
+        await lamp._membership.session.call("rossec.updateRevocations", revoked)
         assert await ended(stream) == b""
     with pytest.raises((RossecError, AssertionError)):
         async with open_call(site, lamp):

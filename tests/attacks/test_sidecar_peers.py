@@ -138,18 +138,20 @@ async def test_only_the_master_sends_revocation_updates(site: Site, near: Sideca
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         agent = near._agent_for("/robot")
-        held = agent._membership._revocations.current
+        held = agent._membership._identity.revocations.current
         assert held is not None
-        until_then = agent._membership._revocations.fresh_until
+        until_then = agent._membership._identity.revocations.fresh_until
         signer = site.enroll("/mallory").credentials().signer
-        stamp = Timestamp(held.seq, digest(agent._membership._revocations.data), site.now() + 4, 30)
+        stamp = Timestamp(
+            held.seq, digest(agent._membership._identity.revocations.data), site.now() + 4, 30
+        )
         client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
         answer = await client.call(
             "rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp)
         )
         assert "for the master alone" in str(answer)
-        assert agent._membership._revocations.fresh_until < site.now() + 34
-        assert agent._membership._revocations.fresh_until >= until_then
+        assert agent._membership._identity.revocations.fresh_until < site.now() + 34
+        assert agent._membership._identity.revocations.fresh_until >= until_then
         await client.close()
 
 
@@ -189,8 +191,8 @@ async def test_a_revoked_peer_is_not_called_over_an_old_connection(
         assert await program.call("getPid", "/robot") == [1, "", 4711]
         agent = near._agent_for("/robot")
         data = site.revoke(site.identity("/mallory").thumbprint)
-        await agent._membership._session.call("rossec.updateRevocations", data)
-        await until(lambda: agent._membership._revocations.data == data)
+        await agent._membership.session.call("rossec.updateRevocations", data)
+        await until(lambda: agent._membership._identity.revocations.data == data)
         with pytest.raises((CallFailed, ChannelClosed)):
             await program.call("getPid", "/robot")
         assert uri

@@ -162,7 +162,7 @@ async def test_a_node_parses_every_file_among_its_grants(
         (place / "late.grant").write_bytes(seal(GRANT, site.authority.signer, text))
         await until(lambda: "late.grant is not a valid grant" in caplog.text, within=30)
         later = site.publish("/robot", "/robot/later")
-        await until(lambda: later in robot._grant_directory._seen, within=30)
+        await until(lambda: later in robot._membership._grant_directory._seen, within=30)
         await robot.publisher("/robot/later", "std_msgs/String")
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.1):

@@ -57,7 +57,7 @@ async def test_nodes_recover_and_nothing_promised_is_lost(tmp_path: Path) -> Non
         await pose.wait_for_subscribers()
         older = site.authority.store.newest_list()
         revoked = site.revoke(site.identity("/eve").thumbprint)
-        await robot._session.call("rossec.updateRevocations", revoked)
+        await robot._membership.session.call("rossec.updateRevocations", revoked)
         acknowledged: list[int] = []
         first = await client_of(master, "/load")
         state = await first.ask("getSystemState", "/load")

@@ -116,7 +116,7 @@ async def test_a_stock_node_logs_why_it_cannot_register(
     _, said = await stock.run(env, *stock.python(stock.NODE))
     assert f"unable to register publication [/stock] with master: {REFUSAL}" in said
     assert "Traceback" not in said
-    state = await witness.robot._session.call("getSystemState")
+    state = await witness.robot._membership.session.call("getSystemState")
     assert "stock" not in str(state)
 
 

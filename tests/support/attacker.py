@@ -144,7 +144,7 @@ def flip(data: bytes, position: int, mask: int = 1) -> bytes:
 async def revoke(site: Site, witness: Witness, grant_or_key: bytes) -> None:
     """Revoke, send the list to the master, and wait until both nodes have it."""
     data = site.revoke(grant_or_key)
-    await witness.robot._session.call("rossec.updateRevocations", data)
+    await witness.robot._membership.session.call("rossec.updateRevocations", data)
     nodes = witness.robot, witness.viewer
     await until(lambda: all(node.revocations.data == data for node in nodes))
 

@@ -32,13 +32,13 @@ rospy.spin()
 HASTY = (
     """
 import rossec.participant.connections
-from rossec.inprocess.process import SecuredProcess
+from rossec.participant.membership import Membership
 rossec.participant.connections.STALE_GRACE = 1
-take = SecuredProcess.take_revocations
+take = Membership.update_revocations
 def take_and_print(*data):
     take(*data)
     print("UPDATED", flush=True)
-SecuredProcess.take_revocations = take_and_print
+Membership.update_revocations = take_and_print
 """
     + LISTENER
 )
@@ -87,7 +87,7 @@ async def test_connections_end_when_the_list_is_not_confirmed(
         async with program(environment(site, tmp_path), HASTY) as listener:
             await listener.read_until("HEARD hello")
             monkeypatch.setattr(statements, "MAX_AGE", 1)  # of what the master says from now on
-            await robot._session.call("rossec.updateRevocations", site.revoke(bytes(32)))
+            await robot._membership.session.call("rossec.updateRevocations", site.revoke(bytes(32)))
             await listener.read_until("UPDATED")
             assert site.master is not None
             await site.master.close()

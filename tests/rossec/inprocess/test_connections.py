@@ -220,7 +220,7 @@ async def test_revocation_closes_connections(victim: Victim) -> None:
         eve = await dial(victim.uri, credentials(site))
         site.revoke(site.identity("/eve").thumbprint)
         data = site.revoke(grant)
-        await victim.viewer._session.call("rossec.updateRevocations", data)
+        await victim.viewer._membership.session.call("rossec.updateRevocations", data)
         await until(lambda: "closed the connection with /visitor" in victim.said, within=20)
         async with asyncio.timeout(20):
             await eve.wait_ended()

@@ -8,6 +8,7 @@ from unittest.mock import create_autospec
 
 import pytest
 
+from ca.certificates import Identity
 from ca.errors import CAError, RevocationsStale
 from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
 from grants.errors import GrantMissing
@@ -36,6 +37,13 @@ def _seq(site: Site, data: bytes) -> int:
     return open_list(data, site.anchor.public_key).seq
 
 
+def update_revocations(
+    local_identity: LocalIdentity, data: bytes, timestamp: bytes, master: Identity
+) -> None:
+    save = local_identity.home.save_revocations
+    local_identity.access.update_revocations(data, timestamp, master, now(), save)
+
+
 def test_an_identity_is_loaded_from_its_directory(site: Site) -> None:
     local_identity = LocalIdentity(site.enroll("/robot"), "/robot")
     assert local_identity.identity.name == "/robot"
@@ -50,8 +58,8 @@ def test_a_list_is_fresh_only_with_its_confirmation(site: Site) -> None:
     with pytest.raises(CAError):
         local_identity.access.check_peer(peer, int(time.time()))
     with pytest.raises(CAError):
-        local_identity.take_revocations(data, b"", master)
-    local_identity.take_revocations(data, stamped(site, data), master)
+        update_revocations(local_identity, data, b"", master)
+    update_revocations(local_identity, data, stamped(site, data), master)
     local_identity.access.check_peer(peer, int(time.time()))
     with pytest.raises(GrantMissing):
         local_identity.access.authorize(peer, None, Right.CALL, "/x", int(time.time()))
@@ -59,7 +67,7 @@ def test_a_list_is_fresh_only_with_its_confirmation(site: Site) -> None:
     again = LocalIdentity(site.enroll("/robot"), "/robot")
     assert again.revocations.data == data, "the newest list is on disk"
     revoked = site.revoke(peer.thumbprint)
-    local_identity.take_revocations(revoked, stamped(site, revoked), master)
+    update_revocations(local_identity, revoked, stamped(site, revoked), master)
     assert local_identity.is_revoked(peer)
 
 
@@ -98,7 +106,7 @@ def test_a_clock_that_went_back_expires_the_confirmation(
     monkeypatch.setattr(SecuredProcess, "local_identity", local_identity)
     data = site.authority.store.newest_list()
     assert data is not None
-    local_identity.take_revocations(data, stamped(site, data), site.identity("/master"))
+    update_revocations(local_identity, data, stamped(site, data), site.identity("/master"))
     process.close_ended_connections()
     local_identity.revocations.check_fresh(now())
     shows -= 3600

@@ -119,7 +119,7 @@ def test_a_publisher_counts_while_it_may_be_named_again() -> None:
     now = 0.0
     registrations = Registrations(ME, lambda: now)
     registrations.record(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
-    registrations.session_opened()
+    registrations.publishers.session_opened()
     registrations.record(*SUBSCRIBE, [1, "", ["http://b/"]])
     assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [
         True, True, False,

@@ -34,9 +34,9 @@ async def test_two_nodes_of_one_identity_communicate(site: Site) -> None:
         publisher.publish(publisher.create())
         async with asyncio.timeout(30):
             await anext(aiter(subscriber))
-        state = await two._session.call("getSystemState")
+        state = await two._membership.session.call("getSystemState")
         assert state == [[[TOPIC, [one.name]]], [[TOPIC, [two.name]]], []]
-        assert await one._session.call("lookupNode", two.name) == two.uri
+        assert await one._membership.session.call("lookupNode", two.name) == two.uri
 
 
 async def test_an_anonymous_node_receives_from_another_node(site: Site) -> None:
@@ -59,7 +59,7 @@ async def test_closing_a_node_does_not_affect_another_of_its_identity(site: Site
         publisher = await one.publisher(TOPIC, POSE)
         await two.publisher(TOPIC, POSE)
         await two.close()
-        state = await one._session.call("getSystemState")
+        state = await one._membership.session.call("getSystemState")
         assert state == [[[TOPIC, [one.name]]], [], []]
         assert publisher.topic == TOPIC
 
@@ -76,10 +76,10 @@ async def test_revoking_an_identity_ends_all_its_nodes(site: Site) -> None:
             await node.subscriber(TOPIC, POSE)
         await publisher.wait_for_subscribers(2)
         revoked = site.revoke(site.identity("/rviz").thumbprint)
-        await robot._session.call("rossec.updateRevocations", revoked)
+        await robot._membership.session.call("rossec.updateRevocations", revoked)
         await until(lambda: not publisher.links)
         with pytest.raises(RevocationsStale, match="the revocation list without a timestamp"):
-            await site.node("/rviz_3")._session.open()
+            await site.node("/rviz_3")._membership.session.open()
 
 
 async def test_a_name_that_a_wildcard_covers_cannot_be_enrolled(site: Site) -> None:

@@ -53,6 +53,6 @@ async def test_a_publisher_that_unregisters_is_dropped_at_once(
             await until(lambda: registered(site, Kind.SUBSCRIBER) == ["/viewer"])
             await until(lambda: not viewer._topics._grace._missing)
             uri = robot.uri
-            await robot._session.call("unregisterPublisher", TOPIC, uri)
+            await robot._membership.session.call("unregisterPublisher", TOPIC, uri)
             await until(lambda: not sight.links)
             assert uri not in sight._tasks

@@ -146,7 +146,7 @@ async def test_the_slave_api_refuses_a_revoked_node(site: Site, robot: Node) -> 
     answer = await RpcClient(stream).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
     assert isinstance(answer, list)
     assert answer[0] == 1
-    await robot._session.call(
+    await robot._membership.session.call(
         "rossec.updateRevocations", site.revoke(site.identity("/viewer").thumbprint)
     )
     await ended(stream)

@@ -130,7 +130,7 @@ async def test_a_node_refuses_an_older_list_after_its_own_restart(
 async def test_the_graph_right_alone_allows_get_system_state(site: Site) -> None:
     site.grant("/tool", Right.GRAPH, "/**")
     async with site.node("/tool") as tool:
-        state = await tool._session.call("getSystemState")
+        state = await tool._membership.session.call("getSystemState")
     assert state == [[], [], []]
 
 
@@ -177,6 +177,18 @@ async def test_a_node_ends_when_its_watchdog_fails(
         await until(lambda: not publisher.links)
         await asyncio.sleep(1)  # longer than a subscriber waits before it tries again
         assert not publisher.links
+        with pytest.raises(NodeShutdown):
+            publisher.publish(pose(publisher))
+
+
+async def test_a_node_that_the_master_ended_is_closed_when_its_watchdog_fails(site: Site) -> None:
+    """The program may not have noticed its end yet."""
+    site.publish("/robot", "/robot/pose")
+    async with site.node("/robot") as robot:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        robot.shutdown_requested("a test")
+        robot.crashed(ValueError("boom"))
+        await until(lambda: not robot._membership.tasks, within=10)
         with pytest.raises(NodeShutdown):
             publisher.publish(pose(publisher))
 
@@ -244,7 +256,7 @@ async def test_a_node_that_was_off_for_long_has_its_grants_renewed(tmp_path: Pat
         id_ = open_delegation(delegation, site.anchor.public_key).id
         site.authority.revoke(id_, "withdrawn", site.now())
         data = site.authority.store.newest_list()
-        await robot._session.call("rossec.updateRevocations", data)
+        await robot._membership.session.call("rossec.updateRevocations", data)
         await until(lambda: not publisher.links and not subscriber.links)
 
 

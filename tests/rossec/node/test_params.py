@@ -167,6 +167,6 @@ async def test_a_malformed_list_of_names_is_refused(
     async def answer(*_: object) -> object:
         return ["/a", 1]
 
-    monkeypatch.setattr(robot._session._client, "ask", answer)
+    monkeypatch.setattr(robot._membership.session._client, "ask", answer)
     with pytest.raises(AnswerMalformed, match="not a list of str"):
         await robot.params.names()

@@ -24,8 +24,8 @@ async def test_a_parameter_subscription_ends_with_its_grant(site: Site) -> None:
     assert site.master is not None
     registry = site.master._registry
     async with site.node("/reader") as reader, site.node("/writer") as writer:
-        await reader._session.call("subscribeParam", reader.uri, "/speed")
+        await reader._membership.session.call("subscribeParam", reader.uri, "/speed")
         assert registry.registered_nodes(Kind.PARAMETER, "/speed/") != ()
         await tell_master(site, writer, site.revoke(right))
         await until(lambda: registry.registered_nodes(Kind.PARAMETER, "/speed/") == (), within=20)
-        await writer._session.call("setParam", "/speed", 3)
+        await writer._membership.session.call("setParam", "/speed", 3)

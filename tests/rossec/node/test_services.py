@@ -79,7 +79,7 @@ async def test_a_provider_without_the_right_is_refused(site: Site, hall: Node) -
 
 
 async def tell(site: Site, node: Node, revoked: bytes) -> None:
-    await node._session.call("rossec.updateRevocations", site.revoke(revoked))
+    await node._membership.session.call("rossec.updateRevocations", site.revoke(revoked))
 
 
 async def test_the_connection_of_a_revoked_caller_is_closed(site: Site, lamp: Node) -> None:
@@ -91,7 +91,9 @@ async def test_the_connection_of_a_revoked_caller_is_closed(site: Site, lamp: No
         assert len(service.links) == 1
         await tell(site, lamp, right)
         await until(lambda: not service.links and not client.links)
-        await hall._session._heartbeat()  # without registrations it learns of it by its heartbeat
+        await (
+            hall._membership.session._heartbeat()
+        )  # without registrations it learns of it by its heartbeat
         with pytest.raises((RossecError, GrantError)):
             await called(client, data=True)
 
@@ -103,7 +105,7 @@ async def test_the_connection_of_a_revoked_provider_is_closed(site: Site, hall: 
         client = hall.client(LAMP, BOOL, persistent=True)
         await called(client, data=True)
         await tell(site, hall, right)
-        await hall._session._heartbeat()
+        await hall._membership.session._heartbeat()
         await until(lambda: not service.links and not client.links)
 
 
@@ -137,7 +139,7 @@ async def test_the_known_services_and_their_providers(
         async def answer(*_: object, value: object = nonsense) -> object:
             return value
 
-        monkeypatch.setattr(hall._session._client, "ask", answer)
+        monkeypatch.setattr(hall._membership.session._client, "ask", answer)
         with pytest.raises(AnswerMalformed, match="an invalid system state"):
             await hall.services.known()
 

@@ -32,9 +32,9 @@ async def test_a_list_that_is_missing_a_tree_or_not_newer_is_not_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with Site(tmp_path / "site").running() as site, site.node("/robot") as robot:
-        session, now = robot._session, site.now()
+        session, now = robot._membership.session, site.now()
         tree = sign_tree(site.authority.signer, RevocationTree(9, 9, now, now + DAY, 1, bytes(32)))
-        for held in (None, lambda: b"", lambda: tree, lambda: robot.revocations.data):
+        for held in (lambda: b"", lambda: tree, lambda: robot.revocations.data):
             monkeypatch.setattr(session, "_held", held)
             assert not await session._send_held_list()
         assert "the master refuses" not in caplog.text

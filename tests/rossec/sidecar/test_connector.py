@@ -48,8 +48,8 @@ async def test_a_revoked_peer_is_refused_before_anything_is_sent(site: Site) -> 
         stream.abort("enough")
         key = site.identity("/robot").thumbprint
         membership = viewer._membership
-        await membership._session.call("rossec.updateRevocations", site.revoke(key))
-        await until(lambda: key in membership._revocations.entries, within=20)
+        await membership.session.call("rossec.updateRevocations", site.revoke(key))
+        await until(lambda: key in membership._identity.revocations.entries, within=20)
         with pytest.raises(HangUp, match="revoked"):
             await viewer.dial(endpoint)
         await server.close()

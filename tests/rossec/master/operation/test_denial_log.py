@@ -63,9 +63,11 @@ async def test_the_master_logs_denials(tmp_path: Path) -> None:
         with pytest.raises(RossecError):
             await viewer.subscriber("/robot/pose", "geometry_msgs/PoseStamped")
         with pytest.raises(RossecError):
-            await viewer._session.call("getParam", "/robot/name")
+            await viewer._membership.session.call("getParam", "/robot/name")
         with pytest.raises(RossecError):
-            await viewer._session.call("registerPublisher", "not a name", "*", viewer.uri)
+            await viewer._membership.session.call(
+                "registerPublisher", "not a name", "*", viewer.uri
+            )
     assert received_calls == [
         ("/viewer", Right.SUBSCRIBE, "/robot/pose"),
         ("/viewer", Right.PARAM_GET, "/robot/name"),

@@ -1,0 +1,227 @@
+"""The membership of one identity at the master, for every form of a node.
+
+On each connection to the master it renews the node's grants, presents them, and has everything
+registered again. Meanwhile it takes grants that arrive in the node's directory, renews grants and
+the identity, requests proofs, and takes revocation data. A list is on disk before it is used.
+
+What a form registers is behind `MembershipHooks`, what it closes behind `Watchdog`. Fail closed: if
+a task crashes, connections might not be closed any more, so the form closes all (`crashed`).
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Final, Protocol
+
+from ca.certificates import Identity
+from ca.errors import HintedError
+from rossec import clock
+from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.errors import AnswerRefused
+from rossec.home import NodeHome
+from rossec.net.aio import SecureStream
+from rossec.net.aio.tasks import TaskSet
+from rossec.participant.access_interfaces import HeldGrants
+from rossec.participant.grant_directory import GrantDirectory
+from rossec.participant.grant_renewal import Renewals, renew
+from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
+from rossec.participant.master_session import MasterSession
+from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.revocation_proofs import Provable, prove
+from rossec.ros.xmlrpc import Fault
+from rossec.saved_revocations import saved_revocations
+
+PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
+PRESENT: Final = "rossec.presentGrants"
+MAX_PRESENTED: Final = 64  # the master stores this many of one node
+
+_log = logging.getLogger("rossec.node")
+
+
+class LoadedIdentity:
+    """An enrolled node as its directory has it when it starts.
+
+    Args:
+        home: the directory.
+        name: the name the node runs under, which its identity covers.
+
+    Raises:
+        ConfigurationError: no identity, or another node's.
+        CertificateRefused, KeyRefused: the identity or the key is invalid.
+        RevocationRefused: the saved revocation list is not the authority's.
+    """
+
+    def __init__(self, home: NodeHome, name: str) -> None:
+        self.home = home
+        self.name = name
+        self.anchor = home.anchor()
+        self.live_credentials = LiveCredentials(home.credentials())
+        self.identity = home.identity(clock.now())
+        self.revocations = saved_revocations(home, self.anchor, clock.now())
+
+
+class MembershipAccess(HeldGrants, Provable, Protocol):
+    """The grants and the revocation data of this node."""
+
+    def update_revocations(
+        self,
+        revocations: bytes,
+        timestamp: bytes,
+        master: Identity,
+        now: int,
+        persist: Callable[[bytes], None],
+    ) -> None:
+        """See `Access.update_revocations`."""
+
+    def current(self, now: int) -> list[bytes]:
+        """See `Access.current`."""
+
+
+class Watchdog(Protocol):
+    """Closes the connections of a node; see `ConnectionWatchdog`."""
+
+    async def run(self) -> None:
+        """Close connections when they must end, until cancelled."""
+
+    def close_terminated(self, now: int) -> None:
+        """Close what must end at `now`; the only call from outside the loop."""
+
+
+class MembershipHooks(Protocol):
+    """What differs between the forms of a node."""
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        """Connect to the master."""
+
+    async def restore(self) -> None:
+        """Make every registration again; the grants are presented."""
+
+    async def rights_changed(self) -> None:
+        """Grants are new or renewed: registrations may be made that were refused before."""
+
+    def maintain(self) -> None:
+        """Called once in a period."""
+
+    def crashed(self, error: BaseException) -> None:
+        """A task has crashed: close everything. Called once."""
+
+
+class Membership:
+    """Keeps one identity connected to the master.
+
+    Args:
+        access: of `identity`; with a lock if threads share it.
+        grace: the publishers that a restarted master may not list yet.
+
+    Attributes:
+        session: the session with the master.
+        tasks: the tasks of this identity; a crash of one of them ends everything.
+        rights_version: incremented for new grants and lists: what was refused may be tried again.
+    """
+
+    def __init__(
+        self,
+        identity: LoadedIdentity,
+        access: MembershipAccess,
+        watchdog: Watchdog,
+        grace: PublisherGrace,
+        hooks: MembershipHooks,
+    ) -> None:
+        self._identity = identity
+        self._access = access
+        self._watchdog = watchdog
+        self._grace = grace
+        self._hooks = hooks
+        self._grant_directory = GrantDirectory(identity.home, access)
+        self._grant_directory.take_new()
+        self._renewals = Renewals(access)
+        self._identity_renewal = IdentityRenewal(
+            identity.home, identity.live_credentials, clock.now()
+        )
+        self.session = MasterSession(
+            identity.name,
+            hooks.dial_master,
+            self.update_revocations,
+            self._restore,
+            lambda: identity.revocations.data,
+            lambda call: prove(call, access),
+        )
+        self.tasks = TaskSet(self._crashed)
+        self._has_crashed = False
+        self.rights_version = 0
+
+    def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
+        """Start the tasks: the session, the watchdog, and maintenance.
+
+        Args:
+            opening: opens the session; None: it is open.
+        """
+        name = self._identity.name
+        self.tasks.spawn(self._watchdog.run(), f"{name}: watchdog")
+        self.tasks.spawn(self._run_session(opening), f"{name}: master session")
+        self.tasks.spawn(self._maintain(), f"{name}: maintenance")
+
+    async def close(self) -> None:
+        """Stop every task and end the session; registrations at the master stay."""
+        await self.tasks.close()
+        await self.session.close()
+
+    def update_revocations(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """Take a newer list (empty: the one held) and a timestamp, then close what they end.
+
+        Raises:
+            CAError: either is refused. What a valid list revokes is closed nevertheless.
+        """
+        now, before = clock.now(), self._identity.revocations.data
+        try:
+            self._access.update_revocations(
+                revocations, timestamp, master, now, self._identity.home.save_revocations
+            )
+        finally:  # the list takes effect even when the timestamp is refused
+            self._watchdog.close_terminated(now)
+            if self._identity.revocations.data != before:
+                self.rights_version += 1
+
+    async def _run_session(self, opening: Callable[[], Awaitable[None]] | None) -> None:
+        if opening is not None:
+            await opening()
+        await self.session.run()
+
+    async def _restore(self, session: MasterSession) -> None:
+        """Renew, present and register everything again: the master may have been restarted."""
+        self._grace.session_opened()
+        with contextlib.suppress(AnswerRefused):  # requested again later
+            await renew(session.call, self._renewals, clock.now())
+        await session.call(PRESENT, self._access.current(clock.now())[:MAX_PRESENTED])
+        await self._hooks.restore()
+
+    async def _maintain(self) -> None:
+        while True:
+            await asyncio.sleep(PERIOD)
+            self._hooks.maintain()
+            new = self._grant_directory.take_new()
+            if new:
+                _log.info("%s: %d new grants", self._identity.name, len(new))
+                self.rights_version += 1
+            with contextlib.suppress(HintedError, OSError, Fault):  # else later, or on reconnection
+                await self._update(new)
+
+    async def _update(self, new: list[bytes]) -> None:
+        """Present `new` grants, renew what is due, request proofs."""
+        call = self.session.call
+        if new:
+            await call(PRESENT, new)
+        renewed = await renew(call, self._renewals, clock.now())
+        if renewed:
+            self.rights_version += 1
+        if new or renewed:
+            await self._hooks.rights_changed()
+        await renew_identity(call, self._identity_renewal, clock.now())
+        if await prove(call, self._access):
+            self._watchdog.close_terminated(clock.now())
+
+    def _crashed(self, error: BaseException) -> None:
+        if not self._has_crashed:
+            self._has_crashed = True
+            self._hooks.crashed(error)
