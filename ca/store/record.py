@@ -68,7 +68,7 @@ class Store:
         """A transaction: all steps or none, and no other command in between.
 
         Raises:
-            StoreError: as `ca.store.database.Database.changing`.
+            StoreError: as `ca.store.database.Database.transaction`.
         """
         return self.database.transaction()
 

@@ -124,9 +124,10 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
             open_tree(newest, key) if is_tree(newest) else open_list(newest, key)
     except (PassphraseRefused, LogDamaged):
         raise
-    except (HintedError, ValueError) as error:  # ValueError: not exactly one certificate
+    except (HintedError, ValueError) as error:
+        reason = error if isinstance(error, HintedError) else "not exactly one certificate"
         raise BackupRefused(
-            f"the backup does not contain a valid authority: {error}", _HINT
+            f"the backup does not contain a valid authority: {reason}", _HINT
         ) from error
     return authority
 

@@ -85,14 +85,9 @@ class Node:
         self.access = Access(self.anchor, self.revocations)
         suites, known, own_addresses = post_quantum(environ), KnownCertificates(), OwnAddresses()
         self._dialer = Dialer(
-            self.name,
-            self.credentials,
-            self.anchor,
-            self.access.check_peer,
-            suites=suites,
-            known=known,
-            own_addresses=own_addresses,
-        )
+            self.name, self.credentials, self.anchor, self.access.check_peer,
+            suites=suites, known=known, own_addresses=own_addresses,
+        )  # fmt: skip
         self._grant_directory = GrantDirectory(self.home, self.access)
         self._grant_directory.take_new()
         self._tasks = TaskSet(on_crash=self._crashed)
@@ -121,17 +116,10 @@ class Node:
         self.params = NodeParameters(context, self.settings.resolve)
         self._identity_renewal = IdentityRenewal(self.home, self.credentials, clock.now())
         self._listener = Listener(
-            self.name,
-            self.credentials,
-            self.anchor,
-            self.access,
-            self._topics.publishers,
-            self.services,
-            SlaveApi(self),
-            suites=suites,
-            known=known,
-            own_addresses=own_addresses,
-        )
+            self.name, self.credentials, self.anchor, self.access,
+            self._topics.publishers, self.services, SlaveApi(self),
+            suites=suites, known=known, own_addresses=own_addresses,
+        )  # fmt: skip
         self._watchdog = ConnectionWatchdog(self.revocations, self._connections, self._listener)
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()

@@ -133,7 +133,7 @@ def test_a_part_is_of_another_authority(
 
 def test_two_certificates(empty: Shell, genuine: Content, foreign: Content) -> None:
     both = genuine["ca.pem"] + foreign["ca.pem"]
-    refused(empty, sealed({**genuine, "ca.pem": both}), "no authority")
+    refused(empty, sealed({**genuine, "ca.pem": both}), "authority: not exactly one certificate")
 
 
 RECORDS = {

@@ -1,6 +1,6 @@
-"""Two hosts, a secured master on the near one, and Debian's programs behind sidecars on both.
+"""Two hosts, a secured master on the first, and Debian's programs behind sidecars on both.
 
-Nothing is faked: `rossec master` and `rossec run` are started as a person starts them.
+No part is simulated: `rossec master` and `rossec run` are started as a user starts them.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ DEADLINE: Final = 40.0
 
 
 class Running:
-    """A program that runs, and what it has said so far; both outputs are one."""
+    """A running program and its output so far; stdout and stderr are merged."""
 
     def __init__(self, command: tuple[str, ...], env: dict[str, str]) -> None:
         self.process = subprocess.Popen(
@@ -52,12 +52,12 @@ class Running:
         assert words in self.said, self.said
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> int:
-        """Send a signal to the one process; its exit code."""
+        """Send a signal to this process alone; return its exit code."""
         self.process.send_signal(number)
         return self.process.wait(DEADLINE)
 
     def close(self) -> None:
-        """Kill it and all it has started, in whatever session: roslaunch makes one for each."""
+        """Kill it and all its descendants, in any session: roslaunch makes one for each."""
         for process in (self.process.pid, *descendants(parents(), self.process.pid)):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
@@ -69,14 +69,14 @@ class Running:
 
 @dataclass
 class World:
-    """The hosts, the trust domain, and how to start things there."""
+    """The hosts, the trust domain, and methods to start programs there."""
 
     hosts: Hosts
     site: Site
     directory: Path
     port: int = field(default_factory=free_port)
     ipv6: bool = False
-    home: Path | None = None  # that of the master, if it is not the site's
+    home: Path | None = None  # the master's home, if not the site's
 
     def env(self, host: Host) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
@@ -132,7 +132,7 @@ class World:
             raise AssertionError(f"{command} does not end: {said.decode()}") from None
 
     def tool(self, *command: str, options: tuple[str, ...] = ()) -> str:
-        """What a tool says that is run on the far host and succeeds."""
+        """The output of a tool that is run on the other host and succeeds."""
         done = self.run(self.hosts.far, *command, options=options)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -140,7 +140,7 @@ class World:
     def enroll(
         self, name: str, *, wildcard: bool = False, lifetime: int = DAY, **rights: str
     ) -> None:
-        """Enroll a program with what every ROS node needs, and more: `publish="/a /b"`."""
+        """Enroll a program with the rights every ROS node needs, and more: `publish="/a /b"`."""
         self.site.enroll(name, lifetime, wildcard=wildcard)
         self.site.publish(name, "/rosout")
         self.site.grant(name, Right.PROVIDE, "/*/get_loggers")
@@ -152,7 +152,7 @@ class World:
 
 
 def wait(holds: Callable[[], object], within: float = DEADLINE) -> None:
-    """Wait for a state that nothing announces."""
+    """Wait for a state that has no notification."""
     end = time.monotonic() + within
     while not holds():
         assert time.monotonic() < end, "it did not come to hold in time"

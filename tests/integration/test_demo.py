@@ -1,4 +1,4 @@
-"""`rossec demo` as a person starts it: it does what it says, and loopback shows none of it."""
+"""`rossec demo` as a user starts it: its claims hold, and loopback shows no plaintext."""
 
 import base64
 import contextlib
@@ -26,7 +26,7 @@ from tests.support.recorder import Recording, record
 BIN: Final = Path(sys.executable).parent
 ROSSEC: Final = str(BIN / "rossec")
 MARKER: Final = secrets.token_hex(24).encode()
-LIMIT: Final = 30.0  # seconds: what README promises
+LIMIT: Final = 30.0  # seconds: stated in the README
 SLICE: Final = 24
 API_WORDS: Final = (
     b"methodCall", b"methodResponse", b"methodName", b"registerPublisher", b"registerSubscriber",
@@ -43,7 +43,7 @@ class Played:
     directory: Path
     code: int
     said: str
-    complaints: str
+    errors: str
     seconds: float
     recording: Recording
 
@@ -55,7 +55,7 @@ def environment(**more: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
-    """The demo runs once for all that look at it."""
+    """The demo runs once for all these tests."""
     path = tmp_path_factory.mktemp("demo")
     begin = time.monotonic()
     recording, done = record(
@@ -66,17 +66,17 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
 
 
 def test_the_demo_succeeds_with_its_claims(played: Played) -> None:
-    assert played.code == 0, played.said + played.complaints
-    assert played.complaints == ""
+    assert played.code == 0, played.said + played.errors
+    assert played.errors == ""
     assert played.seconds < LIMIT
     assert played.said.count("done in") == 7
     figure = re.search(r"last image (-?\d+) ms after the command was given", played.said)
     assert figure is not None
-    assert int(figure[1]) < 10_000  # it ended by itself: the image's grant holds for days
+    assert int(figure[1]) < 10_000  # it ended itself: the image's grant is valid for days
 
 
 def test_the_recording_is_complete(played: Played) -> None:
-    """The controls, without which finding nothing would mean nothing."""
+    """The controls: without them an empty result would prove nothing."""
     recording = played.recording
     assert recording.dropped == 0
     assert recording.holds(MARKER)
@@ -99,7 +99,7 @@ def test_every_connection_is_a_secured_one(played: Played) -> None:
 
 
 def names() -> Iterator[bytes]:
-    """Words that would tell an eavesdropper what is going on."""
+    """Words that would reveal the contents to an eavesdropper."""
     yield from (b"/robot", b"/doctor", b"/heating", b"/master", b"robot/", b"spiffe")
     for topic, type_name in (POSE, SCAN, CAMERA):
         package, leaf = type_name.encode().split(b"/")
@@ -137,7 +137,7 @@ def test_no_grant_list_or_certificate_went_over_the_network(played: Played) -> N
 
 
 def slices(file: Path) -> set[bytes]:
-    """Pieces of a file that would show, raw or in base64 (as XML-RPC has it) at any alignment."""
+    """Parts of a file that would be seen, raw or in base64 (as XML-RPC has it) at any alignment."""
     data = file.read_bytes()
     if file.suffix == ".pem":
         blocks = re.findall(rb"-----BEGIN[^-]+-----([^-]+)-----END", data)
@@ -150,11 +150,11 @@ def slices(file: Path) -> set[bytes]:
     }
 
 
-# --- going on
+# --- using the kept home
 
 
 def test_the_kept_home_of_the_demo_works(played: Played) -> None:
-    """The commands it prints, as it prints them, in a shell that knows nothing of the venv."""
+    """The commands as printed, in a shell without the venv."""
     lines = [line.strip() for line in played.said.splitlines()]
     export = next(line for line in lines if line.startswith("export "))
     master, robot, echo = lines[lines.index("rossec master") :][:3]
@@ -229,10 +229,10 @@ def test_a_step_that_fails_ends_the_demo_with_its_reason(tmp_path: Path) -> None
         for line in demo.stdout:
             if " another authority " in line:
                 os.kill(child_of(demo.pid, "rossec.demo.subscriber", "/doctor"), signal.SIGKILL)
-        _, complaints = demo.communicate(timeout=30)
+        _, errors = demo.communicate(timeout=30)
         assert demo.returncode == 1
-        assert complaints.startswith("rossec: error: doctor: an image did not happen")
-        assert "Traceback" not in complaints
+        assert errors.startswith("rossec: error: doctor: an image did not happen")
+        assert "Traceback" not in errors
 
 
 def test_a_disk_without_space_is_reported(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
-"""A robot and an authority in processes of their own; all that passes between them besides the
-network is what people see: the picture on the robot's terminal, and six digits.
+"""A robot and an authority in separate processes; besides the network they exchange only what
+people see: the picture on the robot's terminal, and six digits.
 """
 
 import os
@@ -23,7 +23,7 @@ SECRET: Final = "four random words here"
 
 
 class Host:
-    """A computer: its own ROSSEC_HOME and nothing in common with the others."""
+    """A computer with its own ROSSEC_HOME; it shares nothing with the others."""
 
     def __init__(self, root: Path) -> None:
         root.mkdir(mode=0o700)
@@ -34,7 +34,7 @@ class Host:
         self.passphrase.write_text(SECRET)
 
     def runs(self, *words: str, terminal: str = "") -> subprocess.Popen[str]:
-        """Start a command; with `terminal`, on one, where a person types this answer."""
+        """Start a command; with `terminal`, on a terminal where a person types this answer."""
         at = [sys.executable, "-m", "tests.support.terminal", terminal, "--"] if terminal else []
         return subprocess.Popen(
             [*at, ROSSEC, *words], env=self.environ, cwd=ROOT, text=True,
@@ -53,7 +53,7 @@ class Host:
 
 @pytest.fixture(scope="module")
 def office(tmp_path_factory: pytest.TempPathFactory) -> Host:
-    """Where the authority is."""
+    """The authority's host."""
     host = Host(tmp_path_factory.mktemp("hosts") / "office")
     host.done("ca", "init", "home", "--passphrase-file", str(host.passphrase))
     return host
@@ -69,7 +69,7 @@ def started() -> Iterator[list[subprocess.Popen[str]]]:
 
 
 def said(process: subprocess.Popen[str], pattern: str) -> str:
-    """What the process has said up to the line with `pattern`."""
+    """The output of the process up to the line with `pattern`."""
     assert process.stdout is not None
     lines = []
     for line in process.stdout:

@@ -1,4 +1,4 @@
-"""Every file in examples/ runs, in the order of its number, and does what its first lines say."""
+"""Every file in examples/ runs, in the order of its number, and does what its docstring says."""
 
 import os
 import signal

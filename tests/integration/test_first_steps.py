@@ -57,7 +57,7 @@ class Home:
         return out
 
     def secret(self, *words: str) -> tuple[str, ...]:
-        """The words of a command that unlocks the authority's key."""
+        """The arguments of a command that unlocks the authority's key."""
         return *words, "--passphrase-file", str(self.passphrase)
 
     def enroll(self, name: str) -> Path:
@@ -81,7 +81,7 @@ class Home:
 
 
 def contents(path: Path) -> Mapping[str, bytes]:
-    """Every file; of the authority's database its content, as SQLite moves its pages."""
+    """Every file; for the authority's database its rows, as SQLite moves pages."""
     files = (file for file in path.rglob("*") if file.is_file() and "ca.db-" not in file.name)
     return {
         str(file): dumped(file) if file.suffix == ".db" else file.read_bytes() for file in files
@@ -95,19 +95,19 @@ def dumped(database: Path) -> bytes:
 
 @pytest.fixture
 def bare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Home:
-    """Nothing done yet."""
+    """An empty home."""
     return Home(tmp_path / "bare", capsys)
 
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Made once: unlocking a key takes its time on purpose."""
+    """Made once: unlocking a key is slow on purpose."""
     path = tmp_path_factory.mktemp("first") / "home"
     made = Home(path, None)
     made.done(*made.secret("ca", "init", "home"))
     made.enroll("/robot")
     made.enroll("/master")
-    gc.collect()  # a record that is closed while it is copied takes its journal away
+    gc.collect()  # a database that is closed while it is copied deletes its journal
     return path
 
 
@@ -208,7 +208,7 @@ def test_an_identity_that_is_not_signed_is_not_installed(home: Home) -> None:
 
 
 def test_the_identity_of_another_node_is_not_installed(home: Home, tmp_path: Path) -> None:
-    """On the door's machine, with the file that was meant for the robot."""
+    """On the door's machine, with the robot's file."""
     elsewhere = Home(tmp_path / "elsewhere", home.capsys)
     elsewhere.done("node", "request", "/robot")
     pem = home.path / "nodes/robot/node.pem"

@@ -1,7 +1,7 @@
-"""What a restricted subscriber gets is, byte for byte, what ROS's own classes would have made.
+"""A restricted subscriber receives, byte for byte, what ROS's own classes would have made.
 
 The robot sends what genpy serialized; the reference deserializes that, changes the fields in plain
-Python, and serializes again. Between the two lies everything: channel, grant, filter, sockets.
+Python, and serializes again. Between them are channel, grant, filter and sockets.
 """
 
 import asyncio
@@ -42,7 +42,7 @@ def rounded(value: float, step: float) -> float:
 async def received(
     path: Path, type_name: str, rules: dict[str, dict[str, object]], messages: Sequence[bytes]
 ) -> list[bytes]:
-    """Send `messages` through a real pair of nodes; what a subscriber under `rules` gets, raw."""
+    """Send `messages` through a real pair of nodes; what a subscriber under `rules` receives."""
     restriction = Restriction(type=type_name, filters=filter_rules(rules))
     async with Site(path / "site").running() as site:
         site.publish("/robot", "/topic")
@@ -91,7 +91,7 @@ async def test_a_genpy_subscriber_gets_rounded_poses_without_frame(
 
     made = [make(scale) for scale in (1e-3, 1.0, 10.0, 1e3, 1e9, 1e17)]
     for message, value in zip(made, (-0.0, 1.0, -1.0, math.nan, math.inf, -math.inf), strict=True):
-        message.pose.position.z = value  # ties, signed zero, and what is no number
+        message.pose.position.z = value  # ties, signed zero, NaN and infinity
     sent = [serialized(message) for message in made]
     rules: dict[str, dict[str, object]] = {
         "pose.position": {"round": {"step": 2.0}}, "header.frame_id": {"clear": True},
@@ -121,7 +121,7 @@ async def test_a_genpy_subscriber_gets_rounded_scans_without_intensities(
 
     made = [make(rays) for rays in (0, 1, 7, 360, 1081, 20_000)]
     odd = (math.nan, math.inf, -math.inf, -0.0, 0.05, 0.15, -0.05, 1e-45, 1e-7, 1e30, 3e38)
-    (payload,) = struct.unpack("<f", struct.pack("<I", 0x7FC12345))  # a NaN that means something
+    (payload,) = struct.unpack("<f", struct.pack("<I", 0x7FC12345))  # a NaN with a payload
     for message in made[2:]:
         message.ranges[: len(odd) + 1] = [*odd, payload]
     sent = [serialized(message) for message in made]

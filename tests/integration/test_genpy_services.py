@@ -42,7 +42,7 @@ CALLS: list[tuple[str, dict[str, object], dict[str, object]]] = [
 async def test_genpy_services_are_called_over_a_real_master(
     tmp_path: Path, name: str, asked: dict[str, object], answered: dict[str, object]
 ) -> None:
-    """The request the handler gets and the response the caller gets, against genpy's bytes."""
+    """The request and the response as received, against genpy's bytes."""
     service_class = stock(name)
     request = service_class._request_class(**asked)
     response = service_class._response_class(**answered)

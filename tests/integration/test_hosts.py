@@ -1,4 +1,4 @@
-"""Two hosts of a test, where the machine allows no network namespaces."""
+"""The two hosts of a test on a machine without network namespaces."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.support.hosts import two_hosts
 def test_without_namespaces_the_hosts_are_two_addresses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As in a container without the capability; tests that need real ones then say so."""
+    """As in a container without the capability; tests that need namespaces are skipped."""
     refusing = tmp_path / "unshare"
     refusing.write_text("#!/bin/sh\nexit 1\n")
     refusing.chmod(0o755)

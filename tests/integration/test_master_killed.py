@@ -1,4 +1,4 @@
-"""kill -9 of the master under load: nodes find it again, nothing that was promised is lost."""
+"""kill -9 of the master under load: nodes register again, no acknowledged change is lost."""
 
 import asyncio
 import contextlib
@@ -33,7 +33,7 @@ async def client_of(master: MasterProcess, name: str) -> RpcClient:
 
 
 async def load(client: RpcClient, acknowledged: list[int]) -> None:
-    """Set a parameter to ever higher numbers until the master is gone."""
+    """Set a parameter to increasing numbers until the master is gone."""
     with contextlib.suppress(RossecError):
         for number in range(10**9):
             await client.ask("setParam", "/load", "/load/number", number)
@@ -69,13 +69,16 @@ async def test_nodes_recover_and_nothing_promised_is_lost(tmp_path: Path) -> Non
 
         again = await client_of(master, "/load")
         number = await again.ask("getParam", "/load", "/load/number")
-        assert number in (acknowledged[-1], acknowledged[-1] + 1)  # the last may lack its answer
+        assert number in (
+            acknowledged[-1],
+            acknowledged[-1] + 1,
+        )  # the last call may have no answer
         async with asyncio.timeout(60):
             while await again.ask("getSystemState", "/load") != state:  # noqa: ASYNC110 - asking
                 await asyncio.sleep(0.05)
         await until(lambda: len(pose.links) == 1, within=30)
         with pytest.raises(RossecError):
             await client_of(master, "/eve")
-        with pytest.raises(AnswerRefused, match="older"):  # nor can the list before it come back
+        with pytest.raises(AnswerRefused, match="older"):  # nor is the previous list accepted again
             await again.ask("rossec.updateRevocations", "/load", older)
         await again.close()

@@ -1,4 +1,4 @@
-"""`rossec master` as a service: configured, watched, asked, stopped, and its audit read."""
+"""`rossec master` as a service: configuration, metrics, status, stop, and its audit."""
 
 import asyncio
 import contextlib
@@ -113,7 +113,7 @@ def test_a_wrong_configuration_is_refused_with_its_line(
 
 
 async def another(master: MasterProcess, *options: str) -> tuple[int | None, str]:
-    """Another `rossec master` of the same home; its exit code and what it says."""
+    """Another `rossec master` of the same home; its exit code and output."""
     base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-I", "-m", "rossec", "master", *options,

@@ -1,7 +1,7 @@
-"""rospy with two lines more, built-in nodes, and programs behind a sidecar: each with each.
+"""In-process rospy, built-in nodes, and programs behind a sidecar: every pair of them.
 
 Nine pairs for topics and nine for services, with the same master; what one form of rossec refuses,
-cuts or filters, every other one does.
+closes or filters, every other one does too.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from grants.model import Right
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support.attacker import call, credentials
 from tests.support.hosts import Host, Hosts
-from tests.support.kinds import HEARERS, KINDS, SEEN, SPEAKERS, command
+from tests.support.kinds import KINDS, LISTENERS, SEEN, SPEAKERS, command
 from tests.support.site import Site, coarse
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -33,21 +33,21 @@ pairs = pytest.mark.parametrize(
 
 @dataclass(frozen=True)
 class Cast:
-    """Everybody who runs, the grants that will be revoked, and the file that hearers wait for."""
+    """The running programs, the grants to be revoked, and the file that subscribers wait for."""
 
     world: World
     speakers: Mapping[str, Running]
-    hearers: Mapping[str, Running]
+    listeners: Mapping[str, Running]
     words: Mapping[str, bytes]
     calls: Mapping[str, bytes]
     signal: Path
 
     @property
     def everybody(self) -> list[Running]:
-        return [*self.speakers.values(), *self.hearers.values()]
+        return [*self.speakers.values(), *self.listeners.values()]
 
     def revoke(self, grants: Mapping[str, bytes]) -> None:
-        """Revoke a grant of every hearer; the master tells them all."""
+        """Revoke a grant of every subscriber; the master notifies all nodes."""
         site = self.world.site
         data = [site.revoke(grant) for grant in grants.values()][-1]
         uri = f"http://127.0.0.1:{self.world.port}/"
@@ -67,11 +67,11 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
     words, calls = {}, {}
     for kind in KINDS:
         world.enroll(f"/{kind}_speaker", publish=f"/{kind}/*", provide=f"/{kind}/*")
-        hearer = f"/{kind}_hearer"
-        world.enroll(hearer, subscribe="/*/latched")
-        site.subscribe(hearer, "/*/pose", coarse())
-        words[kind] = site.subscribe(hearer, "/*/words")
-        calls[kind] = site.grant(hearer, Right.CALL, "/*/switch")
+        listener = f"/{kind}_listener"
+        world.enroll(listener, subscribe="/*/latched")
+        site.subscribe(listener, "/*/pose", coarse())
+        words[kind] = site.subscribe(listener, "/*/words")
+        calls[kind] = site.grant(listener, Right.CALL, "/*/switch")
     with contextlib.ExitStack() as stack:
         stack.enter_context(world.master())
 
@@ -83,52 +83,52 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
         for speaker in speakers.values():
             speaker.wait_for("READY")
         told = " ".join(KINDS), str(signal)
-        hearers = {kind: start(kind, HEARERS[kind], *told) for kind in KINDS}
-        yield Cast(world, speakers, hearers, words, calls, signal)
+        listeners = {kind: start(kind, LISTENERS[kind], *told) for kind in KINDS}
+        yield Cast(world, speakers, listeners, words, calls, signal)
 
 
 @pairs
 def test_messages_arrive_at_every_kind_of_subscriber(cast: Cast, source: str, sink: str) -> None:
-    cast.hearers[sink].wait_for(f"HEARD {source} words {source} ")
+    cast.listeners[sink].wait_for(f"HEARD {source} words {source} ")
 
 
 @pairs
 def test_a_late_subscriber_gets_the_latched_message(cast: Cast, source: str, sink: str) -> None:
-    cast.hearers[sink].wait_for(f"HEARD {source} latched {source} kept")
+    cast.listeners[sink].wait_for(f"HEARD {source} latched {source} kept")
 
 
 @pairs
 def test_publishers_filter_and_withhold(cast: Cast, source: str, sink: str) -> None:
-    """Whoever publishes applies the restriction, to whomever."""
+    """Every kind of publisher applies the restriction to every kind of subscriber."""
     about = f"HEARD {source} pose "
-    hearer = cast.hearers[sink]
-    wait(lambda: hearer.said.count(about) > 5)
-    poses = {line.removeprefix(about).strip() for line in hearer.lines if line.startswith(about)}
+    listener = cast.listeners[sink]
+    wait(lambda: listener.said.count(about) > 5)
+    poses = {line.removeprefix(about).strip() for line in listener.lines if line.startswith(about)}
     assert poses == {SEEN}
 
 
 @pairs
 def test_services_answer_every_kind_of_client(cast: Cast, source: str, sink: str) -> None:
-    cast.hearers[sink].wait_for(f"CALLED {source} {source} answers")
+    cast.listeners[sink].wait_for(f"CALLED {source} {source} answers")
 
 
 @pairs
 def test_persistent_services_answer_every_call(cast: Cast, source: str, sink: str) -> None:
-    hearer = cast.hearers[sink]
-    wait(lambda: hearer.said.count(f"KEPT {source} {source} answers") >= 3)
-    assert "NOT KEPT" not in hearer.said
-    assert "NOT CALLED" not in hearer.said
+    listener = cast.listeners[sink]
+    wait(lambda: listener.said.count(f"KEPT {source} {source} answers") >= 3)
+    assert "NOT KEPT" not in listener.said
+    assert "NOT CALLED" not in listener.said
 
 
 def test_every_kind_follows_the_end_of_a_grant(cast: Cast) -> None:
-    """Granted for some seconds while the programs run; cut at both ends when they are over."""
+    """Granted for some seconds while the programs run; closed at both ends when it expires."""
     end = int(time.time()) + BRIEF
     for kind in KINDS:
-        cast.world.site.grant(f"/{kind}_hearer", Right.SUBSCRIBE, "/*/brief", lifetime=BRIEF)
-    time.sleep(2.5)  # every directory of grants has been looked at: an entry is made once
+        cast.world.site.grant(f"/{kind}_listener", Right.SUBSCRIBE, "/*/brief", lifetime=BRIEF)
+    time.sleep(2.5)  # every grant directory has been read: an entry is made once
     cast.signal.touch()
     for source, sink in PAIRS:
-        cast.hearers[sink].wait_for(f"HEARD {source} brief {source} ")
+        cast.listeners[sink].wait_for(f"HEARD {source} brief {source} ")
     for speaker in cast.speakers.values():
         wait(lambda speaker=speaker: "brief 0" in last(speaker, "LISTENERS"))  # type: ignore[misc]
     assert time.time() >= end
@@ -141,16 +141,16 @@ def test_a_revoked_right_to_subscribe_closes_the_connection_at_both_ends(cast: C
     for speaker in cast.speakers.values():
         wait(lambda speaker=speaker: "words 0" in last(speaker, "LISTENERS"))  # type: ignore[misc]
     _is_silent(cast, "words")
-    for hearer in cast.hearers.values():
-        hearer.wait_for("no grant for subscribe on ")
+    for listener in cast.listeners.values():
+        listener.wait_for("no grant for subscribe on ")
     _nobody_spins(before)
 
 
 def test_a_new_grant_resumes_the_messages(cast: Cast) -> None:
-    """Also to a program that itself gives up what has ended, as stock rospy does."""
+    """Also for a program that does not reconnect itself, such as stock rospy."""
     heard = _from_now(cast)
     for kind in KINDS:
-        cast.world.site.subscribe(f"/{kind}_hearer", "/*/words")
+        cast.world.site.subscribe(f"/{kind}_listener", "/*/words")
     for source, sink in PAIRS:
         wait(lambda source=source, sink=sink: f"HEARD {source} words" in heard(sink))  # type: ignore[misc]
 
@@ -159,10 +159,10 @@ def test_a_revoked_right_to_call_closes_persistent_connections(cast: Cast) -> No
     before = {running: len(running.lines) for running in cast.everybody}
     cast.revoke(cast.calls)
     for source, sink in PAIRS:
-        cast.hearers[sink].wait_for(f"NOT CALLED {source} ")
-        cast.hearers[sink].wait_for(f"NOT KEPT {source} ")
-    for hearer in cast.hearers.values():
-        hearer.wait_for("needs the right call on ")
+        cast.listeners[sink].wait_for(f"NOT CALLED {source} ")
+        cast.listeners[sink].wait_for(f"NOT KEPT {source} ")
+    for listener in cast.listeners.values():
+        listener.wait_for("needs the right call on ")
     _nobody_spins(before)
 
 
@@ -171,7 +171,7 @@ def last(running: Running, words: str) -> str:
 
 
 def _is_silent(cast: Cast, topic: str) -> None:
-    """While poses arrive in every pairing, nothing of `topic` does."""
+    """While poses arrive in every pair, no message of `topic` does."""
     heard = _from_now(cast)
     for source, sink in PAIRS:
         wait(lambda source=source, sink=sink: heard(sink).count(f"HEARD {source} pose") >= 3)  # type: ignore[misc]
@@ -179,13 +179,13 @@ def _is_silent(cast: Cast, topic: str) -> None:
 
 
 def _from_now(cast: Cast) -> Callable[[str], str]:
-    """What the hearer of a kind has said since."""
-    begins = {kind: len(hearer.lines) for kind, hearer in cast.hearers.items()}
-    return lambda kind: "".join(cast.hearers[kind].lines[begins[kind] :])
+    """The output of the subscriber of this kind since then."""
+    begins = {kind: len(listener.lines) for kind, listener in cast.listeners.items()}
+    return lambda kind: "".join(cast.listeners[kind].lines[begins[kind] :])
 
 
 def _nobody_spins(before: Mapping[Running, int]) -> None:
-    """What was refused is tried again, ever more slowly, and said some times at most."""
+    """A refused connection is retried at growing intervals, and logged a few times at most."""
     own = ("HEARD", "CALLED", "KEPT", "NOT", "LISTENERS")
     for running, begin in before.items():
         lines = [line for line in running.lines[begin:] if not line.startswith(own)]

@@ -28,7 +28,7 @@ def test_the_commands_of_the_readme_work_as_printed(tmp_path: Path) -> None:
     """Typed into one shell at a terminal, where a person answers; `rossec` is not installed."""
     port = free_port()
     printed = quickstart()
-    # The only thing added: a person sees the master's first line before going on.
+    # The only addition: a person waits for the master's first line.
     started = "rossec master &"
     assert printed.count(f"\n{started} ") == 1
     script = tmp_path / "quickstart.sh"

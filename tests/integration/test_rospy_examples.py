@@ -1,4 +1,4 @@
-"""Every program in examples/rospy runs; the five minutes of the guide do what they say."""
+"""Every program in examples/rospy runs; so does the guide for the first node."""
 
 import os
 import re
@@ -49,7 +49,7 @@ def run(env: dict[str, str], *command: str | Path) -> subprocess.CompletedProces
 
 @pytest.fixture(scope="module")
 def five_minutes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
-    """What the guide tells to do, beside the examples: they have nothing in common."""
+    """The guide's commands, run in parallel to the examples: they share nothing."""
     directory = tmp_path_factory.mktemp("guide")
     with subprocess.Popen(
         ["bash", "-c", script(directory)], env=environment(directory), cwd=ROOT, text=True,
@@ -62,7 +62,7 @@ def five_minutes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subproces
 @pytest.fixture(scope="module")
 def site(
     tmp_path_factory: pytest.TempPathFactory,
-    five_minutes: subprocess.Popen[str],  # begun before the first example
+    five_minutes: subprocess.Popen[str],  # started before the first example
 ) -> Iterator[dict[str, str]]:
     env = environment(tmp_path_factory.mktemp("rospy"))
     done = run(env, EXAMPLES / "enroll.sh")
@@ -114,13 +114,13 @@ def test_the_viewer_does_not_see_where_the_camera_is(site: dict[str, str]) -> No
 
 
 def commands() -> list[str]:
-    """What the guide tells to type, in its blocks without a language."""
+    """The guide's commands: its code blocks without a language."""
     blocks = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
     return [line for language, block in blocks if not language for line in block.splitlines()]
 
 
 def script(directory: Path) -> str:
-    """The guide's commands as one program, in directories of this test."""
+    """The guide's commands as one script, in directories of this test."""
     passphrase = f"{directory}/passphrase"
     lines = ["set -e", "trap 'kill $(jobs -p)' EXIT", f"cd {shlex.quote(str(ROOT))}"]
     for line in commands():

@@ -1,4 +1,4 @@
-"""A secured rospy program hears its own topic and calls its own service, as rospy's tests do."""
+"""A secured rospy program receives its own topic and calls its own service, as rospy's tests do."""
 
 from pathlib import Path
 

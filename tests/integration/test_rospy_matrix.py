@@ -1,4 +1,4 @@
-"""rospy programs with two lines more: everything works, and loopback shows none of it."""
+"""In-process rospy programs: everything works, and loopback shows no plaintext."""
 
 import os
 import secrets
@@ -33,7 +33,7 @@ class Played:
 
 @pytest.fixture(scope="module", params=HOSTS)
 def played(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Played:
-    """Every variant of names in one recording."""
+    """All variants of names in one recording."""
     path = tmp_path_factory.mktemp("matrix")
     command = [sys.executable, "-m", "tests.support.matrix", str(path), request.param]
     env = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}

@@ -1,4 +1,4 @@
-"""Secured and stock programs that meet: each says in its log why it does not work."""
+"""Secured and stock programs that connect to each other: each logs the reason of the failure."""
 
 import asyncio
 import xmlrpc.client
@@ -99,7 +99,7 @@ async def plain(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple
 
 
 async def introduce(site: Site, api: str, port: int) -> None:
-    """Register the plain node with the secured master, as somebody entitled would."""
+    """Register the plain node with the secured master, as an authorized node could."""
     entitle(site, "/plain", {Right.PUBLISH: ("/plain/words",), Right.PROVIDE: ("/plain/work",)})
     assert site.master is not None
     own = credentials(site, "/plain")

@@ -1,4 +1,4 @@
-"""Restricted calls between rospy programs: what a grant says of a request and of a response."""
+"""Restricted calls between rospy programs: a grant's rules for a request and a response."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def only(part: str, *conditions: str, **rules: str) -> Restriction:
 
 
 async def answers(site: Site, directory: Path, name: str) -> list[str]:
-    """What a caller of that name prints: three calls anew, three over a kept connection."""
+    """The output of this caller: three single calls, three over a persistent connection."""
     async with program(environment(site, directory / name), CALLER, name) as caller:
         await caller.read_until("DONE")
         lines = caller.said.splitlines()

@@ -1,6 +1,6 @@
-"""A day in half a minute: keys, grants, identities, lists and the master change under two programs.
+"""Two programs run while keys, grants, identities, lists and the master change.
 
-Short limits stand for long times: keys are renewed every 64 records or second, grants end after a
+Short limits replace long times: keys are renewed every 64 records or second, grants expire after a
 few seconds and are renewed by the master, the authority's list changes twice a second. Messages are
 lost only where the documents say so: when a grant ends, a subscriber connects again.
 """
@@ -75,7 +75,7 @@ rospy.spin()
 
 
 def resident(running: Program) -> int:
-    """Kilobytes in memory."""
+    """Resident memory in kilobytes."""
     status = Path(f"/proc/{running.process.pid}/status").read_text()
     return int(status.partition("VmRSS:")[2].split()[0])
 
@@ -129,7 +129,7 @@ async def test_a_day_passes_without_unreported_losses(tmp_path: Path) -> None:
             await asyncio.sleep(0.5)
             count, gaps, threads = await report(listener)
             assert count > before, "the grant that was signed has ended twice over"
-            renewals = (time.monotonic() - begin) // (LIFETIME / 2)  # from half of a life on
+            renewals = (time.monotonic() - begin) // (LIFETIME / 2)  # from half of the lifetime on
             late = resident(talker), resident(listener)
             assert count > SECONDS * 50
             assert gaps <= renewals, "one for each grant that ended, and none besides"

@@ -99,7 +99,7 @@ def test_exit_codes_and_signals_are_passed_on(world: World, probe: str) -> None:
 
 
 def test_rosnode_kill_and_cleanup_need_the_right_to_administer(world: World, probe: str) -> None:
-    """A node is ended by who may administer it, and by nobody else; a dead one is cleaned away."""
+    """A node is stopped only by a peer with the right to; a dead one is cleaned up."""
     victim = (probe, "talker", "/victim/topic", "__name:=victim")
     world.enroll("/victim", publish="/victim/topic", provide="/victim/say")
     world.enroll("/meddler", graph="/**")
@@ -122,7 +122,7 @@ def test_rosnode_kill_and_cleanup_need_the_right_to_administer(world: World, pro
 
 
 def test_a_bag_is_recorded_and_played(world: World, talker: Running, probe: str) -> None:
-    """Anonymous rosbag nodes on the far host; what is played there is heard on the near one."""
+    """Anonymous rosbag nodes on the second host; the first one receives what is played there."""
     world.enroll("/record", wildcard=True, subscribe="/chatter")
     world.enroll("/play", wildcard=True, publish="/replayed /clock")
     world.enroll("/hearer", subscribe="/replayed", provide="/hearer/say")
@@ -159,7 +159,7 @@ def test_a_node_receives_its_own_topic_directly(world: World, probe: str) -> Non
 
 
 def test_rosout_and_roslaunch_work_with_four_nodes(world: World, probe: str) -> None:
-    """Each node of the launch file uses its own identity; /rosout hears all of them."""
+    """Each node of the launch file uses its own identity; /rosout receives from all of them."""
     world.enroll("/rosout", subscribe="/rosout", publish="/rosout_agg")
     world.enroll(
         "/roslaunch", wildcard=True, graph="/**",

@@ -1,8 +1,8 @@
 """Many connections and disconnections leave nothing behind: no descriptor, no memory.
 
-Ten thousand are those of programs, each with a call that the sidecar answers over its kept link to
-the master. As many again with a handshake of their own between two sidecars would take minutes for
-the signatures alone; of those there are as many as fit.
+Ten thousand connections of programs, each with a call that the sidecar answers over its connection
+to the master. As many with a handshake between two sidecars would take minutes for the
+signatures alone; of those there are as many as time permits.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from tests.support.witness import until
 
 PROGRAMS: Final = 10_000
 SECURED: Final = 400
-GROWTH: Final = 6.0  # MB, after the first tenth: what the allocator keeps varies, a leak does not
+GROWTH: Final = 6.0  # MB, after the first tenth: the allocator's reserve varies
 ASKED: Final = {"callerid": b"/ear", "topic": b"/word", "type": b"*", "md5sum": b"*"}
 _AT_ONCE: Final = 20
 

@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
 @dataclass(frozen=True)
 class Bare(Host):
-    """A host whose names are in a file of its own."""
+    """A host with its own hosts file."""
 
     names: Path
 
@@ -98,7 +98,7 @@ def test_services_and_parameters_work_over_ipv6(world: World, talker: Running) -
 
 
 def test_roscpp_wants_ipv4_for_udpros_or_all_addresses(world: World, programs: Path) -> None:
-    """Told `localhost` it binds a UDP socket to 127.0.0.1, which it does not use, or dies."""
+    """With `localhost` it binds an unused UDP socket to 127.0.0.1, or exits."""
     program = str(compiled(programs)), "listener", "/chatter", "2"
     with world.secured(world.hosts.far, *program) as running:
         running.wait_for("Listen failed")

@@ -1,6 +1,6 @@
 """Sidecars over time, on two hosts: renewals, restarts, programs that share an identity, limits.
 
-The master is one that renews: grants by delegation, identities with an intermediate of its own.
+The master renews grants by delegation, and identities with its own intermediate.
 """
 
 import re
@@ -43,7 +43,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 
 
 def renewing(site: Site) -> None:
-    """Let the master of `site` renew, once it is started."""
+    """Configure the master of `site` to renew, once it is started."""
     site.delegate()
     request = intermediate_home.begin(site.root, site.anchor.domain, SECRET).read_bytes()
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
@@ -52,7 +52,7 @@ def renewing(site: Site) -> None:
 
 @pytest.fixture(scope="module")
 def aging(world: World, probe: str) -> Iterator[tuple[float, Running, Running]]:
-    """When two programs began to talk with rights that end soon, and the programs."""
+    """The start time of two programs whose rights expire soon, and the programs."""
     site = world.site
     for name, right in (("/old_talker", Right.PUBLISH), ("/old_listener", Right.SUBSCRIBE)):
         world.enroll(name, lifetime=LIFE, provide=f"{name}/say")
@@ -67,9 +67,9 @@ def aging(world: World, probe: str) -> Iterator[tuple[float, Running, Running]]:
 
 
 def test_both_sides_limit_an_unmodified_publisher(world: World, aging: object, probe: str) -> None:
-    """What it may publish is checked where it is heard, what is heard is filtered where it is said.
+    """The receiver checks the right to publish, the sender filters what a receiver gets.
 
-    The second talker says what its grant does not cover.
+    The second talker publishes what its grant does not cover.
     """
     begins = Restriction("std_msgs/String", ('msg.data.startsWith("hello")',))
     short = Restriction("std_msgs/String", (), filter_rules({"data": {"truncate": {"length": 7}}}))
@@ -92,7 +92,7 @@ def test_both_sides_limit_an_unmodified_publisher(world: World, aging: object, p
 
 
 def test_programs_share_an_identity(world: World, aging: object, probe: str) -> None:
-    """One sidecar, one certified name with a tail for each; they meet each other directly."""
+    """One sidecar, one certified name with a suffix for each; they connect directly."""
     world.enroll("/fleet", wildcard=True, publish="/fleet", subscribe="/fleet", provide="/*/say")
     both = (
         f"{probe} talker /fleet __name:=fleet_1 & {probe} listener /fleet 5 __name:=fleet_2;"
@@ -106,7 +106,7 @@ def test_programs_share_an_identity(world: World, aging: object, probe: str) -> 
 
 
 def test_a_program_is_restarted_under_its_name(world: World, aging: object, probe: str) -> None:
-    """Killed, it is heard again; while it runs, a second one takes its name and ends it."""
+    """After a kill its messages arrive again; while it runs, a second one replaces it."""
     world.enroll("/phoenix", publish="/ashes", provide="/phoenix/say", param_set="/phoenix/**")
     world.enroll("/witness", subscribe="/ashes", provide="/witness/say")
     near, far = world.hosts.near, world.hosts.far
@@ -125,7 +125,7 @@ def test_a_program_is_restarted_under_its_name(world: World, aging: object, prob
 def test_rights_are_renewed_while_the_programs_run(
     world: World, aging: tuple[float, Running, Running]
 ) -> None:
-    """Longer than grants and identities lived at first; nothing is started again."""
+    """Longer than the first grants and identities were valid; nothing is restarted."""
     began, talker, listener = aging
     wait(lambda: time.monotonic() > began + LIFE + 2, within=2 * LIFE)
     heard = len(listener.lines)

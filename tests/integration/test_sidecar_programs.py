@@ -1,6 +1,6 @@
-"""Debian's larger programs on two hosts as they are: nodelets, tf2, rviz, and what rqt is made of.
+"""Debian's larger programs on two hosts, unmodified: nodelets, tf2, rviz, and the libraries of rqt.
 
-rqt itself is not in Debian 12; its plugins ask through the libraries that are asked here.
+rqt itself is not in Debian 12; its plugins use the libraries that are called here.
 """
 
 import signal
@@ -61,7 +61,7 @@ def talker(world: World, programs: Path) -> Iterator[Running]:
 def test_nodelets_are_loaded_from_another_host(
     world: World, talker: Running, programs: Path
 ) -> None:
-    """Two in one manager; one hears the other inside it, all the rest goes through sidecars."""
+    """Two in one manager connect inside it; all other connections go through sidecars."""
     bond = "/manager/bond"
     for name in ("/first", "/second"):
         world.enroll(name, publish=bond, subscribe=bond, call="/manager/*")
@@ -87,9 +87,9 @@ def test_nodelets_are_loaded_from_another_host(
 
 
 def test_tf2_transforms_arrive(world: World) -> None:
-    """A static transform is latched; who comes later gets it all the same."""
+    """A static transform is latched; a late subscriber receives it too."""
     world.enroll("/static_transform_publisher", wildcard=True, publish="/tf_static")
-    frames = "/echo/tf2_frames"  # tf2's buffer provides it, and looks whether it is there already
+    frames = "/echo/tf2_frames"  # tf2's buffer provides it, and looks it up first
     world.enroll("/echo", subscribe="/tf /tf_static", provide=frames, call=frames)
     near, far = world.hosts.near, world.hosts.far
     with (
@@ -100,7 +100,7 @@ def test_tf2_transforms_arrive(world: World) -> None:
 
 
 def test_rviz_draws_what_another_host_publishes(world: World) -> None:
-    """Markers in a frame that is known by a transform; the screen shows them."""
+    """Markers in a transformed frame; the screen shows them."""
     world.enroll("/painter", publish="/markers")
     world.enroll("/mount", publish="/tf /tf_static")
     world.enroll(

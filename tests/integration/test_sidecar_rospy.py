@@ -1,6 +1,6 @@
-"""rospy programs as they are, and the libraries of ROS above it, each behind a sidecar of its own.
+"""Unmodified rospy programs and the libraries built on it, each behind its own sidecar.
 
-What asks is run twice: behind a sidecar, and with the two lines that secure it from inside.
+The client runs twice: behind a sidecar, and in-process.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         subscribe="/chore/status /chore/feedback /chore/result",
     )  # fmt: skip
     world.enroll("/mount", publish="/tf /tf_static")
-    own = "/looker/tf2_frames"  # of tf2's buffer, which looks whether it is there already
+    own = "/looker/tf2_frames"  # of tf2's buffer, which looks it up first
     world.enroll("/looker", subscribe="/tf /tf_static", provide=own, call=own)
     world.enroll("/drive", publish="/drive/*", provide="/drive/*", param_set="/drive/*")
     world.enroll("/tuner", subscribe="/drive/*", call="/drive/*")
@@ -51,7 +51,7 @@ def serving(world: World, source: str, ready: str = "READY") -> Iterator[Running
 
 
 def said(world: World, source: str) -> Iterator[list[str]]:
-    """What a program prints behind a sidecar, then what it prints secured from inside."""
+    """The output of a program behind a sidecar, then in-process."""
     yield world.tool(sys.executable, "-c", source).splitlines()
     with world.started(world.hosts.near, sys.executable, "-c", SECURE + source) as running:
         wait(lambda: running.process.poll() is not None)
@@ -70,7 +70,7 @@ def test_rospy_messages_services_and_parameters_work(world: World) -> None:
 
 
 def test_an_action_reaches_its_goal_or_is_cancelled(world: World) -> None:
-    """actionlib's client may log that a goal before the last has changed: a race of its own."""
+    """actionlib's client may log a change of an earlier goal: a race in actionlib."""
     with serving(world, rospyuse.ACTION_SERVER):
         for lines in said(world, rospyuse.ACTION_CLIENT):
             assert [line for line in lines if "we're not tracking" not in line] == [
@@ -86,7 +86,7 @@ def test_static_transforms_are_latched(world: World) -> None:
 
 
 def test_a_node_is_reconfigured(world: World) -> None:
-    """Its configuration is latched; 9 is beyond what it allows."""
+    """Its configuration is latched; 9 is above its maximum."""
     with serving(world, rospyuse.RECONFIGURE_SERVER) as drive:
         before = ["1.5", "3.0"]
         for was, lines in zip(before, said(world, rospyuse.RECONFIGURE_CLIENT), strict=True):

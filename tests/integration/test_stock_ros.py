@@ -1,7 +1,7 @@
 """Plain ROS programs, plain HTTP and garbage at the ports of a secured system.
 
-Each hears a refusal it can log, or nothing; none learns a name; and beside all of it an honest
-pair goes on without losing a message.
+Each receives a refusal it can log, or nothing; none learns a name; meanwhile a pair of
+authorized nodes loses no message.
 """
 
 import asyncio
@@ -28,7 +28,7 @@ from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness, undisturbed, until
 
 HOST: Final = "127.0.0.1"
-QUIET: Final = 5.0  # seconds in which a peer that will be answered has been answered
+QUIET: Final = 5.0  # seconds: an answer arrives within this time
 PRIVATE: Final = (b"robot", b"viewer", b"pose", b"geometry", b"home", b"md5sum")
 
 
@@ -44,8 +44,8 @@ async def witness(site: Site) -> AsyncIterator[Witness]:
         yield witness
 
 
-def doors(site: Site, witness: Witness) -> dict[str, int]:
-    """Every port a network scan would find."""
+def open_ports(site: Site, witness: Witness) -> dict[str, int]:
+    """Every port that a network scan finds."""
     assert site.master is not None
     return {
         "master": site.master.port,
@@ -61,7 +61,7 @@ def doors(site: Site, witness: Witness) -> dict[str, int]:
 
 @contextlib.contextmanager
 def false_slave(topic_port: int) -> Iterator[str]:
-    """A plain slave API that leads subscribers to `topic_port`; its URI."""
+    """A plain slave API that directs subscribers to `topic_port`; its URI."""
     with SimpleXMLRPCServer((HOST, 0), logRequests=False) as server:
         answer = [1, "ready", ["TCPROS", HOST, topic_port]]
         server.register_function(lambda *_: answer, "requestTopic")
@@ -123,9 +123,9 @@ async def test_a_stock_node_logs_why_it_cannot_register(
 # --- plain HTTP
 
 
-@pytest.mark.parametrize("door", range(5))
-async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, door: int) -> None:
-    port = list(doors(site, witness).values())[door]
+@pytest.mark.parametrize("index", range(5))
+async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, index: int) -> None:
+    port = list(open_ports(site, witness).values())[index]
     calls = ("getSystemState", "getPublications", "requestTopic", "shutdown", "system.multicall")
     for method in calls:
         body = xmlrpc.client.dumps(("/viewer", TOPIC, [["TCPROS"]]), method)
@@ -151,7 +151,7 @@ def http_exchange(port: int, method: str, body: str) -> tuple[int, bytes]:
 
 
 def exchange(port: int, data: bytes) -> bytes:
-    """Send `data`, and end the sending; all that comes back."""
+    """Send `data` and shut down the sending side; return everything received."""
     heard = b""
     with socket.create_connection((HOST, port), timeout=QUIET) as connection:
         with contextlib.suppress(ConnectionError):
@@ -164,7 +164,7 @@ def exchange(port: int, data: bytes) -> bytes:
 
 
 def client_hello() -> bytes:
-    """What an HTTPS client sends first."""
+    """The first message of an HTTPS client."""
     incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
     context = ssl.create_default_context()
     client = context.wrap_bio(incoming, outgoing, server_hostname="robot")
@@ -208,14 +208,14 @@ GARBAGE: Final[dict[str, bytes]] = {
 
 async def test_invalid_bytes_get_no_useful_answer(site: Site, witness: Witness) -> None:
     for data in GARBAGE.values():
-        for port in doors(site, witness).values():
+        for port in open_ports(site, witness).values():
             heard = await asyncio.to_thread(exchange, port, data)
             assert harmless(heard), (data[:40], heard)
     await witness.goes_on()
 
 
 def harmless(heard: bytes) -> bool:
-    """Nothing, one of the refusals, or the short error of a handshake that names nothing."""
+    """Empty, one of the refusals, or a short handshake error without names."""
     for known in (http_refusal(REFUSAL), tcpros_refusal(REFUSAL)):
         heard = heard.removeprefix(known)
     switch = b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
@@ -224,11 +224,11 @@ def harmless(heard: bytes) -> bool:
 
 
 async def test_slow_and_silent_peers_delay_no_other_peer(site: Site, witness: Witness) -> None:
-    """A byte at a time, or none at all, at every port, while messages and newcomers get through."""
+    """A byte at a time, or none, at every port, while messages and new connections get through."""
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
         slow = []
-        for port in doors(site, witness).values():
+        for port in open_ports(site, witness).values():
             for data in (b"", TCPROS_OPENING, HTTP_OPENING, PLAIN_HEADER, client_hello()):
                 connection = socket.create_connection((HOST, port))
                 stack.callback(connection.close)
@@ -243,7 +243,7 @@ async def test_slow_and_silent_peers_delay_no_other_peer(site: Site, witness: Wi
 
 
 async def test_a_flood_of_half_open_connections_leaves_none(site: Site, witness: Witness) -> None:
-    """N8: more than one address may have half open; who is connected does not notice."""
+    """N8: more half-open connections than allowed per address; open ones are not affected."""
     count = 2 * HalfOpen().per_address
     with contextlib.ExitStack() as stack:
         for _ in range(count):
@@ -255,7 +255,7 @@ async def test_a_flood_of_half_open_connections_leaves_none(site: Site, witness:
 
 
 async def newcomer(site: Site, name: str) -> None:
-    """An honest node that comes now gets its messages."""
+    """An authorized node that connects now receives its messages."""
     site.subscribe(name, TOPIC)
     async with site.node(name) as node:
         subscriber = await node.subscriber(TOPIC, POSE)

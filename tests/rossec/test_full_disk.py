@@ -40,4 +40,4 @@ def test_a_full_disk_is_reported_and_changes_nothing(tmp_path: Path) -> None:
         assert "restore it from" not in said
     (verified, _), (revoked, said) = found["again"]
     assert verified == 0
-    assert (revoked, "the list is signed and kept" in said) == (3, True)
+    assert (revoked, "the list is signed and stored" in said) == (3, True)

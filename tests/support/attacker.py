@@ -1,4 +1,4 @@
-"""An attacker: the secure protocol by hand, with any identity and grants."""
+"""An attacker: the secure protocol step by step, with any identity and grants."""
 
 import contextlib
 import dataclasses
@@ -57,7 +57,7 @@ def fields_for(
 async def send_header(
     port: int, credentials: Credentials, fields: Mapping[str, str | bytes], at_most: int = 1 << 20
 ) -> Reply:
-    """Send a connection header to a topic port and take everything that comes until the end."""
+    """Send a connection header to a topic port and receive everything until the end."""
     stream = await connect(HOST, port, credentials, accept_any)
     data = b""
     try:
@@ -90,10 +90,10 @@ async def call(uri: str, credentials: Credentials, method: str, *params: object)
 
 async def expect_no_room(stream: SecureStream[Any], size: int) -> None:
     """A unit of `size` from a peer without a right ends the connection."""
-    with contextlib.suppress(ChannelError):  # it may end before all is sent
+    with contextlib.suppress(ChannelError):  # it may be closed before all is sent
         await stream.send(bytes(size))
     with pytest.raises(ChannelError):
-        await stream.receive()  # a readable refusal would mean that all of it was buffered
+        await stream.receive()  # a readable refusal would mean that the whole unit was buffered
     stream.abort("done")
 
 

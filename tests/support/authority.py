@@ -103,7 +103,7 @@ class Site:
         return sign_delegation(self.signer, draft)
 
     def revoke(self, *entries: bytes | EnrolledNode, lifetime: int = DAY) -> bytes:
-        """The next list; entries are grants as signed, ids, or members."""
+        """The next list; entries are signed grants, ids, or nodes."""
         ids = (
             entry.thumbprint
             if isinstance(entry, EnrolledNode)

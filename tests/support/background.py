@@ -1,4 +1,4 @@
-"""A site with a master and nodes in a thread of its own, for commands that run their own loop."""
+"""A site with a master and nodes in its own thread, for commands that run their own loop."""
 
 import asyncio
 import contextlib
@@ -19,7 +19,7 @@ Setup = Callable[[Node], Awaitable[None]]
 def serving(root: Path, name: str, prepare: Prepare, setup: Setup) -> Iterator[Site]:
     """A site in `root` after `prepare`, its master, and the node `name` after `setup`.
 
-    All are made in the thread, to which SQLite ties the authority; use only the site's environment.
+    All are created in the thread, as SQLite requires; use only the site's environment.
     """
     ready: Future[Site] = Future()
     done = threading.Event()

@@ -16,7 +16,7 @@ _NONE: Final[Mapping[str, Right]] = MappingProxyType({})
 
 
 class Caller:
-    """One control connection in the name it is certified for, and the answers as they come."""
+    """A control connection under its certified name; returns answers unchanged."""
 
     def __init__(self, site: Site, name: str, client: RpcClient) -> None:
         self.site = site
@@ -30,7 +30,7 @@ class Caller:
         return await self.client.call(method, self.name, *params)
 
     async def lie(self, method: str, *params: object) -> Any:
-        """The same with another caller_id."""
+        """The same call with another caller_id."""
         return await self.client.call(method, *params)
 
     async def refused(self, method: str, *params: object) -> str:
@@ -45,7 +45,7 @@ class Caller:
 
 
 def refusal(answer: Any) -> str:
-    """Assert that the answer is a refusal of ours; its text."""
+    """Assert that the answer is a refusal by rossec; its text."""
     code, status, value = answer
     assert code == -1, answer
     assert status.startswith("rossec: "), answer
@@ -57,7 +57,7 @@ def refusal(answer: Any) -> str:
 async def caller(
     site: Site, name: str, rights: Mapping[str, Right] = _NONE
 ) -> AsyncIterator[Caller]:
-    """A caller with these rights by pattern, and those it has already; its slave API answers."""
+    """A caller with these rights by pattern and its earlier ones; its slave API answers."""
     assert site.master is not None
     for pattern, right in rights.items():
         site.grant(name, right, pattern)

@@ -1,8 +1,8 @@
-"""`python -m tests.support.crashes DIRECTORY`: the authority's record under kill -9, at each write.
+"""`python -m tests.support.crashes DIRECTORY`: the authority's database under kill -9.
 
-Each scenario changes a real record. It is killed at its first write, its second, and so on until
-it ends by itself. After each death another process must find: every identity that was handed out,
-at most one for the request, a log that verifies; and doing it again must complete it. Prints how
+Each scenario changes a real database. It is killed at its first write, its second, and so on until
+it completes. After each kill another process must find every identity that was issued,
+at most one for the request, and a log that verifies; a retry must complete. Prints how
 often each was killed, as JSON.
 """
 
@@ -44,7 +44,7 @@ def opened(directory: Path) -> SigningAuthority:
 
 
 def prepare(directory: Path) -> None:
-    """A record with an identity, and a request that waits."""
+    """A database with an identity and a pending request."""
     directory.mkdir()
     Store.create(directory / "ca.db").close()
     authority = opened(directory)
@@ -86,7 +86,7 @@ REPLACEMENT = build_request(NEW, "home", "/held")
 
 
 def replace(authority: SigningAuthority, directory: Path) -> None:
-    """A node that was reinstalled takes its name over from its old key, which is revoked."""
+    """A reinstalled node replaces its old key, which is revoked."""
     bundle = authority.issue(REPLACEMENT, NOW, replace_key="/held")
     (directory / "out.pem").write_bytes(bundle)
 
@@ -108,19 +108,19 @@ def act(scenario: Scenario, directory: Path) -> None:
 
 
 def check(directory: Path, before: int) -> None:
-    """What must hold, however the previous process ended."""
+    """The invariants, however the previous process ended."""
     with closing(opened(directory).store) as store:
         store.log.audit(ROOT.public_key)
         ders = [row.der for row in store.certificates()]
         assert before <= len(ders) <= before + 1, "an identity was lost, or there are two"
         for out in directory.glob("*.pem"):
             data = out.read_bytes()
-            if data.count(b"END CERTIFICATE") == 2:  # else it was killed while handing out
+            if data.count(b"END CERTIFICATE") == 2:  # else it was killed while delivering
                 assert from_pem(data)[0] in ders, f"{out.name} was handed out and is not recorded"
 
 
 def check_listed(directory: Path) -> None:
-    """Every revocation in the record is in a signed list."""
+    """Every revocation in the database is in a signed list."""
     with closing(opened(directory).store) as store:
         newest = store.newest_list()
         revoked = store.revoked_entries()
@@ -129,7 +129,7 @@ def check_listed(directory: Path) -> None:
 
 
 def run(name: str, base: Path, work: Path) -> Counter[str]:
-    """Kill one scenario everywhere; how often it died at which system call."""
+    """Kill one scenario at every write; the number of kills by system call."""
     scenario, deaths = SCENARIOS[name], Counter[str]()
     total = _count(base) + (name in {"issue", "renew", "replace"})
     while True:
@@ -141,7 +141,7 @@ def run(name: str, base: Path, work: Path) -> Counter[str]:
         act(scenario, directory)
         check(directory, _count(base))
         assert _count(directory) == total, "doing it again did not complete it"
-        if name != "migrate":  # the old record's list is none
+        if name != "migrate":  # the old database has no list
             check_listed(directory)
         assert recorded in {None, _newest(directory)}, "a second identity for one request"
         shutil.rmtree(directory)

@@ -25,13 +25,13 @@ _numbers = itertools.count(1)
 
 
 def fresh(size: int = 16) -> bytes:
-    """Octets that are not repeated."""
+    """Bytes that are not repeated."""
     return next(_numbers).to_bytes(size)
 
 
 @dataclass
 class Robot:
-    """A node's key and request, and one enrollment after the other."""
+    """A node's key and request, and successive enrollments."""
 
     name: str = NAME
     signer: KeySigner = field(default_factory=new_signer)
@@ -53,7 +53,7 @@ class Robot:
 
 
 def scanned(node: NodeEnrollment) -> AuthorityEnrollment:
-    """An authority that read the node's code from its screen."""
+    """An authority that has read the node's code."""
     return AuthorityEnrollment(qr.parse(node.code(ADDRESS)), "home")
 
 
@@ -88,7 +88,7 @@ def acknowledged(
 class WaitingRobot:
     """A robot in a thread of its own that waits to be enrolled, and a person who confirms.
 
-    `person` is given the offer that waits and returns the digits to confirm, or None to cancel.
+    `person` receives the pending offer and returns the digits to confirm, or None to cancel.
     """
 
     def __init__(

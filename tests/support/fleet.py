@@ -1,4 +1,4 @@
-"""Secured rospy programs as processes of their own, with their input."""
+"""Secured rospy programs as separate processes, with their input."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,7 @@ SECURE: Final = "import rossec\nrossec.secure()\n"
 
 
 def environment(site: Site, logs: Path, **more: str) -> dict[str, str]:
-    """Of a program of this site; `logs` is where rospy writes its own."""
+    """The environment of a program of this site; `logs` is rospy's log directory."""
     assert site.master is not None
     return {
         **stock.environment(site.master.uri, logs), **site.environ,
@@ -25,7 +25,7 @@ def environment(site: Site, logs: Path, **more: str) -> dict[str, str]:
 
 
 def entitle(site: Site, name: str, rights: Mapping[Right, tuple[str, ...]]) -> None:
-    """Enroll `name` and give it a grant for each of these."""
+    """Enroll `name` and sign a grant for each of these rights."""
     site.enroll(name)
     for right, patterns in rights.items():
         for pattern in patterns:
@@ -40,7 +40,7 @@ class Program:
         self.said = ""
 
     async def read_until(self, words: str, within: float = 30.0) -> str:
-        """Read until a line holds `words`; that line."""
+        """Read until a line contains `words`; return it."""
         assert self.process.stdout is not None
         async with asyncio.timeout(within):
             while True:
@@ -68,7 +68,7 @@ class Program:
 async def program(
     env: Mapping[str, str], source: str, *arguments: str, told: bool = False
 ) -> AsyncIterator[Program]:
-    """Run Python `source`, with standard input or without; it is ended after."""
+    """Run Python `source`, with or without standard input; it is stopped afterwards."""
     process = await asyncio.create_subprocess_exec(
         *stock.python(source, *arguments), env=dict(env), limit=1 << 20,
         stdin=asyncio.subprocess.PIPE if told else asyncio.subprocess.DEVNULL,
@@ -87,7 +87,7 @@ async def program(
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """As a person would: with an interrupt first, so that coverage is written."""
+    """With an interrupt first, so that coverage is written."""
     if process.returncode is None:
         _signal(process.terminate)
         with contextlib.suppress(TimeoutError):
@@ -99,5 +99,5 @@ async def _end(process: asyncio.subprocess.Process) -> None:
 
 
 def _signal(send: Callable[[], None]) -> None:
-    with contextlib.suppress(ProcessLookupError):  # it has just ended by itself
+    with contextlib.suppress(ProcessLookupError):  # it has just exited
         send()

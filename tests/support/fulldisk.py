@@ -1,8 +1,8 @@
 """`python -m tests.support.fulldisk DIRECTORY`: what each command prints when the disk is full.
 
 Mounts a small file system at DIRECTORY, which needs a mount namespace of its own (`unshare -m`),
-makes an authority and a node there, fills it to the last byte, and runs the commands. Prints as
-JSON what they printed, and whether anything had changed afterwards.
+creates an authority and a node there, fills it to the last byte, and runs the commands. Prints
+their output as JSON, and whether any file was changed.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ class Disk:
         ):
             code, said = self.run(*command)
             assert code == 0, said
-        gc.collect()  # a record that is closed writes its journal into itself
+        gc.collect()  # a database checkpoints its journal when closed
 
     @property
     def robot(self) -> Path:
@@ -59,7 +59,7 @@ class Disk:
         return code, err.getvalue() or out.getvalue()
 
     def run_full(self, *command: str) -> tuple[int, str]:
-        """`run` on a full disk; a record that was closed meanwhile may have made room."""
+        """`run` on a full disk; a database closed meanwhile may have freed space."""
         gc.collect()
         self.fill()
         return self.run(*command)
@@ -73,7 +73,7 @@ class Disk:
         self._filling.unlink()
 
     def state(self) -> dict[str, bytes]:
-        """Every file that a command should have left as it was."""
+        """Every file that a command must not change."""
         return {
             str(path): path.read_bytes()
             for path in sorted(self.root.rglob("*"))

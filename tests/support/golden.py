@@ -1,7 +1,7 @@
 """Golden transcripts: every byte of a connection, from fixed keys and randomness.
 
-`python -m tests.support.golden` writes tests/vectors/channel.json; a difference to what is stored
-there is a change of the wire format, which needs a new version of the protocol.
+`python -m tests.support.golden` writes tests/vectors/channel.json; a difference from the
+stored file is a change of the wire format, which needs a new protocol version.
 """
 
 import json
@@ -66,7 +66,7 @@ def _converse(w: Wire) -> list[dict[str, str]]:
 
 
 def transcripts() -> dict[str, list[dict[str, str]]]:
-    """All of them, computed now."""
+    """All transcripts, computed now."""
     left, right = fixed(ALICE), fixed(BOB)
 
     def talk(
@@ -94,7 +94,7 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
 
 
 def main() -> None:
-    """Store what the code produces."""
+    """Store the transcripts that the code produces."""
     FILE.write_text(json.dumps(transcripts(), indent=1) + "\n")
 
 

@@ -1,7 +1,7 @@
 """Two hosts for a test: network namespaces joined by a link, IPv4 and IPv6, recorded if wanted.
 
-Where namespaces are not permitted the hosts are two addresses of loopback, which `Hosts.real` says;
-programs are then not kept apart by anything but their addresses.
+Where namespaces are not permitted the hosts are two loopback addresses, and `Hosts.real` is false;
+programs are then separated only by their addresses.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ _MINE: Final = ("--user", "--preserve-credentials")
 
 @dataclass(frozen=True)
 class Host:
-    """One host: how to run something there, and its addresses."""
+    """One host: its addresses, and the prefix of commands run there."""
 
     prefix: tuple[str, ...]
     ipv4: str
@@ -39,7 +39,7 @@ class Host:
 
 @dataclass(frozen=True)
 class Hosts:
-    """Both hosts; `real` when they have networks of their own."""
+    """Both hosts; `real` if they have network namespaces."""
 
     near: Host
     far: Host
@@ -47,7 +47,7 @@ class Hosts:
 
     @contextlib.asynccontextmanager
     async def recorded(self, file: Path) -> AsyncIterator[list[Recording]]:
-        """Record the link meanwhile; the recording is in the list afterwards."""
+        """Record the link meanwhile; afterwards the list contains the recording."""
         found: list[Recording] = []
         env = dict(os.environ)
         command = ("tcpdump", "-i", _LINK, "-s", "0", "-U", "-B", "65536", "-w", str(file))
@@ -62,7 +62,7 @@ class Hosts:
 
 @contextlib.contextmanager
 def two_hosts() -> Iterator[Hosts]:
-    """Make them, and remove them afterwards."""
+    """Create both, and remove them afterwards."""
     mapped = () if os.geteuid() == 0 else _MAPPED
     mine = () if os.geteuid() == 0 else _MINE
     with contextlib.ExitStack() as stack:
@@ -83,7 +83,7 @@ def two_hosts() -> Iterator[Hosts]:
 @contextlib.contextmanager
 def _holder(isolation: tuple[str, ...]) -> Iterator[int]:
     """A process that keeps a namespace alive; its id."""
-    # The echo comes from within: the namespace is there when it is read.
+    # The echo runs inside: once it is read the namespace exists.
     holder = subprocess.Popen(
         [*isolation, "sh", "-c", "echo $$; exec sleep infinity"], stdout=subprocess.PIPE, text=True
     )

@@ -1,8 +1,8 @@
 """Kill a process at each of its writes: real processes, stopped by the kernel, killed with -9.
 
 A child is traced (ptrace) from system call to system call; before the n-th one that changes a file
-it is killed. What it wrote until then is what the next process finds. Only a process of one thread
-may fork like this: scenarios run in a program of their own.
+it is killed. The next process finds what was written until then. Only a process with one thread
+may fork like this: scenarios run in a separate program.
 """
 
 import ctypes
@@ -15,7 +15,7 @@ from typing import NoReturn
 TRACEME, SYSCALL, SETOPTIONS, GET_SYSCALL_INFO = 0, 24, 0x4200, 0x420E
 SYSGOOD, EXITKILL = 0x1, 0x100000
 ENTRY = 1
-# By machine: the system calls that change what is on the disk, or say that it must be there.
+# By machine: the system calls that change what is on the disk, or sync it.
 WRITES = {
     "x86_64": {
         1: "write", 18: "pwrite64", 20: "writev", 74: "fsync", 75: "fdatasync", 77: "ftruncate",
@@ -33,7 +33,7 @@ _libc.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c
 
 
 class SyscallInfo(ctypes.Structure):
-    """struct ptrace_syscall_info, as far as it is needed here."""
+    """struct ptrace_syscall_info, the fields needed here."""
 
     _fields_ = (
         ("op", ctypes.c_uint8),
@@ -51,7 +51,7 @@ def _ptrace(request: int, pid: int, address: int = 0, data: int = 0) -> None:
 
 
 def _be_traced(action: Callable[[], None]) -> NoReturn:
-    """The child: whatever happens, it must not return into its parent's program."""
+    """The child: it must never return into its parent's program."""
     code = 1
     try:
         _ptrace(TRACEME, 0)
@@ -65,7 +65,7 @@ def _be_traced(action: Callable[[], None]) -> NoReturn:
 def run_killed(action: Callable[[], None], last: int) -> str | None:
     """Run `action` in a child that is killed before its `last`-th write (counted from 1).
 
-    Returns the name of that system call, or None when the child ended by itself before.
+    Returns the name of that system call, or None if the child exited before.
     """
     child = os.fork()
     if child == 0:
@@ -89,7 +89,7 @@ def run_killed(action: Callable[[], None], last: int) -> str | None:
 
 
 def _write_at(child: int) -> str | None:
-    """The write the child is about to do, if it is one."""
+    """The name of the child's next system call, if it is a write."""
     info = SyscallInfo()
     _ptrace(GET_SYSCALL_INFO, child, ctypes.sizeof(info), ctypes.addressof(info))
     return WRITES.get(info.number) if info.op == ENTRY else None

@@ -1,12 +1,12 @@
-"""A speaker and a hearer in each of the three forms a program can have; they all do the same.
+"""A publishing and a subscribing program in each of the three forms; all forms behave alike.
 
-The rospy sources serve twice: with two lines more they run inside, as they are behind a sidecar.
+The rospy sources are used twice: in-process with two more lines, and unmodified behind a sidecar.
 
-A speaker KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
+A publisher KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
 string) and /KIND/pose (every second one in a frame that no grant allows), and provides
-/KIND/switch. A hearer subscribes to those of all kinds and calls them for ever, over a connection
-for each call (CALLED) and over one that is kept (KEPT); it follows /KIND/brief once the file that
-it is given exists.
+/KIND/switch. A subscriber subscribes to those of all kinds and calls them in a loop, over a
+connection for each call (CALLED) and over a persistent one (KEPT); it subscribes to /KIND/brief
+once the given file exists.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,13 +48,13 @@ while not rospy.is_shutdown():
     time.sleep(0.1)
 """
 
-_ROSPY_HEARER: Final = """
+_ROSPY_LISTENER: Final = """
 import os, sys, time, rospy
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 kind, kinds, signal = sys.argv[1], sys.argv[2].split(), sys.argv[3]
-rospy.init_node(f"{kind}_hearer")
+rospy.init_node(f"{kind}_listener")
 def say(*words):
     sys.stdout.write(" ".join(words) + "\\n")  # at once: several threads speak
     sys.stdout.flush()
@@ -121,7 +121,7 @@ async def main(kind):
 asyncio.run(main(sys.argv[1]))
 """
 
-_BUILTIN_HEARER: Final = """
+_BUILTIN_LISTENER: Final = """
 import asyncio, os, sys
 from ca.errors import HintedError
 from rossec.node import Node
@@ -138,7 +138,7 @@ async def call(about, other, client):
     except HintedError as error:
         print("NOT", about, other, error, flush=True)
 async def main(kind, kinds, signal):
-    async with Node(f"/{kind}_hearer") as node, asyncio.TaskGroup() as group:
+    async with Node(f"/{kind}_listener") as node, asyncio.TaskGroup() as group:
         async def follow(other, topic, form, hear):
             subscriber = await node.subscriber(f"/{other}/{topic}", form)
             group.create_task(hear(subscriber, f"{other} {topic}"))
@@ -169,12 +169,12 @@ asyncio.run(main(sys.argv[1], sys.argv[2].split(), sys.argv[3]))
 SPEAKERS: Final[Mapping[str, str]] = {
     "inprocess": SECURE + _ROSPY_SPEAKER, "builtin": _BUILTIN_SPEAKER, "sidecar": _ROSPY_SPEAKER,
 }  # fmt: skip
-HEARERS: Final[Mapping[str, str]] = {
-    "inprocess": SECURE + _ROSPY_HEARER, "builtin": _BUILTIN_HEARER, "sidecar": _ROSPY_HEARER,
+LISTENERS: Final[Mapping[str, str]] = {
+    "inprocess": SECURE + _ROSPY_LISTENER, "builtin": _BUILTIN_LISTENER, "sidecar": _ROSPY_LISTENER,
 }  # fmt: skip
 
 
 def command(kind: str, python: str, rossec: str, source: str, *more: str) -> Sequence[str]:
-    """How a program of this kind is started."""
+    """The command that starts a program of this kind."""
     plain = (python, "-c", source, kind, *more)
     return (rossec, "run", "--", *plain) if kind == "sidecar" else plain

@@ -29,7 +29,7 @@ NEAR_A_BOUNDARY: Final = (0.9, 1.1, 0.95, 1.2, 1.05)
 
 
 class Eve:
-    """Holds a grant, and as many connections with it as she likes."""
+    """An attacker with one grant and any number of connections."""
 
     def __init__(self, site: Site, publisher: Publisher, port: int, grant: bytes) -> None:
         self.site = site
@@ -48,7 +48,7 @@ class Eve:
         return stream
 
     async def heard(self, *streams: SecureStream[Identity]) -> list[list[bytes]]:
-        """All that each was sent; the publisher closes the connections."""
+        """All data sent to each; the publisher closes the connections."""
         links = tuple(self.publisher.links)
         await until(lambda: not any(link._queue for link in links))
         for link in links:
@@ -59,7 +59,7 @@ class Eve:
 
 
 async def messages(stream: SecureStream[Identity] | PlainStream) -> list[bytes]:
-    """Everything until the end; the header first."""
+    """All units until the end; the header first."""
     frames, found = FrameReader(), []
     with contextlib.suppress(ChannelError):
         async with asyncio.timeout(60):

@@ -1,7 +1,7 @@
 """Accepting secure connections with blocking sockets.
 
-`accept` returns before the handshake: a slow caller holds up its own thread only, and counts as
-half open until it is authenticated or gone.
+`accept` returns before the handshake: a slow caller blocks only its own thread, and counts as
+half-open until it is authenticated or closed.
 """
 
 import secrets

@@ -1,4 +1,4 @@
-"""`rossec master` as a process of its own, on a site whose files are on disk."""
+"""`rossec master` as a separate process, on a site with its files on disk."""
 
 import asyncio
 import contextlib
@@ -38,7 +38,7 @@ class MasterProcess:
 
     @property
     def environ(self) -> Mapping[str, str]:
-        """What nodes of this master run in."""
+        """The environment of this master's nodes."""
         return {
             "ROSSEC_HOME": str(self.site.root), "ROS_IP": "127.0.0.1", "ROS_MASTER_URI": self.uri,
         }  # fmt: skip
@@ -68,7 +68,7 @@ class MasterProcess:
         await self.process.wait()
 
     async def terminate(self) -> int:
-        """As a service manager does; the exit code."""
+        """Send SIGTERM, as a service manager does; the exit code."""
         assert self.process is not None
         self.process.terminate()
         async with asyncio.timeout(30):

@@ -1,7 +1,7 @@
-"""Two secured rospy programs that use everything of rospy, under every kind of name.
+"""Two secured rospy programs that use all features of rospy, under every kind of name.
 
 `python -m tests.support.matrix DIRECTORY HOST` runs them with a master on HOST, one variant of
-names after the other, and prints what the client received. As a program, it can be recorded.
+names after the other, and prints what the client received. A separate program can be recorded.
 """
 
 import asyncio
@@ -94,7 +94,7 @@ print("DONE", flush=True)
 
 
 class Variant:
-    """How the two programs are named, and what their names become."""
+    """How the two programs are named, and how their names are resolved."""
 
     def __init__(self, space: str, server: str, client: str, *remappings: str) -> None:
         self.space = space
@@ -106,7 +106,7 @@ class Variant:
         return [*given, f"__ns:={self.space}"] if self.space != "/" else given
 
     def resolve(self, name: str) -> str:
-        """The name that `name` becomes."""
+        """The resolved name of `name`."""
         changed = dict(item.split(":=") for item in self.remappings).get(name, name)
         return changed if changed.startswith("/") else self.space + changed
 
@@ -122,7 +122,7 @@ VARIANTS: Final[Mapping[str, Variant]] = {
 
 
 def entitle_both(site: Site, variant: Variant) -> None:
-    """Everything the two programs need, and nothing else."""
+    """Exactly the rights that the two programs need."""
     named = variant.resolve
     topics = tuple(map(named, ("latched", "numbers", "direct")))
     server, client = variant.names["server"], variant.names["client"]

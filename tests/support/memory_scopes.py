@@ -1,4 +1,4 @@
-"""Memory scopes of limited rights that begin with the test."""
+"""New memory scopes of limited rights."""
 
 from types import SimpleNamespace
 from typing import Any, Final

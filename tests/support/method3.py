@@ -1,7 +1,7 @@
 """EDHOC method 3 (static Diffie-Hellman), suite 2, credentials by kid: for tests alone.
 
-lakers, the independent implementation on PyPI, speaks nothing else. The transcript, key schedule,
-messages, P-256 exchange and AEAD are the production code; only what the method differs in is here.
+lakers, the independent implementation on PyPI, supports only this. The transcript, key schedule,
+messages, P-256 exchange and AEAD are the production code; only the differences are here.
 """
 
 from dataclasses import dataclass

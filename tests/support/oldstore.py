@@ -1,4 +1,4 @@
-"""A record as version 1 of the tables had it, with a row in every table."""
+"""A database with version 1 of the tables, and a row in every table."""
 
 import os
 import sqlite3
@@ -33,7 +33,7 @@ BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
 
 
 def write_version_1(path: Path) -> None:
-    """Make the file, as the release before wrote it."""
+    """Write the file as the earlier release did."""
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
     with closing(sqlite3.connect(path, isolation_level=None)) as db:
         db.execute("PRAGMA journal_mode = WAL")

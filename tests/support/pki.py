@@ -78,7 +78,7 @@ def root_extensions(uri: str = "spiffe://home") -> list[tuple[x509.ExtensionType
 
 @dataclass(frozen=True)
 class Draft:
-    """A certificate to be made, right in everything not replaced."""
+    """A certificate to be built, valid in every field not replaced."""
 
     issuer: x509.Name
     key: ec.EllipticCurvePrivateKey

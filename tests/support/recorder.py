@@ -1,8 +1,8 @@
 """Records every packet on loopback while a command runs, in a network namespace of its own.
 
-As a program (`python -m tests.support.recorder FILE MARKER COMMAND...`) it does the recording; the
-rest of the module starts that and reads what it wrote. The namespace keeps the traffic of other
-programs out; where none can be made, the host's own loopback is recorded.
+As a program (`python -m tests.support.recorder FILE MARKER COMMAND...`) it records; the
+rest of the module starts that and reads the file. The namespace excludes the traffic of other
+programs; without one, the host's own loopback is recorded.
 """
 
 import json
@@ -32,7 +32,7 @@ _ISOLATION: Final = (("unshare", "--net"), ("unshare", "--map-root-user", "--net
 
 @dataclass(frozen=True)
 class Recording:
-    """What was seen on loopback."""
+    """The packets seen on loopback."""
 
     packets: list[bytes]
     dropped: int
@@ -85,7 +85,7 @@ def record(
     file: Path, marker: bytes, command: Sequence[str], env: dict[str, str]
 ) -> tuple[Recording, subprocess.CompletedProcess[str]]:
     """Run `command` under the recorder; skips the test where packets cannot be recorded."""
-    complaints = ""
+    errors = ""
     for isolation in _ISOLATION:
         own = [sys.executable, "-m", "tests.support.recorder", str(file), marker.decode()]
         done = subprocess.run(
@@ -94,9 +94,9 @@ def record(
         )  # fmt: skip
         if file.exists():
             return _load(file), done
-        complaints += done.stderr
+        errors += done.stderr
     if os.environ.get("CI"):
-        pytest.fail(f"packets on loopback cannot be recorded here: {complaints}")
+        pytest.fail(f"packets on loopback cannot be recorded here: {errors}")
     pytest.skip("NOT RUN: recording loopback needs CAP_NET_RAW or user namespaces")
 
 
@@ -136,7 +136,7 @@ def main(file: Path, marker: bytes, command: Sequence[str]) -> int:
 
 
 def _read(raw: socket.socket, packets: list[bytes], stop: threading.Event) -> None:
-    """Until told to stop, and then until nothing is left."""
+    """Read until notified to stop, then until no packet is left."""
     while True:
         try:
             packet, (_, _, kind, *_) = raw.recvfrom(1 << 20)

@@ -1,4 +1,4 @@
-"""Transports as rospy has them, which only record what they are given."""
+"""Transports with rospy's interface that only record their calls."""
 
 import threading
 from io import BytesIO

@@ -16,7 +16,7 @@ _PLUGINS: Final = (
 
 
 def compiled(directory: Path, source: Path = _PROBE) -> Path:
-    """The program of `source`; `directory` keeps it until its source changes."""
+    """The program of `source`; cached in `directory` until the source changes."""
     return _compiled(source, directory)
 
 

@@ -1,4 +1,4 @@
-"""Ordinary rospy programs without rossec, as robots have them."""
+"""Ordinary rospy programs without rossec."""
 
 from typing import Final
 

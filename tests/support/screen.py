@@ -1,4 +1,4 @@
-"""What a terminal shows, as a picture: characters in cells, colours as the escape codes say."""
+"""A picture of a terminal: characters in cells, colours from the escape codes."""
 
 import re
 from typing import Final
@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 CELL: Final = (10, 20)  # pixels of a character, as terminals have them
 _FONT: Final = "/usr/share/fonts/truetype/dejavu/DejaVuSansMono.ttf"
 _THEMES: Final = {True: ((0, 0, 0), (220, 220, 220)), False: ((255, 255, 255), (30, 30, 30))}
-_PALETTE: Final = {16: (0, 0, 0), 231: (255, 255, 255)}  # of the 256 colours, those we use
+_PALETTE: Final = {16: (0, 0, 0), 231: (255, 255, 255)}  # those used of the 256 colours
 # Which of the upper and the lower half of a cell is ink.
 _BLOCKS: Final = {"\u2580": (True, False), "\u2584": (False, True), "\u2588": (True, True)}
 Colour = tuple[int, int, int]

@@ -1,4 +1,4 @@
-"""Secure streams over loopback: a server that echoes, its clients, certificates that last."""
+"""Secure streams over loopback: a server that echoes, its clients, lasting certificates."""
 
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureServer, SecureStream, connect
@@ -7,7 +7,7 @@ from tests.support.wire import ALICE, FakeIdentity, trust
 Stream = SecureStream[FakeIdentity]
 
 
-LIVE = 1 << 40  # a not_after which the host's clock does not reach
+LIVE = 1 << 40  # a not_after later than the host's clock
 
 
 def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:

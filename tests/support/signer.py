@@ -1,7 +1,7 @@
-"""`python -m tests.support.signer ROOT`: one of several operators at the same authority.
+"""`python -m tests.support.signer ROOT`: one of several operators of the same authority.
 
-Opens the authority below ROOT as every command does, prints a line, then runs each line of its
-input (`revoke NAME`) at once, and prints the number of the list, or the error.
+Opens the authority below ROOT as every command does, prints a line, then executes each line of its
+input (`revoke NAME`), and prints the number of the list, or the error.
 """
 
 import sys

@@ -53,7 +53,7 @@ class Site:
         self.intermediate: SigningAuthority | None = None
         self.host = "127.0.0.1"
         self.limits = MasterLimits()
-        self.variables: dict[str, str] = {}  # more of the environment
+        self.variables: dict[str, str] = {}  # added to the environment
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -129,7 +129,7 @@ class Site:
         return data
 
     def delegate(self, at_most: int = HOUR) -> bytes:
-        """Let the master renew grants, for `at_most` seconds each, once it is started."""
+        """Delegate to the master: it renews grants, for `at_most` seconds each."""
         home = self.enroll(MASTER)
         data = self.authority.issue_delegation(
             self.identity(MASTER).thumbprint, DAY, at_most, self.now()
@@ -138,13 +138,13 @@ class Site:
         return data
 
     def publish(self, name: str, pattern: str, **options: int) -> bytes:
-        """Let `name` publish."""
+        """Grant `name` the right to publish."""
         return self.grant(name, Right.PUBLISH, pattern, lifetime=options.get("lifetime", DAY))
 
     def subscribe(
         self, name: str, pattern: str, restriction: Restriction | None = None, **options: int
     ) -> bytes:
-        """Let `name` subscribe."""
+        """Grant `name` the right to subscribe."""
         return self.grant(
             name, Right.SUBSCRIBE, pattern,
             restriction=restriction, lifetime=options.get("lifetime", DAY),
@@ -195,7 +195,7 @@ class Site:
 
 
 def coarse(step: float = 2.0) -> Restriction:
-    """Position on a grid, frame cleared, and only of messages in the map frame."""
+    """Position on a grid, frame cleared, only for messages in the map frame."""
     return Restriction(
         type="geometry_msgs/PoseStamped",
         conditions=('msg.header.frame_id == "map"',),

@@ -1,4 +1,4 @@
-"""Programs of stock ROS 1 as processes of their own: rosmaster, rospy nodes, command line tools."""
+"""Programs of stock ROS 1 as separate processes: rosmaster, rospy nodes, command line tools."""
 
 import asyncio
 import contextlib
@@ -37,7 +37,7 @@ def environment(master_uri: str, directory: Path) -> dict[str, str]:
 
 
 async def run(env: dict[str, str], *command: str) -> tuple[int | None, str]:
-    """Run to its end; its exit code and output."""
+    """Run it until it exits; its exit code and output."""
     async with process(env, *command) as running:
         async with asyncio.timeout(30):
             said, _ = await running.communicate()
@@ -62,7 +62,7 @@ def python(source: str, *arguments: str) -> tuple[str, ...]:
 
 @contextlib.asynccontextmanager
 async def process(env: dict[str, str], *command: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A running process; both outputs are one."""
+    """A running process; stdout and stderr are merged."""
     running = await asyncio.create_subprocess_exec(
         *command, env=env, stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,

@@ -1,4 +1,4 @@
-"""Two ends of an in-memory secure stream: units go in at one end and come out at the other."""
+"""Two ends of an in-memory secure stream: units sent at one end are received at the other."""
 
 import asyncio
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from rossec.errors import RossecError
 
 
 class MemoryClosed(RossecError):
-    """What the real stream's ChannelClosed is here."""
+    """Takes the place of the real stream's ChannelClosed."""
 
 
 @dataclass

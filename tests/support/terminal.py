@@ -16,7 +16,7 @@ _PATIENCE = 5.0  # seconds
 
 
 def main(answers: Iterator[str], command: list[str]) -> int:
-    """Run `command` on a terminal of its own."""
+    """Run `command` on its own terminal."""
     child, terminal = pty.fork()
     if child == 0:
         os.execvp(command[0], command)
@@ -33,12 +33,12 @@ def main(answers: Iterator[str], command: list[str]) -> int:
 
 
 def _read(terminal: int, typed: bytes) -> bytes:
-    """The next output; a program that was not yet reading may have missed a Ctrl-C."""
+    """The next output; Ctrl-C is repeated for a program that was not reading yet."""
     while typed == _INTERRUPT and not select.select([terminal], [], [], _PATIENCE)[0]:
         os.write(terminal, typed)
     try:
         return os.read(terminal, 4096)
-    except OSError:  # Linux: the other side is closed
+    except OSError:  # Linux: the other end is closed
         return b""
 
 

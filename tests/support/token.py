@@ -1,4 +1,4 @@
-"""A real SoftHSM2 token in a directory of its own; one PKCS#11 library per process."""
+"""A real SoftHSM2 token in its own directory; one PKCS#11 library per process."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ MODULE = "/usr/lib/softhsm/libsofthsm2.so"
 
 @cache
 def softhsm() -> Path:
-    """The directory of this process's tokens: the library reads its configuration only once."""
+    """The directory of this process's tokens: the library reads its configuration once."""
     directory = Path(tempfile.mkdtemp(prefix="softhsm-"))
     (directory / "tokens").mkdir()
     config = directory / "softhsm2.conf"

@@ -56,7 +56,7 @@ print("ENDED", flush=True)
 
 @dataclass
 class Victim:
-    """The robot, a process of its own; the viewer, a node of this one."""
+    """The robot, a separate process; the viewer, a node of this process."""
 
     site: Site
     program: Program
@@ -126,6 +126,6 @@ def slave_port(victim: Victim) -> int:
 
 
 def for_service(name: str, service: str, grants: list[bytes], **changes: str) -> dict[str, Any]:
-    """The header with which a client asks for a service."""
+    """A client's connection header for a service."""
     fields = {"callerid": name, "service": service, "md5sum": "*", FIELD: encode(list(grants))}
     return {**fields, **changes}

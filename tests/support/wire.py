@@ -1,7 +1,7 @@
-"""A small language for channel tests: nodes with fake certificates, connections joined by a wire.
+"""Helpers for channel tests: nodes with fake certificates, connections over an in-memory wire.
 
 A fake certificate is the name and the public key, unsigned: the channel takes any `verify`, and
-real certificates have their own tests. Randomness is a counter, so runs are repeatable.
+real certificates have their own tests. Randomness is a counter, so runs are deterministic.
 """
 
 import hashlib
@@ -56,7 +56,7 @@ def trust(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
 
 
 def dice(seed: str) -> Callable[[int], bytes]:
-    """Repeatable randomness."""
+    """Deterministic randomness."""
     count = 0
 
     def random(length: int) -> bytes:
@@ -120,7 +120,7 @@ def bob(
 
 @dataclass
 class End:
-    """One end of a wire, and what happened there."""
+    """One end of a wire, and its results."""
 
     core: Connection[FakeIdentity]
     events: list[Event[FakeIdentity]] = field(default_factory=list)
@@ -133,14 +133,14 @@ class End:
         return [event.data for event in self.events if isinstance(event, UnitReceived)]
 
     def take(self) -> bytes:
-        """What this end wants to send."""
+        """The bytes this end sends."""
         data = bytes(self.core.data_to_send())
         if data:
             self.sent.append(data)
         return data
 
     def give(self, data: bytes, step: int = 0) -> None:
-        """Feed bytes, whole or in steps; remember an error instead of raising it."""
+        """Feed bytes, whole or in steps; store an error instead of raising it."""
         size = step or max(1, len(data))
         try:
             for start in range(0, len(data), size):
@@ -151,7 +151,7 @@ class End:
 
 @dataclass
 class Wire:
-    """Two ends; `pump` carries bytes until neither sends.
+    """Two ends; `pump` transfers bytes until neither sends.
 
     `meddle(sender, flight)` may change a flight; flights are numbered by `sent` of the sender.
     """
@@ -162,7 +162,7 @@ class Wire:
     meddle: Callable[[End, bytes], bytes] = lambda end, data: data
 
     def pump(self) -> "Wire":
-        """Carry everything both ways until nothing is left."""
+        """Transfer bytes both ways until none are left."""
         moved = True
         while moved:
             moved = False
@@ -187,7 +187,7 @@ def wire(
 
 
 def joined(**options: object) -> Wire:
-    """A wire whose handshake is done."""
+    """A wire after its handshake."""
     return wire(**options).pump()  # type: ignore[arg-type]  # options go through to `wire`
 
 

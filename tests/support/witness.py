@@ -12,11 +12,11 @@ POSE = "geometry_msgs/PoseStamped"
 TOPIC = "/robot/pose"
 FRAME = "living_room_map"
 _PERIOD = 0.002
-_FAR = 1_000_000  # queues so long that only a disturbance can lose a message
+_FAR = 1_000_000  # queues long enough that only a disturbance loses a message
 
 
 class Witness:
-    """The robot publishes, the viewer listens, while a test attacks."""
+    """The robot publishes and the viewer listens during an attack."""
 
     def __init__(self, robot: Node, viewer: Node, pose: Publisher, sight: Subscriber) -> None:
         self.robot = robot
@@ -52,7 +52,7 @@ class Witness:
 
 @contextlib.asynccontextmanager
 async def undisturbed(site: Site) -> AsyncIterator[Witness]:
-    """Run the pair; at the end every message must have arrived over the first connection."""
+    """Run the pair; at the end every message has arrived over the first connection."""
     site.publish("/robot", TOPIC)
     site.subscribe("/viewer", TOPIC)
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:

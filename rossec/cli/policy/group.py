@@ -28,7 +28,7 @@ _POLICY: Final = {
     ),
     "review": (
         "policy.learn:review",
-        "Go through a log of denials, and answer for each line no rule decides.",
+        "Go through a denial log, and answer for each line no rule decides.",
     ),
 }
 

@@ -28,7 +28,7 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 @click.command()
 @click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
 @click.option(
-    "--from-log", "log", type=_FILE, help="from this log of denials (rossec master --complaints)"
+    "--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints)"
 )
 @click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
 @options.policy
@@ -43,7 +43,7 @@ def learn(
     """Add rules for what runs and no rule decides: exact names, marked for review.
 
     NODE needs a grant with the right graph. Callers of services and readers of parameters do not
-    show in the graph, only in a log of denials.
+    show in the graph, only in a denial log.
     """
     if node is None and log is None:
         raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
@@ -67,7 +67,7 @@ def learn(
 @options.policy
 @pass_environment
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
-    """Go through a log of denials, and answer for each line no rule decides."""
+    """Go through a denial log, and answer for each line no rule decides."""
     read = _existing(place(environment.home, policy_path))
     for item in _read_log(log):
         verdict = _undecided(read, item)

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Final
 
 from ca.errors import HintedError, RevocationRefused
+from ca.keys.signer import Signer
 from ca.revocation.state import Revocations
 from ca.revocation.tree import is_tree
 from rossec.channel.edhoc.suites import PRODUCTION
@@ -63,23 +64,7 @@ def master_of(
     """
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
-    revocations = saved_revocations(home, anchor, now)
-    if newest is not None:
-        revocations.update(newest, now, saved_list.save)
-    delegate = Delegate(anchor, signer, home.save_delegation)
-    delegation = home.load_delegation()
-    if delegation is not None:
-        _load_delegation(delegate, delegation)
-    trust = TrustState(
-        anchor,
-        signer,
-        revocations,
-        saved_list.save,
-        delegate,
-        saved_list.save_entries,
-        renewer,
-    )
-    _load_entries(trust, revocations, (entries, home.load_entries()), now)
+    trust = _trust(home, saved_list, signer, newest, entries, renewer, now)
     if renewer is not None:
         own_identity.renew = partial(_renew_own, renewer, trust)
     return MasterServer(
@@ -97,6 +82,31 @@ def master_of(
         check_own_identity=partial(_maintain, own_identity, saved_list),
         find_revocations=find_revocations,
     )
+
+
+def _trust(
+    home: NodeHome,
+    saved_list: ListFile,
+    signer: Signer,
+    newest: bytes | None,
+    entries: bytes | None,
+    renewer: Renewer | None,
+    now: int,
+) -> TrustState:
+    """What the authority has said, as far as this host knows; raises as `master_of`."""
+    anchor = home.anchor()
+    revocations = saved_revocations(home, anchor, now)
+    if newest is not None:
+        revocations.update(newest, now, saved_list.save)
+    delegate = Delegate(anchor, signer, home.save_delegation)
+    delegation = home.load_delegation()
+    if delegation is not None:
+        _load_delegation(delegate, delegation)
+    trust = TrustState(
+        anchor, signer, revocations, saved_list.save, delegate, saved_list.save_entries, renewer
+    )
+    _load_entries(trust, revocations, (entries, home.load_entries()), now)
+    return trust
 
 
 def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:

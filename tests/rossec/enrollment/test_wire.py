@@ -23,7 +23,7 @@ async def test_messages_one_after_the_other() -> None:
 
 
 async def test_a_length_beyond_the_limit() -> None:
-    with pytest.raises(EnrollmentMessageRefused, match="octets, which no side sends"):
+    with pytest.raises(EnrollmentMessageRefused, match="octets where 1 to 8192 are allowed"):
         await wire.receive(fed(b"\xff\xff\xff\xff"))
 
 

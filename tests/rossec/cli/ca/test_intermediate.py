@@ -114,5 +114,5 @@ def test_a_host_signs_no_grants(shell: Shell, host: Shell) -> None:
     installed(shell, host)
     host.enroll("/robot")
     said = host.unlocked("grant", "sign", "/robot", "--subscribe", "/a", "--for", "1d")
-    refused(said, "an intermediate cannot sign grants", "do it there")
+    refused(said, "an intermediate cannot sign grants", "do it at the root")
     assert AuthorityHome.at(host.root).store().grants() == []

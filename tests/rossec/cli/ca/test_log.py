@@ -44,7 +44,7 @@ def test_a_changed_entry_is_named(shell: Shell) -> None:
         db.execute("DROP TRIGGER log_no_UPDATE")
         db.execute("UPDATE log SET subject = '/thief' WHERE number = 5")
         db.commit()
-    refused(shell("ca", "log", "verify"), "log entry 5 was changed", "compare with")
+    refused(shell("ca", "log", "verify"), "log entry 5 was changed", "compare it with")
 
 
 def test_proofs_verify_against_the_signed_head(shell: Shell) -> None:

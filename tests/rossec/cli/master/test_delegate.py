@@ -52,7 +52,7 @@ def test_a_master_with_another_key_starts_and_says_so(
 
 def test_no_master_to_tell(site: Shell) -> None:
     said = site.unlocked("master", "delegate", *NOBODY)
-    refused(said, "did not take it", "it is signed and kept in", code=3)
+    refused(said, "did not take it", "it is signed and stored in", code=3)
 
 
 def test_nothing_to_withdraw_and_too_long(site: Shell) -> None:
