@@ -148,7 +148,7 @@ def read(path: Path, limit: int, missing: ConfigurationError | None = None) -> b
     """Content of a file of at most `limit` bytes.
 
     Raises:
-        ConfigurationError: `missing` when there is no file, another when it is too large.
+        ConfigurationError: `missing` when there is no file (without it, a plain one); too large.
     """
     try:
         with path.open("rb") as file:

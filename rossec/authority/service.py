@@ -70,7 +70,7 @@ class Decided(NamedTuple):
 
 
 class AuthorityService:
-    """The authority below ROSSEC_HOME.
+    """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     Args:
         home: ROSSEC_HOME.
@@ -196,14 +196,14 @@ class AuthorityService:
     @property
     def has_revoked(self) -> bool:
         """Whether something was revoked since the key was unlocked: the master must be told."""
-        now = self._unlocked
-        return now is not None and now.store.revoked_entries() != self._before[0]
+        opened = self._unlocked
+        return opened is not None and opened.store.revoked_entries() != self._before[0]
 
     @property
     def has_signed_list(self) -> bool:
         """Whether a list was signed since the key was unlocked: the master should get it."""
-        now = self._unlocked
-        return now is not None and now.store.next_number() != self._before[1]
+        opened = self._unlocked
+        return opened is not None and opened.store.next_number() != self._before[1]
 
     def sign_head(self) -> bytes:
         """Sign the head of the log."""

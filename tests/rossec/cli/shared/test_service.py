@@ -1,3 +1,4 @@
+import asyncio
 import time
 from pathlib import Path
 
@@ -9,6 +10,8 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import deliver_grant, pass_service, service_of
+from rossec.home import NodeHome
+from rossec.master.server.start import master_of
 from rossec.terminal import say
 from tests.support.commands import PASSPHRASE, Shell, refused
 
@@ -86,3 +89,20 @@ def test_a_grant_is_given_to_a_node_of_this_host(
     deliver_grant(service, "/elsewhere", out.read_bytes(), copy)
     assert copy.read_bytes() == out.read_bytes()
     assert capsys.readouterr() == (f"written to {copy}\n", "")
+
+
+async def test_the_master_gets_the_revocation_of_a_replaced_key(shell: Shell) -> None:
+    for name in ("/master", "/robot"):
+        shell.enroll(name)
+    home = NodeHome.of(shell.root, "/master")
+    server = master_of(home, host="127.0.0.1", port=0, newest=None, now=int(time.time()))
+    await server.start()
+    try:
+        shell.node("/robot").rename(shell.root / "lost")
+        shell("node", "request", "/robot")
+        request = str(shell.node("/robot") / "node.csr")
+        replace = ("--yes", "--replace-key", "/robot", "--master", server.uri)
+        said = await asyncio.to_thread(shell.unlocked, "ca", "sign", request, *replace)
+        assert said.out.endswith("the replaced key is revoked\nthe master has the new list\n")
+    finally:
+        await server.close()
