@@ -92,8 +92,8 @@ class NodeHome:
     def screen_request(self, domain: str, *, wildcard: bool = False) -> bytes:
         """A new request (DER) with this node's key, made if there is none; it is not written.
 
-        A request is answered once, so every code on a screen has its own. The request on disk and a
-        label printed from it, do not change.
+        A request is answered once, so every code on a screen has its own. The request on disk and
+        the label printed from it do not change.
         """
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)

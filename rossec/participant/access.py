@@ -115,7 +115,7 @@ class Access:
         if revocations and not timestamp:
             self._revocations.expire_confirmation()
             raise RevocationsStale(
-                "the master sends this node the revocation list without a timestamp",
+                "the master reports this node as revoked: the revocation list without a timestamp",
                 "its identity, or the intermediate above it, is revoked: enroll the node anew",
             )
         with suppress(RevocationsStale):  # the timestamp may end it; that of a revoked key may not

@@ -132,5 +132,6 @@ async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa:
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
         raise PeerUnreachable(
             f"cannot connect to {host} port {port}: {reason}",
-            "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side?",
+            "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side? If it is the"
+            " master: start it with rossec master, and check ROS_MASTER_URI here",
         ) from error
