@@ -84,6 +84,11 @@ def now() -> int:
     return int(HOST.time())
 
 
+def format_time(seconds: int) -> str:
+    """A point in time for people, UTC."""
+    return _time.strftime("%Y-%m-%d %H:%M:%S UTC", _time.gmtime(seconds))
+
+
 def correct(moment: int) -> bool:
     """As of `Clock`."""
     return HOST.correct(moment)

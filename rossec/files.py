@@ -144,17 +144,17 @@ def locked_directory(directory: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def read(path: Path, limit: int, missing: ConfigurationError) -> bytes:
+def read(path: Path, limit: int, missing: ConfigurationError | None = None) -> bytes:
     """Content of a file of at most `limit` bytes.
 
     Raises:
-        ConfigurationError: `missing` when there is no file, another when it is too large.
+        ConfigurationError: `missing` when there is no file (without it, a plain one); too large.
     """
     try:
         with path.open("rb") as file:
             return _bounded(file, path, limit)
     except FileNotFoundError:
-        raise missing from None
+        raise missing or ConfigurationError(f"there is no {path}") from None
 
 
 def _bounded(file: BinaryIO, path: Path, limit: int) -> bytes:

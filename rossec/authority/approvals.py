@@ -15,16 +15,19 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import HintedError, RecordUnusable
-from grants.model import Draft
+from grants.filters.compile import compile_filter
+from grants.filters.presets import PRESETS, preset
+from grants.model import Draft, Restriction
 from grants.policy.decision import Verdict
-from grants.policy.drafts import approve, drafts
-from grants.policy.model import Effect, Subject
+from grants.policy.drafts import approve, approximate, drafts, shorten
+from grants.policy.model import Effect, Policy, Subject
 from grants.request import GrantRequest, open_request, peek_request
 from rossec.authority import requests
 from rossec.authority.home import AuthorityHome
-from rossec.authority.policyfile import PolicyFile
+from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
 from rossec.authority.signing import SigningAuthority
+from rossec.errors import ConfigurationError
 
 MAX_PENDING: Final = 16  # prompts that one node may have pending
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
@@ -38,6 +41,11 @@ class PendingApproval:
 
     stored: StoredRequest
     verdict: Verdict
+
+    @property
+    def is_allowed(self) -> bool:
+        """Whether the policy allows it, so that it waits only for the key."""
+        return self.verdict.effect is Effect.ALLOW
 
 
 class ApprovalQueue:
@@ -118,6 +126,23 @@ class ApprovalQueue:
         self.denied_automatically = len(unanswered) - len(approvals)
         return approvals
 
+    def chosen(self, beginning: str) -> list[PendingApproval]:
+        """The rights that wait for a person, of the one request whose id begins so.
+
+        Raises:
+            ConfigurationError: there is none, or more than one.
+        """
+        found = [
+            item
+            for item in self.pending()
+            if not item.is_allowed and item.stored.request.id.hex().startswith(beginning.lower())
+        ]
+        if len({item.stored.request.id for item in found}) != 1 or not beginning:
+            count = "several requests begin" if found else "no open request begins"
+            hint = "see: rossec grant pending; without an answer in time it was denied"
+            raise ConfigurationError(f"{count} with {beginning!r}", hint)
+        return found
+
     def deny(self, approval: PendingApproval, reason: str) -> None:
         """Record that a person denied the request."""
         self._requests.answer(approval.stored, DENIED, reason, self._now)
@@ -162,6 +187,39 @@ class ApprovalQueue:
         node = stored.request.node
         waiting[node] = waiting.get(node, 0) + 1
         return TOO_MANY if waiting[node] > MAX_PENDING else ""
+
+
+def verdict_change(
+    file: PolicyFile, coarse: str | None, now: int, *, only_today: bool
+) -> VerdictChange:
+    """How a person restricts a verdict: through the filter `coarse`, until midnight.
+
+    Raises:
+        ConfigurationError: neither the policy nor a preset has the filter.
+    """
+    if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
+        known = ", ".join({**file.policy.filters, **PRESETS})
+        raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")
+    left = seconds_left_today(now) if only_today else None
+
+    def change(verdict: Verdict) -> Verdict:
+        if coarse is not None:
+            verdict = approximate(verdict, _restriction(file.policy, verdict.name, coarse))
+        return verdict if left is None else shorten(verdict, left)
+
+    return change
+
+
+def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
+    """The filter `name` of the policy, or the preset of that name, for a topic."""
+    kind = policy.type_of(topic)
+    if kind is None:
+        raise ConfigurationError(f"the type of {topic} is not known here", "add it to types")
+    layout = layout_of(kind)
+    if name not in policy.filters:
+        return preset(name).restriction(layout)
+    compile_filter(layout, policy.filters[name])
+    return Restriction(kind, (), tuple(sorted(policy.filters[name])))
 
 
 def _denial_reason(verdict: Verdict) -> str:

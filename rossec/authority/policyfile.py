@@ -87,6 +87,11 @@ def place(home: Path, given: Path | None) -> Path:
     return given if given is not None else home / "ca" / NAME
 
 
+def read_policy(home: Path, given: Path | None, *, signs: bool = False) -> PolicyFile:
+    """The policy at its place; if it is in force or `signs`, no other user may have written it."""
+    return PolicyFile.read(place(home, given), own=signs or given is None)
+
+
 def parse_policy(text: str, file: str) -> Policy:
     """Read a policy with the message types known here."""
     return load(text, definition, file=file, known_types=type_names())

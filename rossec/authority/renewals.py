@@ -107,8 +107,8 @@ def renew_own_node(authority: SigningAuthority, now: int) -> int:
 
 def own_node_is_due(authority: SigningAuthority, now: int) -> bool:
     """Whether the authority's own node is due for renewal; an intermediate has none."""
-    certificates = authority.store.identities.by_name(OWN_NODE)
-    return bool(certificates) and now >= _renew_at(certificates[-1])
+    rows = authority.store.identities.by_name(OWN_NODE)
+    return bool(rows) and now >= renew_at(rows[-1].not_before, rows[-1].not_after)
 
 
 def sign_intermediate(
@@ -180,10 +180,6 @@ def _check_issuers(store: Store, identity: Identity) -> None:
                 f"the intermediate of {identity.name} is not in this record",
                 "was the record restored from an older backup? make a new intermediate",
             )
-
-
-def _renew_at(row: CertificateRow) -> int:
-    return renew_at(row.not_before, row.not_after)
 
 
 def _check_in_record(authority: SigningAuthority) -> Callable[[bytes, int], None]:

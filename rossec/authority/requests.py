@@ -8,13 +8,12 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store.database import Database
 from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
-from rossec.errors import ConfigurationError
 
 MAX_FILE: Final = 16 * 1024
 MAX_INBOX: Final = 256  # files read at once
@@ -58,15 +57,6 @@ class GrantRequestStore:
         with self._transaction() as db:
             for statement in _SCHEMA:
                 db.execute(statement)
-
-    @classmethod
-    def open(cls, authority: Path) -> Self:
-        """Open the record of the authority in this directory."""
-        return cls(Database.open(authority / "ca.db"))
-
-    def close(self) -> None:
-        """Close the record."""
-        self._database.close()
 
     def add(self, request: GrantRequest, data: bytes, now: int) -> None:
         """Record a verified request.
@@ -129,4 +119,4 @@ def inbox_files(authority: Path) -> list[Path]:
 
 def read_request(path: Path) -> bytes:
     """Read a request file, with a size limit."""
-    return files.read(path, MAX_FILE, ConfigurationError(f"there is no {path}"))
+    return files.read(path, MAX_FILE)

@@ -17,7 +17,7 @@ from ca.keys.signer import Signer
 from ca.names import check_name
 from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
-from ca.store.lifecycle import RequestRow, RequestState
+from ca.store.lifecycle import RequestState
 from ca.store.log_entries import sign_head
 from ca.store.record import CertificateRow, GrantRow, Store
 from ca.store.rows import INTERMEDIATE
@@ -29,7 +29,7 @@ from rossec.authority import list_contents
 from rossec.errors import ConfigurationError
 
 SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
-_DELEGATIONS: Final = "delegations"
+DELEGATIONS: Final = "delegations"
 OWN_NODE: Final = "/ca"  # the identity of the authority's tools
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
@@ -87,23 +87,17 @@ class SigningAuthority:
             row = self.store.requests.approve(
                 row.digest, now, replace_key=replace_key, wildcard=wildcard
             )
-        return self.issue_approved(row, now, lifetime)
-
-    def issue_approved(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
-        """Sign and record the identity of an approved request; returns the node's bundle.
-
-        Raises:
-            RequestClosed: it is not approved.
-        """
         serial = secrets.randbits(127) + 1
         der = self.authority.issue(
             row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard
         )
         identity = self.verify(der, now)
-        replace_key = row.name if row.replaces else None
         with self.store.transaction():
             self.store.add_certificate(
-                certificate_row(identity), now, request=row.digest, replace_key=replace_key
+                certificate_row(identity),
+                now,
+                request=row.digest,
+                replace_key=row.name if row.replaces else None,
             )
             self.refresh_list(now)
         return self.bundle(der)
@@ -158,9 +152,9 @@ class SigningAuthority:
             self.domain, holder, begin, begin + lifetime, max_ttl, secrets.token_bytes(16)
         )
         data = sign_delegation(self.signer, draft)
-        files.make_private_directory(self.path / _DELEGATIONS)
+        files.make_private_directory(self.path / DELEGATIONS)
         name = open_delegation(data, self.signer.public_key).id.hex()
-        files.create(self.path / _DELEGATIONS / f"{name}.cose", data)
+        files.create(self.path / DELEGATIONS / f"{name}.cose", data)
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
@@ -172,7 +166,7 @@ class SigningAuthority:
         missing = ConfigurationError("no delegation")
         found = [
             open_delegation(files.read_own(path, _SIZE_LIMIT, missing), self.signer.public_key)
-            for path in sorted((self.path / _DELEGATIONS).glob("*.cose"))
+            for path in sorted((self.path / DELEGATIONS).glob("*.cose"))
         ]
         living = frozenset(item.id for item in found if now < item.expires)
         with self.store.transaction():

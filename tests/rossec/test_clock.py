@@ -128,6 +128,10 @@ def test_each_part_of_a_process_sees_a_setback_once(
     assert clock.now() == int(BEGIN) - 3600
 
 
+def test_times_are_formatted_in_utc() -> None:
+    assert clock.format_time(1_795_000_000) == "2026-11-18 11:06:40 UTC"
+
+
 # Of the demonstration: they only show the time.
 _MEASURES = {"demo/steps.py", "demo/subscriber.py"}
 

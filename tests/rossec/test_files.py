@@ -108,6 +108,8 @@ def test_reading_is_bounded(tmp_path: Path) -> None:
         files.read(tmp_path / "x", 4, MISSING)
     with pytest.raises(ConfigurationError, match="there is none"):
         files.read(tmp_path / "y", 4, MISSING)
+    with pytest.raises(ConfigurationError, match=f"there is no {tmp_path / 'y'}"):
+        files.read(tmp_path / "y", 4)
 
 
 def test_a_lock_file_has_one_holder(tmp_path: Path) -> None:

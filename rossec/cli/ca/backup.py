@@ -10,12 +10,9 @@ from ca.store.backup import MAX_BACKUP
 from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
-from rossec.cli.shared import passphrase
+from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.errors import ConfigurationError
 from rossec.terminal import note, say
-
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 
 @click.command()
@@ -36,18 +33,18 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
 
 
 @click.command()
-@click.argument("file", type=_FILE)
+@click.argument("file", type=options.FILE)
 @click.option("--over", metavar="DOMAIN", help="replace the authority of DOMAIN that is here")
 @click.option(
     "--forget", type=click.IntRange(0), default=0, metavar="N",
     help="lose the N newest log entries, which the backup does not have",
 )  # fmt: skip
 @click.option(
-    "--list", "newest", type=_FILE,
+    "--list", "newest", type=options.FILE,
     help="a newer revocation list, for example a node's revocations.cose",
 )  # fmt: skip
 @click.option(
-    "--entries", type=_FILE,
+    "--entries", type=options.FILE,
     help="of that list where it is a tree; by default revocations.entries beside it",
 )  # fmt: skip
 @passphrase.option
@@ -65,14 +62,14 @@ def restore(
 
     Nothing is overwritten, and nothing newer is lost, unless --over or --forget allows it.
     """
-    data = files.read(file, MAX_BACKUP, ConfigurationError(f"there is no {file}"))
-    listed = None if newest is None else _read(newest, MAX_LIST)
+    data = files.read(file, MAX_BACKUP)
+    listed = None if newest is None else files.read(newest, MAX_LIST)
     if entries is None and newest is not None and newest.with_name(ENTRIES).exists():
         entries = newest.with_name(ENTRIES)
     secret = passphrase.read(passphrase_file, environment.variables)
     found = backups.restore(
         environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
-        entries=None if entries is None else _read(entries, MAX_TREE_ENTRIES_SIZE),
+        entries=None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE),
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
@@ -83,7 +80,3 @@ def restore(
     elif found.restored_revocations:
         say(f"{found.restored_revocations} revocations newer than the backup were taken over")
     note("a new revocation list was signed; deliver it with: rossec ca publish")
-
-
-def _read(path: Path, limit: int) -> bytes:
-    return files.read(path, limit, ConfigurationError(f"there is no {path}"))

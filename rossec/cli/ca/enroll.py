@@ -16,19 +16,13 @@ from ca.enrollment.messages import Delivery, write
 from ca.enrollment.transcript import group_digits
 from ca.errors import HintedError
 from ca.requests import MAX_REQUEST
-from ca.store.lifecycle import RequestRow, RequestState
+from ca.store.lifecycle import RequestState
 from rossec import files
-from rossec.authority.home import AuthorityHome
-from rossec.cli.ca.requests import publish_if_revoked, show_request
-from rossec.cli.shared import options, passphrase, signing_options
-from rossec.cli.shared.context import (
-    Environment,
-    ask_yes_no,
-    now,
-    pass_environment,
-    reraise_interrupt,
-)
-from rossec.cli.shared.delivery import remind_to_publish
+from rossec.authority.service import AuthorityService
+from rossec.cli.ca.requests import show_request
+from rossec.cli.shared import options, signing_options
+from rossec.cli.shared.context import ask_yes_no, now, reraise_interrupt
+from rossec.cli.shared.service import pass_service, publish_if_revoked, remind_to_publish
 from rossec.enrollment import address
 from rossec.enrollment.authority import deliver, fetch
 from rossec.enrollment.scan import code_in_file
@@ -42,16 +36,13 @@ _DENIED: Final = "denied at the authority"
 @click.command()
 @click.argument("code", required=False)
 @click.option(
-    "--image",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
+    "--image", type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
     help="read the code from this picture; - is standard input",
-)
+)  # fmt: skip
 @click.option(
-    "--csr",
-    "csr_file",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--csr", "csr_file", type=options.FILE,
     help="no code: this request, whose fingerprint you have compared",
-)
+)  # fmt: skip
 @click.option(
     "--address", "given_address", help="where the node waits, for a label: host, or host:port"
 )
@@ -63,10 +54,9 @@ _DENIED: Final = "denied at the authority"
 )
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
-@passphrase.option
-@pass_environment
+@pass_service
 def enroll(
-    environment: Environment,
+    service: AuthorityService,
     code: str | None,
     image: Path | None,
     csr_file: Path | None,
@@ -75,9 +65,7 @@ def enroll(
     replaced: str | None,
     anonymous: bool,
     later: bool,
-    master_uri: str | None,
     yes: bool,
-    passphrase_file: Path | None,
 ) -> None:
     """Enroll the node that shows CODE: scanned from a picture, or pasted (in single quotes).
 
@@ -90,24 +78,22 @@ def enroll(
     Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
     is enrolled, or the master was unreachable; 130 interrupted.
     """
-    home = AuthorityHome.at(environment.home)
+    domain = service.home.domain
     found = _read_code(code, image, csr_file)
     destination = _destination(found, given_address, csr_file)
-    core = AuthorityEnrollment(found, home.domain, wildcard=anonymous)
+    core = AuthorityEnrollment(found, domain, wildcard=anonymous)
     _fetch_request(core, csr_file, destination)
-    row = _record_request(home, core, _source(found, csr_file, destination))
-    show_request(environment, row, home, wildcard=core.request.wildcard)
+    row = service.add_request(core.request, core.csr, _source(found, csr_file, destination))
+    show_request(service, row, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
     if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
-        home.store().requests.deny(row.digest, now(), _DENIED)
+        service.deny_request(row, _DENIED)
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    revoked, number = authority.store.revoked_entries(), authority.store.next_number()
-    bundle = authority.issue(
-        row.der, now(), lifetime,
+    bundle = service.issue(
+        row.der, lifetime,
         replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
     )  # fmt: skip
     if destination is None:
@@ -116,10 +102,10 @@ def enroll(
         try:
             _deliver_identity(core, bundle, destination)
         except HintedError:
-            remind_to_publish(authority.store, number)
+            remind_to_publish(service)
             raise
         say(f"enrolled {row.name}")
-    publish_if_revoked(environment, authority, revoked, number, master_uri)
+    publish_if_revoked(service)
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
@@ -170,22 +156,6 @@ def _fetch_request(
         return
     assert destination is not None  # noqa: S101 - a code without an address was refused
     asyncio.run(fetch(core, *destination, now))
-
-
-def _record_request(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> RequestRow:
-    """The request in the record: pending, or already answered."""
-    store = home.store()
-    try:
-        answered = store.identities.issued_for(core.request.digest)
-        if answered is not None:
-            request = core.request
-            return RequestRow(
-                request.digest, request.name, request.thumbprint, core.csr, source, now(),
-                RequestState.ISSUED, "", now(),
-            )  # fmt: skip
-        return store.requests.add(core.request, core.csr, source, now())
-    finally:
-        store.close()
 
 
 def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:

@@ -7,14 +7,14 @@ import click
 
 from ca.authority import DAY, MAX_LIFETIME
 from ca.store.record import Store
-from ca.store.rows import INTERMEDIATE, CertificateRow
+from ca.store.rows import CertificateRow
 from rossec import files
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
-from rossec.authority.renewals import renew_by_name, renew_own_node
+from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
-from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, format_time, now, pass_environment
-from rossec.cli.shared.delivery import remind_to_publish
+from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.service import pass_service, remind_to_publish
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import say, say_json
 
@@ -105,32 +105,18 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
     help="how long the new identity lasts",
 )  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
-@passphrase.option
-@pass_environment
-def renew(
-    environment: Environment,
-    name: str,
-    lifetime: int,
-    out: Path | None,
-    passphrase_file: Path | None,
-) -> None:
+@pass_service
+def renew(service: AuthorityService, name: str, lifetime: int, out: Path | None) -> None:
     """Renew the identity of NAME for the key it has; /ca is the authority's own node.
 
     The new one is written to a file to install on the node; that of /ca is installed here.
     """
-    home = AuthorityHome.at(environment.home)
-    if name.startswith(INTERMEDIATE):
-        raise ConfigurationError(
-            f"{name} is an intermediate", "sign its request again: rossec ca intermediate sign"
-        )
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    number = authority.store.next_number()
     if name == OWN_NODE:
-        say(f"renewed {name} until {format_time(renew_own_node(authority, now()))}")
+        say(f"renewed {name} until {format_time(service.renew_own_node())}")
     else:
-        bundle = renew_by_name(authority, name, now(), lifetime)
+        bundle = service.renew(name, lifetime)
         target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
         files.replace(target, bundle, 0o644)
         say(f"renewed {name}: {target}")
         say(f"next, on its machine: rossec node install {target}")
-    remind_to_publish(authority.store, number)
+    remind_to_publish(service)

@@ -9,9 +9,11 @@ import click
 from ca.store.log_entries import LogEntry, leaf, open_head
 from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Environment, format_time, now, pass_environment
-from rossec.cli.shared.delivery import remind_to_publish
+from rossec.authority.service import AuthorityService
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.service import pass_service, remind_to_publish
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, printable, say, say_json
 
@@ -31,7 +33,7 @@ def show(environment: Environment, last: int | None, *, in_json: bool) -> None:
 
 @click.command()
 @click.option(
-    "--head", "heads", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--head", "heads", multiple=True, type=options.FILE,
     help="a signed head kept elsewhere (rossec ca log head)",
 )  # fmt: skip
 @click.option("--json", "in_json", is_flag=True, help="one line of JSON")
@@ -43,7 +45,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     """
     home = AuthorityHome.at(environment.home)
     store = home.store()
-    newest = store.log.audit(home.own_key(), *(_read(path) for path in heads))
+    newest = store.log.audit(home.own_key(), *(files.read(path, _MAX_HEAD) for path in heads))
     size = store.log.head(now()).size
     if in_json:
         say_json({"entries": size, "signed": newest.size, "at": newest.issued})
@@ -59,17 +61,12 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
 
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
-@passphrase.option
-@pass_environment
-def head(environment: Environment, out: Path | None, passphrase_file: Path | None) -> None:
+@pass_service
+def head(service: AuthorityService, out: Path | None) -> None:
     """Sign the state of the log, to be kept elsewhere."""
-    home = AuthorityHome.at(environment.home)
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    number = authority.store.next_number()
-    authority.refresh_list(now())
-    data = authority.sign_head(now())
-    remind_to_publish(authority.store, number)
-    size = open_head(data, home.own_key()).size
+    data = service.sign_head()
+    remind_to_publish(service)
+    size = open_head(data, service.home.own_key()).size
     if out is None:
         say(base64.b64encode(data).decode())
         return
@@ -80,7 +77,7 @@ def head(environment: Environment, out: Path | None, passphrase_file: Path | Non
 @click.command()
 @click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
 @click.option(
-    "--since", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--since", type=options.FILE,
     help="prove that the log continues this signed head",
 )  # fmt: skip
 @pass_environment
@@ -101,7 +98,7 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
         shown |= {"entry": entry, "leaf": content.hex()}
         proof = tree.inclusion(entry, newest.size)
     else:
-        old = open_head(_read(since or Path()), home.own_key())
+        old = open_head(files.read(since or Path(), _MAX_HEAD), home.own_key())
         shown |= {"first": old.size, "first_root": old.root.hex()}
         proof = tree.consistency(old.size, newest.size)
     head_text = base64.b64encode(signed).decode()
@@ -110,8 +107,3 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
 
 def _as_json(entry: LogEntry) -> dict[str, Any]:
     return {**entry._asdict(), "digest": entry.digest.hex()}
-
-
-def _read(path: Path) -> bytes:
-    missing = ConfigurationError(f"there is no {path}")
-    return files.read(path, _MAX_HEAD, missing)

@@ -1,7 +1,6 @@
 """`rossec ca requests | approve | deny`: requests for an identity, and their answers."""
 
 from pathlib import Path
-from typing import Final
 
 import click
 
@@ -13,15 +12,13 @@ from grants.policy.projected_grants import projected_grants
 from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.policyfile import PolicyFile, place
-from rossec.authority.signing import SigningAuthority
+from rossec.authority.service import AuthorityService
 from rossec.cli.ca.sign import warn_of_wildcard
-from rossec.cli.shared import options, passphrase, signing_options
-from rossec.cli.shared.context import Environment, format_time, now, pass_environment
-from rossec.cli.shared.delivery import publish_list, remind_to_publish
-from rossec.errors import ConfigurationError
+from rossec.cli.shared import options, signing_options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.service import pass_service, publish_if_revoked, service_of
+from rossec.clock import format_time
 from rossec.terminal import printable, say, say_json
-
-_SHORT: Final = 8
 
 
 @click.command()
@@ -38,7 +35,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         say_json([_summary(row) for row in rows])
         return
     for row in rows:
-        say(f"{_short(row)}  {row.state}  {row.name}  {printable(row.source)}")
+        say(f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}")
         say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
     if not rows:
         say("no open requests")
@@ -51,35 +48,29 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
 @signing_options.anonymous
 @click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
 @options.master_uri
-@passphrase.option
-@pass_environment
+@pass_service
 def approve(
-    environment: Environment,
+    service: AuthorityService,
     request_id: str,
     lifetime: int,
     replaced: str | None,
     anonymous: bool,
     out: Path | None,
-    master_uri: str | None,
-    passphrase_file: Path | None,
 ) -> None:
     """Approve the request REQUEST_ID (or its beginning), and sign its identity.
 
     It is written to --out, to be copied; or `rossec ca enroll` delivers it without asking again.
     """
-    home = AuthorityHome.at(environment.home)
-    row = home.store().requests.get(_digest(request_id))
-    show_request(environment, row, home, wildcard=anonymous)
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    revoked, number = authority.store.revoked_entries(), authority.store.next_number()
-    bundle = authority.issue(
-        row.der, now(), lifetime, replace_key=replaced, wildcard=anonymous, source=row.source
+    row = service.request(request_id)
+    show_request(service, row, wildcard=anonymous)
+    bundle = service.issue(
+        row.der, lifetime, replace_key=replaced, wildcard=anonymous, source=row.source
     )
     say(f"approved {row.name}")
     if out is not None:
         files.create(out, bundle, 0o644)
         say(f"signed: {out}; at the node: rossec node install {out.name}")
-    publish_if_revoked(environment, authority, revoked, number, master_uri)
+    publish_if_revoked(service)
 
 
 @click.command()
@@ -88,38 +79,23 @@ def approve(
 @pass_environment
 def deny(environment: Environment, request_id: str, reason: str) -> None:
     """Deny the request REQUEST_ID (or its beginning)."""
-    store = AuthorityHome.at(environment.home).store()
-    row = store.requests.deny(_digest(request_id), now(), reason)
+    service = service_of(environment)
+    row = service.request(request_id)
+    service.deny_request(row, reason)
     say(f"denied {row.name}")
 
 
-def show_request(
-    environment: Environment, row: RequestRow, home: AuthorityHome, *, wildcard: bool
-) -> None:
+def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) -> None:
     """Show all that matters before a name is given to a key."""
+    home = service.home
     say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
     say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
     say(f"  from {printable(row.source)}")
     if wildcard:
         warn_of_wildcard(row.name)
     say(f"  {_enrollment_status(home.store(), row)}")
-    for line in _policy_lines(environment, row):
+    for line in _policy_lines(place(service.rossec_home, None), row):
         say(f"  {line}")
-
-
-def publish_if_revoked(
-    environment: Environment,
-    authority: SigningAuthority,
-    revoked: frozenset[bytes],
-    number: tuple[int, int],
-    master_uri: str | None,
-) -> None:
-    """Deliver the list if a replaced key was revoked: `revoked` are the entries before."""
-    if authority.store.revoked_entries() == revoked:
-        remind_to_publish(authority.store, number)
-        return
-    say("the replaced key is revoked")
-    publish_list(environment, master_uri)
 
 
 def _enrollment_status(store: Store, row: RequestRow) -> str:
@@ -135,8 +111,7 @@ def _enrollment_status(store: Store, row: RequestRow) -> str:
     return f"{row.name} is new here"
 
 
-def _policy_lines(environment: Environment, row: RequestRow) -> list[str]:
-    path = place(environment.home, None)
+def _policy_lines(path: Path, row: RequestRow) -> list[str]:
     if not path.exists():
         return ["there is no policy: it is granted nothing"]
     policy = PolicyFile.read(path, own=True).policy
@@ -157,17 +132,3 @@ def _summary(row: RequestRow) -> dict[str, object]:
         "until": row.expires,
         "reason": row.reason,
     }
-
-
-def _digest(text: str) -> bytes:
-    """The beginning of a digest; an odd last digit is ignored."""
-    try:
-        return bytes.fromhex(text[: len(text) // 2 * 2])
-    except ValueError:
-        raise ConfigurationError(
-            f"{text!a} is not a request id", "see: rossec ca requests"
-        ) from None
-
-
-def _short(row: RequestRow) -> str:
-    return row.digest.hex()[:_SHORT]

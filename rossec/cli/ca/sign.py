@@ -9,10 +9,11 @@ from ca.enrollment import qr
 from ca.names import check_wildcard, spiffe_id
 from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.cli.shared import options, passphrase, signing_options
+from rossec.authority.service import AuthorityService
+from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.batch import Batch
-from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.delivery import publish_list, remind_to_publish
+from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.service import pass_service, publish_if_revoked
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say
 
@@ -20,12 +21,7 @@ _MAX_REQUEST = 16 * 1024
 
 
 @click.command()
-@click.argument(
-    "requests",
-    nargs=-1,
-    required=True,
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-)
+@click.argument("requests", nargs=-1, required=True, type=options.FILE)
 @click.option(
     "--code", "codes", multiple=True, help="text of the QR code the node shows; one per request"
 )
@@ -34,18 +30,15 @@ _MAX_REQUEST = 16 * 1024
 @signing_options.anonymous
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
-@passphrase.option
-@pass_environment
+@pass_service
 def sign(
-    environment: Environment,
+    service: AuthorityService,
     requests: tuple[Path, ...],
     codes: tuple[str, ...],
     lifetime: int,
     replaced: tuple[str, ...],
     anonymous: bool,
-    master_uri: str | None,
     yes: bool,
-    passphrase_file: Path | None,
 ) -> None:
     """Sign the identity requests in REQUESTS, after showing them.
 
@@ -53,7 +46,7 @@ def sign(
     one the code was made for: scan or paste it from the node's own screen. Where one of several is
     refused the others are signed, and the exit code is 1.
     """
-    home, batch = AuthorityHome.at(environment.home), Batch(len(requests))
+    home, batch = service.home, Batch(len(requests))
     read = [(path, _read(path)) for path in requests]
     if codes:
         _check_codes(codes, [data for _, data in read])
@@ -67,20 +60,15 @@ def sign(
             checked.append((path, data, request.name))
     if checked:
         confirm(f"sign {_count(len(checked))}?", yes=yes)
-        authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-        revoked, number = authority.store.revoked_entries(), authority.store.next_number()
+        service.unlock()
         for path, data, name in checked:
             with batch.item(path):
-                bundle = authority.issue(
-                    data, now(), lifetime,
-                    replace_key=name if name in replaced else None, wildcard=anonymous,
-                )  # fmt: skip
+                key = name if name in replaced else None
+                bundle = service.issue(
+                    data, lifetime, replace_key=key, wildcard=anonymous, source="file"
+                )
                 _write_identity(path, bundle, name)
-        if authority.store.revoked_entries() != revoked:
-            say("the replaced key is revoked")
-            publish_list(environment, master_uri)
-        else:
-            remind_to_publish(authority.store, number)
+        publish_if_revoked(service)
     batch.finish()
 
 

@@ -1,6 +1,5 @@
 """`rossec grant sign | presets`: what nodes may do, signed."""
 
-import secrets
 from pathlib import Path
 from typing import Final
 
@@ -9,18 +8,13 @@ import click
 from ca.names import check_name
 from grants import document
 from grants.filters.presets import PRESETS
-from grants.model import Draft
-from rossec.authority.home import AuthorityHome
+from rossec.authority.service import AuthorityService
 from rossec.cli.grant import permission_options
-from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, format_time, now, pass_environment
-from rossec.cli.shared.delivery import remind_to_publish
-from rossec.cli.shared.grant_delivery import deliver_grant
+from rossec.cli.shared.context import Duration
+from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
-
-SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
-
 
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 
@@ -37,40 +31,27 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 )
 @click.option("--rate", type=float, metavar="HZ", help="at most so many messages a second")
 @click.option(
-    "--preset",
-    "preset_name",
-    type=click.Choice(list(PRESETS)),
+    "--preset", "preset_name", type=click.Choice(list(PRESETS)),
     help="restrictions for a usual wish; see `rossec grant presets`",
-)
+)  # fmt: skip
 @click.option(
-    "--when",
-    multiple=True,
-    metavar="CONDITION",
+    "--when", multiple=True, metavar="CONDITION",
     help="only messages and times for which this holds",
-)
+)  # fmt: skip
 @click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_DAYS),
-    default="7d",
-    show_default=True,
+    "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True,
     help="how long it holds",
-)
+)  # fmt: skip
 @click.option(
-    "--renew-until",
-    "renewal",
-    type=Duration(MAX_DAYS),
-    default=0,
-    metavar="DURATION",
+    "--renew-until", "renewal", type=Duration(MAX_DAYS), default=0, metavar="DURATION",
     help="how long the master may renew it; see: rossec master delegate",
-)
+)  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
 )
-@passphrase.option
-@pass_environment
+@pass_service
 def sign(
-    environment: Environment,
+    service: AuthorityService,
     /,
     node: str,
     graph: bool,
@@ -84,7 +65,6 @@ def sign(
     lifetime: int,
     renewal: int,
     out: Path | None,
-    passphrase_file: Path | None,
     **rights: tuple[str, ...],
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
@@ -99,20 +79,10 @@ def sign(
     permissions = permission_options.permissions(
         permission_options.patterns_by_right(rights), graph=graph, restricted=restricted
     )
-    home = AuthorityHome.at(environment.home)
-    holder = home.store().valid_certificate(node, now()).thumbprint
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    signed = now()
-    draft = Draft(
-        domain=authority.domain, subject=node, holder=holder, not_before=signed - SKEW,
-        expires=signed + lifetime, cap=signed + max(lifetime, renewal),
-        serial=secrets.token_bytes(16), permissions=permissions,
-    )  # fmt: skip
-    number = authority.store.next_number()
-    data = authority.issue_grant(draft, signed)
+    draft, data = service.sign_grant(node, permissions, lifetime, renewal)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
-    deliver_grant(environment, node, data, out)
-    remind_to_publish(authority.store, number)
+    deliver_grant(service, node, data, out)
+    remind_to_publish(service)
 
 
 @click.command()

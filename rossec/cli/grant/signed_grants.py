@@ -6,10 +6,11 @@ import click
 
 from grants import document
 from rossec.authority.home import AuthorityHome
-from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, format_time, now, pass_environment
-from rossec.cli.shared.delivery import publish_list
-from rossec.errors import ConfigurationError
+from rossec.authority.service import AuthorityService
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.service import pass_service, publish_list
+from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.terminal import printable, say, say_json
 
@@ -31,7 +32,7 @@ def list_(environment: Environment, node: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument("file", type=options.FILE)
 def show(file: Path) -> None:
     """Show what the grant in FILE allows; its signature is not checked."""
     content = document.peek(_read(file))
@@ -45,7 +46,7 @@ def show(file: Path) -> None:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument("file", type=options.FILE)
 @pass_environment
 def install(environment: Environment, file: Path) -> None:
     """Give the grant in FILE to its node, on the node's machine."""
@@ -62,31 +63,12 @@ def install(environment: Environment, file: Path) -> None:
 @click.argument("grant_id")
 @click.option("--reason", default="", help="why, for the record")
 @options.master_uri
-@passphrase.option
-@pass_environment
-def revoke(
-    environment: Environment,
-    grant_id: str,
-    reason: str,
-    master_uri: str | None,
-    passphrase_file: Path | None,
-) -> None:
+@pass_service
+def revoke(service: AuthorityService, grant_id: str, reason: str) -> None:
     """Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once."""
-    home = AuthorityHome.at(environment.home)
-    entry = _full_id(home, grant_id)
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    listed = authority.revoke(entry, reason, now())
+    listed, entry = service.revoke_grant(grant_id, reason)
     say(f"revoked {entry.hex()} (list {listed.seq})")
-    publish_list(environment, master_uri)
-
-
-def _full_id(home: AuthorityHome, beginning: str) -> bytes:
-    known = [row.id for row in home.store().grants()]
-    found = [entry for entry in known if beginning and entry.hex().startswith(beginning.lower())]
-    if len(found) != 1:
-        count = "several grants begin" if found else "no grant begins"
-        raise ConfigurationError(f"{count} with {beginning!r}", "see: rossec grant list")
-    return found[0]
+    publish_list(service)
 
 
 def _read(file: Path) -> bytes:

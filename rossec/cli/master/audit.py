@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from ca.keys.publickey import thumbprint
-from rossec.cli.shared.context import Environment, format_time, pass_environment
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome

@@ -14,7 +14,6 @@ from rossec.authority.local_list import LocalList
 from rossec.channel import suite_selection
 from rossec.cli.master.admin import ADMIN_SOCKET
 from rossec.cli.master.audit import AUDIT
-from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -170,14 +169,13 @@ def _renewer(environment: Environment, file: Path | None) -> Renewer:
     Raises:
         ConfigurationError: there is no intermediate, or it is the root, whose key stays offline.
     """
-    from rossec.authority.home import AuthorityHome  # noqa: PLC0415 - as above
     from rossec.authority.renewals import renew  # noqa: PLC0415 - as above
+    from rossec.cli.shared.service import service_of  # noqa: PLC0415 - as above
 
-    home = AuthorityHome.at(environment.home)
-    authority = home.unlock(passphrase.read(file, environment.variables))
+    authority = service_of(environment, file).unlock()
     if authority.authority.is_root:
         raise ConfigurationError(
-            f"{home.path} holds the root, which signs no renewals for a master",
+            f"{authority.path} holds the root, which signs no renewals for a master",
             "make an intermediate: rossec ca intermediate request",
         )
     return partial(renew, authority)

@@ -17,7 +17,8 @@ from grants import document
 from grants.model import Grant
 from rossec import files
 from rossec.cli.node.known_revocations import known_revocations
-from rossec.cli.shared.context import Environment, format_time, now, pass_environment
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.options import file_of, read

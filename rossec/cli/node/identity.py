@@ -8,7 +8,8 @@ from ca.certificates import Identity
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared.context import Environment, confirm, format_time, now, pass_environment
+from rossec.cli.shared.context import Environment, confirm, now, pass_environment
+from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.terminal import say, say_json
 

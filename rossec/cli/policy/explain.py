@@ -13,11 +13,10 @@ from grants.policy.rules import RIGHTS
 from grants.policy.trial import Trial
 from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.authority.policyfile import layout_of
+from rossec.authority.policyfile import layout_of, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, render
-from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
 from rossec.participant.message_types import MessageType, message_type
 from rossec.terminal import note, say, say_json
@@ -30,11 +29,9 @@ _MAX_MESSAGE = 64 * 1024 * 1024
 @click.argument("right")
 @click.argument("name")
 @click.option(
-    "--message",
-    "message_file",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--message", "message_file", type=options.FILE,
     help="try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
-)
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @options.policy
 @pass_environment
@@ -48,7 +45,7 @@ def explain(
     policy_path: Path | None,
 ) -> None:
     """Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why."""
-    read = read_policy(environment, policy_path)
+    read = read_policy(environment.home, policy_path)
     decider = read.decider
     asked = _right(right)
     verdict = decider.decide(subject_of(environment, node), asked, name)
@@ -132,7 +129,7 @@ def _right(label: str) -> Right:
 
 
 def _message(file: Path, kind: MessageType) -> bytes:
-    data = files.read(file, _MAX_MESSAGE, ConfigurationError(f"there is no {file}"))
+    data = files.read(file, _MAX_MESSAGE)
     if file.suffix not in (".yaml", ".yml", ".json"):
         return data
     message = kind.create()

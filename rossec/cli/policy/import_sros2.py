@@ -7,7 +7,6 @@ import click
 from grants.policy.sros2 import MAX_SIZE, import_sros2
 from rossec import files
 from rossec.authority.policyfile import parse_policy
-from rossec.errors import ConfigurationError
 from rossec.terminal import note, say
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -18,7 +17,7 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 @click.option("--out", type=click.Path(path_type=Path), help="write the policy to this new file")
 def import_(xml: Path, out: Path | None) -> None:
     """Turn the SROS2 policy in XML into one of rossec. What does not fit is said."""
-    data = files.read(xml, 4 * MAX_SIZE, ConfigurationError(f"there is no {xml}"))
+    data = files.read(xml, 4 * MAX_SIZE)
     text, notes = import_sros2(data.decode(errors="replace"))
     parse_policy(text, str(xml))
     for line in notes:

@@ -11,9 +11,9 @@ from grants.policy.model import Subject
 from grants.policy.privacy import PrivacyRow, ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.authority.policyfile import layout_of
-from rossec.cli.shared.context import Environment, format_time, now
-from rossec.cli.shared.policy import read_policy
+from rossec.authority.policyfile import layout_of, read_policy
+from rossec.cli.shared.context import Environment, now
+from rossec.clock import format_time
 from rossec.terminal import say, say_json
 
 
@@ -28,7 +28,7 @@ def show(
     as_json: bool,
 ) -> None:
     """Show the report of the policy, or of what is `held`, as text, JSON or a page."""
-    read = read_policy(environment, policy_path)
+    read = read_policy(environment.home, policy_path)
     accesses = report.from_policy(read.decider)
     if held:
         accesses = _held(AuthorityHome.at(environment.home), read.decider)

@@ -19,10 +19,9 @@ from grants.policy.editing import empty
 from grants.policy.lint import sample_subject
 from grants.policy.model import Policy, Subject
 from grants.policy.trial import Trial, TrialOutcome
-from rossec.authority.policyfile import PolicyFile, parse_policy, place
+from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError, MessageError
 from rossec.terminal import note, printable, say, say_json
 
@@ -91,7 +90,7 @@ def _in_force(environment: Environment) -> PolicyFile:
     """The policy in force; without one, a policy that denies everything."""
     path = place(environment.home, None)
     if path.exists():
-        return read_policy(environment, None)
+        return read_policy(environment.home, None)
     note("no policy is in force here: compared with one that denies everything")
     return PolicyFile(path, empty(), parse_policy(empty(), str(path)))
 

@@ -1,7 +1,6 @@
 """What every command shares: the environment it was called with, and what follows from it."""
 
 import re
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,11 +61,6 @@ class Duration(click.ParamType[int]):
         if self._days is not None and seconds > self._days * _UNITS["d"]:
             self.fail(f"{value} is too long; at most {self._days}d are allowed", param, ctx)
         return seconds
-
-
-def format_time(seconds: int) -> str:
-    """A point in time for people, UTC."""
-    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(seconds))
 
 
 def reraise_interrupt(abort: click.Abort) -> None:

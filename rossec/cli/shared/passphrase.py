@@ -4,12 +4,13 @@ Never from an environment variable or an argument: both are visible to others on
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
+from rossec.cli.shared import options
 from rossec.cli.shared.context import reraise_interrupt
 from rossec.errors import ConfigurationError
 
@@ -18,13 +19,10 @@ MINIMUM: Final = 12
 _MAX_FILE: Final = 4096
 
 
-def option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--passphrase-file` to a command."""
-    return click.option(
-        "--passphrase-file",
-        type=click.Path(path_type=Path, exists=True, dir_okay=False),
-        help="read the passphrase of the authority's key from this file (first line)",
-    )(command)
+option = click.option(
+    "--passphrase-file", type=options.FILE,
+    help="read the passphrase of the authority's key from this file (first line)",
+)  # fmt: skip
 
 
 def read(file: Path | None, environ: Mapping[str, str]) -> str:

@@ -8,11 +8,13 @@ import pytest
 
 from ca.errors import HintedError, RecordUnusable, SignatureError, StoreError
 from grants.errors import GrantForged
+from grants.filters.presets import PRESETS
 from grants.model import Right
+from grants.policy.model import Subject
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import approvals as module
 from rossec.authority import requests
-from rossec.authority.approvals import ApprovalQueue, seconds_left_today
+from rossec.authority.approvals import ApprovalQueue, seconds_left_today, verdict_change
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError
@@ -196,3 +198,44 @@ def test_a_request_that_cannot_be_recorded_stays_in_the_inbox(
     assert queue.read_inbox() == []
     assert not path.exists()
     assert len(queue.pending()) == 1
+
+
+def test_one_request_is_chosen_by_the_beginning_of_its_id(place: Place) -> None:
+    queue = place.queue()
+    first = queue.add_request(place.request(LIFT, POSE))  # the pose is allowed: not to be chosen
+    (chosen,) = queue.chosen(first.id.hex()[:8].upper())
+    assert (chosen.stored.requested, chosen.is_allowed) == (LIFT, False)
+    queue.add_request(place.request(LIFT))
+    for beginning, message in (("xx", "no open request begins"), ("", "several requests begin")):
+        with pytest.raises(ConfigurationError, match=message):
+            queue.chosen(beginning)
+    queue.close()
+
+
+NOON = 1_800_000_000
+CHANGES = """rossec: 1
+robot: r
+types: {/pose: geometry_msgs/PoseStamped}
+filters: {coarse: {pose.position: {round: {step: 2.0}}}}
+rules:
+  - {id: p, who: "*", prompt: {subscribe: [/pose, /unknown]}, lifetime: 1w}
+"""
+
+
+def test_a_person_restricts_a_verdict(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(CHANGES)
+    policy = PolicyFile.read(path)
+    subject = Subject("/toaster", b"k" * 32)
+    verdict = policy.decider.decide(subject, Right.SUBSCRIBE, "/pose")
+    assert verdict_change(policy, None, NOON, only_today=False)(verdict) == verdict
+    assert verdict_change(policy, None, NOON, only_today=True)(verdict).lifetime <= 86400
+    for name in ("coarse", next(iter(PRESETS))):
+        changed = verdict_change(policy, name, NOON, only_today=False)(verdict)
+        assert [item.type for item in changed.restrictions] == ["geometry_msgs/PoseStamped"]
+    with pytest.raises(ConfigurationError, match="no filter 'fine'") as caught:
+        verdict_change(policy, "fine", NOON, only_today=False)
+    assert caught.value.hint.startswith("there are: coarse, ")
+    unknown = policy.decider.decide(subject, Right.SUBSCRIBE, "/unknown")
+    with pytest.raises(ConfigurationError, match="the type of /unknown is not known here"):
+        verdict_change(policy, "coarse", NOON, only_today=False)(unknown)

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from ca.errors import PathRefused
 from grants.errors import PolicyRefused
-from rossec.authority.policyfile import PolicyFile, layout_of, place
+from rossec.authority.policyfile import PolicyFile, layout_of, place, read_policy
 from rossec.errors import ConfigurationError
 
 TEXT = "rossec: 1\nrobot: r\nrules: []\n"
@@ -53,3 +54,19 @@ def test_two_editors_at_once_lose_no_rule(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="is gone, nothing was done"):
         slower.check_unchanged()
     assert slower.replace(TEXT).text == path.read_text()
+
+
+def test_a_policy_that_others_can_write_signs_nothing(tmp_path: Path) -> None:
+    (tmp_path / "ca").mkdir(mode=0o700)
+    with pytest.raises(ConfigurationError):
+        read_policy(tmp_path, None)
+    for path in (tmp_path / "ca" / "policy.yaml", tmp_path / "other.yaml"):
+        path.write_text(TEXT)
+    assert read_policy(tmp_path, None).path == tmp_path / "ca" / "policy.yaml"
+    path.chmod(0o666)
+    assert read_policy(tmp_path, path).path == path
+    with pytest.raises(PathRefused):
+        read_policy(tmp_path, path, signs=True)
+    (tmp_path / "ca" / "policy.yaml").chmod(0o666)
+    with pytest.raises(PathRefused):
+        read_policy(tmp_path, None)

@@ -8,6 +8,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import StoreError
 from ca.keys.signer import KeySigner
+from ca.store.database import Database
 from ca.store.record import Store
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
@@ -23,6 +24,10 @@ ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), RIGHTS, "")
 DATA = sign_request(NODE, ASKED)
 
 
+def opened(path: Path) -> GrantRequestStore:
+    return GrantRequestStore(Database.open(path / "ca.db"))
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     Store.create(tmp_path / "ca.db").close()
@@ -30,7 +35,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
-    box = GrantRequestStore.open(path)
+    box = opened(path)
     box.add(ASKED, DATA, NOW + 5)
     first, second = box.unanswered()
     assert (first.request, first.at, [first.requested, second.requested]) == (
@@ -41,13 +46,12 @@ def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
     assert first.short_id == ASKED.id.hex()[:8]
     box.answer(first, "granted", "policy", NOW)
     assert box.unanswered() == [second]
-    box.close()
-    assert GrantRequestStore.open(path).unanswered() == [second]
+    assert opened(path).unanswered() == [second]
     Store.open(path / "ca.db").close()  # still a record
 
 
 def test_a_request_is_recorded_and_answered_once(path: Path) -> None:
-    box = GrantRequestStore.open(path)
+    box = opened(path)
     box.add(ASKED, DATA, NOW)
     (first, _) = box.unanswered()
     box.answer(first, "denied", "", NOW)
@@ -60,7 +64,7 @@ def test_a_request_is_recorded_and_answered_once(path: Path) -> None:
 @pytest.mark.parametrize("table", ["grant_request", "decision"])
 @pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
 def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
-    box = GrantRequestStore.open(path)
+    box = opened(path)
     box.add(ASKED, DATA, NOW)
     box.answer(box.unanswered()[0], "granted", "", NOW)
     with pytest.raises(sqlite3.IntegrityError, match="append-only"):
@@ -68,8 +72,9 @@ def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> N
 
 
 def test_a_record_that_is_closed_cannot_be_written(path: Path) -> None:
-    box = GrantRequestStore.open(path)
-    box.close()
+    database = Database.open(path / "ca.db")
+    box = GrantRequestStore(database)
+    database.close()
     with pytest.raises(StoreError, match="cannot be used"):
         box.add(ASKED, DATA, NOW)
 
@@ -88,10 +93,7 @@ def test_files_are_laid_and_found(path: Path) -> None:
 
 def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
     write_version_1(tmp_path / "ca.db")
-    box = GrantRequestStore.open(tmp_path)
+    box = opened(tmp_path)
     box.add(ASKED, DATA, NOW)
-    box.close()
     Store.open(tmp_path / "ca.db").close()
-    assert [asked.requested for asked in GrantRequestStore.open(tmp_path).unanswered()] == list(
-        RIGHTS
-    )
+    assert [asked.requested for asked in opened(tmp_path).unanswered()] == list(RIGHTS)

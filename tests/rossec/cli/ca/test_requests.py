@@ -91,11 +91,8 @@ def test_the_master_gets_the_revocation_of_a_replaced_key(
     request_id = asked(shell)
     import pytest
 
-    async def delivered(*_: object) -> None:
-        return
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rossec.cli.shared.delivery.deliver", delivered)
+        patch.setattr("rossec.cli.shared.service.call_master", lambda *_: None)
         said = shell.unlocked("ca", "approve", request_id, "--replace-key", "/robot")
     assert said.out.endswith("the replaced key is revoked\nthe master has the new list\n")
 

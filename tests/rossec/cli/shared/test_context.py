@@ -40,7 +40,3 @@ def test_ctrl_c_at_a_question_is_raised(
     monkeypatch.setattr("click.termui.visible_prompt_func", ended)
     with pytest.raises(raised):
         context.confirm("really?", yes=False)
-
-
-def test_times_are_formatted_in_utc() -> None:
-    assert context.format_time(1_795_000_000) == "2026-11-18 11:06:40 UTC"

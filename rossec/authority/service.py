@@ -1,0 +1,345 @@
+"""What an authority does for its users: unlock, decide, sign, record, tell the master.
+
+The command line calls these methods, and other interfaces can: nothing is printed or asked here.
+The passphrase comes from a callable, which is called when the key is first needed and once only.
+Each method returns what was done; a refusal is raised. Everything signed is recorded before it is
+returned. Telling the master is a step of its own (`publish`, `deliver`): the statement is recorded
+by then, and what was done can be shown while the master is out of reach.
+"""
+
+import contextlib
+import secrets
+from collections.abc import Callable, Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from ca.certificates import Identity, IdentityRequest
+from ca.errors import CertificateExpired
+from ca.revocation.state import RevocationList, open_statement
+from ca.revocation.tree import is_tree
+from ca.store.lifecycle import RequestRow, RequestState
+from ca.store.rows import INTERMEDIATE
+from grants.model import Draft, Grant, Permission
+from grants.renewal import OpenDelegation, open_delegation
+from rossec import clock
+from rossec.authority import renewals
+from rossec.authority.home import AuthorityHome
+from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
+from rossec.clock import format_time
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.ros.names import MASTER
+
+if TYPE_CHECKING:  # imported where they are used: most operations need no policy
+    from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
+    from rossec.authority.opt_out import OptOut
+    from rossec.authority.policyfile import PolicyFile
+
+_EXPIRES_SOON: Final = 7 * 86400
+_PUBLISH: Final = (
+    "the list is signed and stored, but takes effect only when the master has it;"
+    " deliver it with: rossec ca publish"
+)
+_RENEW: Final = "renew it with: rossec ca refresh"
+_DELEGATE: Final = "it is signed and stored in {}; start the master and run this again"
+
+SignedGrant = tuple[Draft, bytes]
+
+
+class MasterCall(NamedTuple):
+    """A signed statement for the master: called as `node`, the authority's own.
+
+    `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
+    """
+
+    node: NodeHome
+    method: str
+    statement: tuple[bytes, ...]
+    what: str
+    hint: str
+    note: str = ""
+
+
+class Decided(NamedTuple):
+    """The grants signed, and how many rights are allowed, wait for a person, and are denied."""
+
+    grants: list[SignedGrant]
+    allowed: int
+    waiting: int
+    denied: int
+
+
+class AuthorityService:
+    """The authority below ROSSEC_HOME; for one thread, as its record is.
+
+    Args:
+        home: ROSSEC_HOME.
+        passphrase: returns the passphrase of the key, or raises.
+        deliver: calls the master; raises `NotDelivered` if it cannot.
+        now: seconds since the epoch.
+    """
+
+    def __init__(
+        self,
+        home: Path,
+        passphrase: Callable[[], str],
+        deliver: Callable[[MasterCall], None],
+        now: Callable[[], int] = clock.now,
+    ) -> None:
+        self.rossec_home = home
+        self._passphrase = passphrase
+        self._deliver = deliver
+        self._now = now
+        self._unlocked: SigningAuthority | None = None
+        self._before: tuple[frozenset[bytes], tuple[int, int]] = frozenset(), (0, 0)
+
+    @property
+    def home(self) -> AuthorityHome:
+        """The directory of the authority, if there is one."""
+        return AuthorityHome.at(self.rossec_home)
+
+    def unlock(self) -> SigningAuthority:
+        """The authority with its key; asks for the passphrase unless this was done before.
+
+        Raises:
+            PassphraseRefused: it is wrong; the next call asks again.
+        """
+        if self._unlocked is None:
+            home = self.home
+            authority = home.unlock(self._passphrase())
+            self._before = authority.store.revoked_entries(), authority.store.next_number()
+            self._unlocked = authority
+        return self._unlocked
+
+    def close(self) -> None:
+        """Close the record, and forget the key."""
+        if self._unlocked is not None:
+            self._unlocked.store.close()
+            self._unlocked = None
+
+    def add_request(self, request: IdentityRequest, csr: bytes, source: str) -> RequestRow:
+        """Record a request for an identity; returns its row: pending, or answered before."""
+        at = self._now()
+        with contextlib.closing(self.home.store()) as store:
+            if store.identities.issued_for(request.digest) is None:
+                return store.requests.add(request, csr, source, at)
+        return RequestRow(
+            request.digest, request.name, request.thumbprint, csr, source, at,
+            RequestState.ISSUED, "", at,
+        )  # fmt: skip
+
+    def request(self, beginning: str) -> RequestRow:
+        """The one request for an identity whose id begins so; an odd last digit is ignored."""
+        try:
+            digest = bytes.fromhex(beginning[: len(beginning) // 2 * 2])
+        except ValueError:
+            raise ConfigurationError(
+                f"{beginning!a} is not a request id", "see: rossec ca requests"
+            ) from None
+        with contextlib.closing(self.home.store()) as store:
+            return store.requests.get(digest)
+
+    def deny_request(self, row: RequestRow, reason: str) -> None:
+        """Deny a request for an identity."""
+        with contextlib.closing(self.home.store()) as store:
+            store.requests.deny(row.digest, self._now(), reason)
+
+    def issue(
+        self, csr: bytes, lifetime: int, *, replace_key: str | None, wildcard: bool, source: str
+    ) -> bytes:
+        """Approve a request and sign its identity; see `SigningAuthority.issue`."""
+        return self.unlock().issue(
+            csr, self._now(), lifetime, replace_key=replace_key, wildcard=wildcard, source=source
+        )
+
+    def renew_own_node(self) -> int:
+        """Renew the authority's own node in place; returns when its identity expires."""
+        return renewals.renew_own_node(self.unlock(), self._now())
+
+    def renew(self, name: str, lifetime: int) -> bytes:
+        """Certify the current key of another node again; returns its new bundle (PEM)."""
+        if name.startswith(INTERMEDIATE):
+            raise ConfigurationError(
+                f"{name} is an intermediate", "sign its request again: rossec ca intermediate sign"
+            )
+        return renewals.renew_by_name(self.unlock(), name, self._now(), lifetime)
+
+    def import_identity(
+        self, bundle: bytes, replaced: Collection[str] = ()
+    ) -> tuple[Identity, bool]:
+        """Record an identity that an intermediate signed; see `renewals.import_identity`."""
+        return renewals.import_identity(self.unlock(), bundle, self._now(), replaced)
+
+    def sign_intermediate(
+        self, csr: bytes, *, may_enroll: bool, lifetime: int
+    ) -> tuple[str, bytes]:
+        """Sign an intermediate; returns its name for revocation, and its bundle (PEM)."""
+        return renewals.sign_intermediate(
+            self.unlock(), csr, self._now(), may_enroll=may_enroll, lifetime=lifetime
+        )
+
+    def revoke_identity(self, name: str, reason: str) -> tuple[RevocationList, int]:
+        """Revoke every key of `name`; returns the list to publish, and the number of keys."""
+        return self.unlock().revoke_identity(name, reason, self._now())
+
+    def refresh(self) -> tuple[RevocationList, int | None]:
+        """Sign the list anew; returns it, and the end of the own node's identity if renewed."""
+        authority, at = self.unlock(), self._now()
+        due = renewals.own_node_is_due(authority, at)
+        renewed = renewals.renew_own_node(authority, at) if due else None
+        return authority.sign_list(at), renewed
+
+    def complete_list(self) -> None:
+        """Sign the list anew if it lacks a revocation (`AuthorityHome.count_unlisted`)."""
+        self.unlock().refresh_list(self._now())
+
+    @property
+    def has_revoked(self) -> bool:
+        """Whether something was revoked since the key was unlocked: the master must be told."""
+        opened = self._unlocked
+        return opened is not None and opened.store.revoked_entries() != self._before[0]
+
+    @property
+    def has_signed_list(self) -> bool:
+        """Whether a list was signed since the key was unlocked: the master should get it."""
+        opened = self._unlocked
+        return opened is not None and opened.store.next_number() != self._before[1]
+
+    def sign_head(self) -> bytes:
+        """Sign the head of the log."""
+        self.complete_list()
+        return self.unlock().sign_head(self._now())
+
+    def sign_grant(
+        self, node: str, permissions: tuple[Permission, ...], lifetime: int, renewal: int = 0
+    ) -> SignedGrant:
+        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s."""
+        with contextlib.closing(self.home.store()) as store:
+            holder = store.valid_certificate(node, self._now()).thumbprint
+        authority, at = self.unlock(), self._now()
+        draft = Draft(
+            domain=authority.domain, subject=node, holder=holder, not_before=at - SKEW,
+            expires=at + lifetime, cap=at + max(lifetime, renewal),
+            serial=secrets.token_bytes(16), permissions=permissions,
+        )  # fmt: skip
+        return draft, authority.issue_grant(draft, at)
+
+    def revoke_grant(self, beginning: str, reason: str) -> tuple[RevocationList, bytes]:
+        """Revoke the one grant whose id begins so; returns the list to publish, and the id."""
+        with contextlib.closing(self.home.store()) as store:
+            known = [row.id for row in store.grants()]
+        found = [each for each in known if beginning and each.hex().startswith(beginning.lower())]
+        if len(found) != 1:
+            count = "several grants begin" if found else "no grant begins"
+            raise ConfigurationError(f"{count} with {beginning!r}", "see: rossec grant list")
+        return self.unlock().revoke(found[0], reason, self._now()), found[0]
+
+    def collect_grant_requests(
+        self, policy: "PolicyFile", given: Iterable[bytes] = ()
+    ) -> list[str]:
+        """Record the requests `given` and those in the inbox; returns the errors of the inbox."""
+        with self._queue(policy) as queue:
+            for data in given:
+                queue.add_request(data)
+            return queue.read_inbox()
+
+    def pending_grants(self, policy: "PolicyFile") -> "list[PendingApproval]":
+        """The collected requests that wait for a person."""
+        with self._queue(policy) as queue:
+            return [item for item in queue.pending() if not item.is_allowed]
+
+    def decide_grants(self, policy: "PolicyFile") -> Decided:
+        """Sign the collected requests that the policy allows; without any, no key is needed."""
+        with self._queue(policy) as queue:
+            pending, grants = queue.pending(), []
+            allowed = [item for item in pending if item.is_allowed]
+            if allowed:
+                grants = queue.sign(self.unlock(), allowed, lambda verdict: verdict, "policy")
+            waiting = len(pending) - len(allowed)
+            return Decided(grants, len(allowed), waiting, queue.denied_automatically)
+
+    def approve_grants(
+        self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
+    ) -> list[SignedGrant]:
+        """Approve the one pending request whose id begins so, and sign its grants."""
+        with self._queue(policy) as queue:
+            chosen = queue.chosen(beginning)
+            return queue.sign(self.unlock(), chosen, change, "a person")
+
+    def deny_grants(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
+        """Deny the pending request whose id begins so; returns the rights that were denied."""
+        with self._queue(policy) as queue:
+            chosen = queue.chosen(beginning)
+            for item in chosen:
+                queue.deny(item, "a person")
+            return chosen
+
+    def opt_out(self, policy: "PolicyFile", name: str, *, is_node: bool = False) -> "OptOut":
+        """Deny the topic `name` in the policy, or all topics to the node of that name."""
+        from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - as above
+
+        with contextlib.closing(self.home.store()) as store:
+            known = name in {row.name for row in store.certificates()}
+        self.unlock()
+        return add_denial(policy, name, self._now(), is_node=is_node or known)
+
+    def revoke_opted_out(self, opted_out: "OptOut") -> list[tuple[Grant, bytes | None]]:
+        """Revoke the grants that show what is denied; see `opt_out.revoke_shown`."""
+        from rossec.authority.opt_out import revoke_shown  # noqa: PLC0415 - as above
+
+        return revoke_shown(self.unlock(), opted_out, self._now())
+
+    def _queue(self, policy: "PolicyFile") -> "contextlib.closing[ApprovalQueue]":
+        from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - as above
+
+        return contextlib.closing(ApprovalQueue(self.home, policy, self._now()))
+
+    def delegate(self, lifetime: int, max_ttl: int) -> tuple[OpenDelegation, MasterCall]:
+        """Let the master renew grants: sign the delegation, which is to be delivered."""
+        authority, at = self.unlock(), self._now()
+        holder = authority.store.valid_certificate(MASTER, at).thumbprint
+        data = authority.issue_delegation(holder, lifetime, max_ttl, at)
+        hint = _DELEGATE.format(authority.path / DELEGATIONS)
+        call = MasterCall(self.home.node(), "rossec.updateDelegation", (data,), "it", hint)
+        return open_delegation(data, authority.signer.public_key), call
+
+    def revoke_delegations(self, reason: str) -> tuple[RevocationList, int]:
+        """Revoke every delegation in force; returns the list to publish, and their number."""
+        return self.unlock().revoke_delegations(reason, self._now())
+
+    def publish(self) -> None:
+        """Deliver the newest list to the master.
+
+        Raises:
+            ConfigurationError: the list has expired: no grant is valid under it.
+            NotDelivered: as `deliver`.
+        """
+        home, at = self.home, self._now()
+        data = home.revocation_list()
+        expires = open_statement(data, home.anchor().public_key).expires
+        if at >= expires:
+            raise ConfigurationError(
+                f"the revocation list expired {format_time(expires)}",
+                "sign it anew with: rossec ca refresh",
+            )
+        note = f"the revocation list expires {format_time(expires)}; {_RENEW}"
+        method = "rossec.updateRevocationTree" if is_tree(data) else "rossec.updateRevocations"
+        statement = (data, home.tree_entries()) if is_tree(data) else (data,)
+        soon = note if at >= expires - _EXPIRES_SOON else ""
+        self.deliver(MasterCall(home.node(), method, statement, "the list", _PUBLISH, soon))
+
+    def deliver(self, call: MasterCall) -> None:
+        """Deliver a statement to the master.
+
+        Raises:
+            ConfigurationError: the identity of the authority's own node has expired.
+            NotDelivered: the master is unreachable or refuses it; the statement stays recorded.
+        """
+        try:
+            call.node.identity(self._now())
+        except CertificateExpired as error:
+            raise ConfigurationError(
+                f"the identity of {call.node.name} has expired, no master accepts it",
+                f"renew it: rossec ca renew {call.node.name}",
+            ) from error
+        self._deliver(call)
