@@ -10,7 +10,6 @@ import contextlib
 import errno
 import logging
 from collections.abc import Callable
-from dataclasses import replace
 from threading import Event, Thread
 from typing import Final, Protocol
 
@@ -94,8 +93,9 @@ class BackgroundLoop:
         self._ready = asyncio.Event()
         self._stop = asyncio.Event()
         self._first_attempt = Event()
-        context = replace(local_identity.context, credentials=local_identity.live_credentials)
-        self._dialer = Dialer(local_identity.name, context, local_identity.access.check_peer)
+        self._dialer = Dialer(
+            local_identity.name, local_identity.live_context, local_identity.access.check_peer
+        )
         self.membership = Membership(
             local_identity, local_identity.access, ProcessWatchdog(process),
             registrations.publishers, self,

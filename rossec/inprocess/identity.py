@@ -82,13 +82,18 @@ class LocalIdentity(LoadedIdentity):
 
     def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
         super().__init__(home, name)
-        self.context = SecureContext(self.credentials, self.anchor.verify, suites=suites)
+        self.live_context = SecureContext(self.live_credentials, self.anchor.verify, suites=suites)
         self.access = LockedAccess(Access(self.anchor, self.revocations))
 
     @property
     def credentials(self) -> Credentials:
         """Those of the next handshake, which uses them unchanged: it has a thread of its own."""
         return self.live_credentials.current
+
+    @property
+    def context(self) -> SecureContext[Identity]:
+        """The context of the next handshake: a renewal by another thread does not change it."""
+        return replace(self.live_context, credentials=self.credentials)
 
     def expire_confirmation(self) -> None:
         """Treat the master's confirmation as expired: the clock it was received by went back."""
@@ -106,7 +111,6 @@ class LocalIdentity(LoadedIdentity):
             return False
         self.identity = self.home.identity(now())
         self.live_credentials.current = credentials
-        self.context = replace(self.context, credentials=credentials)  # one step for other threads
         return True
 
     def termination_reason(self, connection: AuthorizedPeer) -> str | None:

@@ -21,7 +21,7 @@ from tests.support.site import Site
 def robot(tmp_path: Path) -> LocalIdentity:
     """A node with room for one half-open connection."""
     robot = LocalIdentity(Site(tmp_path / "site").enroll("/robot"), "/robot")
-    robot.context = replace(robot.context, half_open=HalfOpenCount(HalfOpen(total=1)))
+    robot.live_context = replace(robot.live_context, half_open=HalfOpenCount(HalfOpen(total=1)))
     return robot
 
 

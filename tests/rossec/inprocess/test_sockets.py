@@ -165,7 +165,7 @@ def test_a_socket_that_is_not_connected_raises(local_identity: LocalIdentity) ->
 
 def test_a_caller_over_the_limit_is_dropped(site: Site) -> None:
     robot = LocalIdentity(site.enroll("/robot"), "/robot")
-    robot.context = replace(robot.context, half_open=HalfOpenCount(HalfOpen(total=1)))
+    robot.live_context = replace(robot.live_context, half_open=HalfOpenCount(HalfOpen(total=1)))
     sock = RosSocket(owner(robot), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen()
