@@ -111,13 +111,23 @@ class AuthorityHome:
         Raises:
             PassphraseRefused: the passphrase is wrong.
         """
-        authority = Authority(
-            self._signer(passphrase), self.anchor().certificate, self.intermediate()
-        )
+        return self.open(self.load_key(passphrase))
+
+    def open(self, signer: Signer) -> SigningAuthority:
+        """The authority with `signer`, its key.
+
+        Raises:
+            IssueRefused: it is another key.
+        """
+        authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
-    def _signer(self, secret: str) -> Signer:
-        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+    def load_key(self, secret: str) -> Signer:
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
+
+        Raises:
+            PassphraseRefused, TokenRefused: it is wrong, or there is no such token.
+        """
         path = self.path / KEY_URI
         if not path.exists():
             return KeySigner(key_files.load_private(self.path / "ca.key", secret))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
+from ca.keys.signer import Signer
 from ca.revocation.state import RevocationList, open_statement
 from ca.revocation.tree import is_tree
 from ca.store.lifecycle import RequestRow, RequestState
@@ -24,6 +25,7 @@ from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.client import running_signer
 from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -77,6 +79,7 @@ class AuthorityService:
         passphrase: returns the passphrase of the key, or raises.
         deliver: calls the master; raises `NotDelivered` if it cannot.
         now: seconds since the epoch.
+        find_signer: the key, if a service holds it; `running_signer` asks the one that runs.
     """
 
     def __init__(
@@ -85,11 +88,13 @@ class AuthorityService:
         passphrase: Callable[[], str],
         deliver: Callable[[MasterCall], None],
         now: Callable[[], int] = clock.now,
+        find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
     ) -> None:
         self.rossec_home = home
         self._passphrase = passphrase
         self._deliver = deliver
         self._now = now
+        self._find_signer = find_signer
         self._unlocked: SigningAuthority | None = None
         self._before: tuple[frozenset[bytes], tuple[int, int]] = frozenset(), (0, 0)
 
@@ -99,14 +104,18 @@ class AuthorityService:
         return AuthorityHome.at(self.rossec_home)
 
     def unlock(self) -> SigningAuthority:
-        """The authority with its key; asks for the passphrase unless this was done before.
+        """The authority with its key: that of its service where one runs (`rossec ca serve`).
+
+        Otherwise it asks for the passphrase, unless this was done before.
 
         Raises:
+            AuthorityLocked: the service runs, and does not hold the key.
             PassphraseRefused: it is wrong; the next call asks again.
         """
         if self._unlocked is None:
             home = self.home
-            authority = home.unlock(self._passphrase())
+            signer = self._find_signer(home)
+            authority = home.unlock(self._passphrase()) if signer is None else home.open(signer)
             self._before = authority.store.revoked_entries(), authority.store.next_number()
             self._unlocked = authority
         return self._unlocked
