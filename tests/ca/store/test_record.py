@@ -251,25 +251,13 @@ def test_a_missing_database_is_refused(path: Path, data: bytes) -> None:
     assert "restore it" in caught.value.hint
 
 
-def test_grants_from_the_policy_are_told_from_those_by_hand(path: Path) -> None:
-    store = Store.create(path)
-    store.add_grant(grant(), NOW)
-    by_policy = grant()._replace(id=b"p" * 16)
-    store.add_grant(by_policy, NOW, "pose, night")
-    assert store.policy_grants() == {by_policy.id: "pose, night"}
-    assert store.grants() == [grant(), by_policy]
-    assert [e.detail for e in store.log.entries() if e.what == "policy grant"] == ["pose, night"]
-    store.log.audit(new_signer().public_key)
-    store.close()
-
-
 def test_damage_inside_is_our_error(path: Path) -> None:
     store = Store.create(path)
     for number in range(500):
         store.add_grant(GrantRow(number.to_bytes(16), "/a", bytes(1000), NOW, NOW), NOW)
     store.close()
     data = bytearray(path.read_bytes())
-    data[64 * 4096 :] = b"\xff" * (len(data) - 64 * 4096)  # after the schema
+    data[64 * 4096 :] = b"\xff" * (len(data) - 64 * 4096)
     path.write_bytes(data)
     damaged = Store.open(path)
     with pytest.raises(StoreError, match="is damaged: ") as caught:
