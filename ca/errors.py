@@ -150,6 +150,10 @@ class DigitsRefused(EnrollmentRefused):
     """The two sides do not show the same six digits."""
 
 
+class InvitationRefused(EnrollmentRefused):
+    """An invitation that is unknown, ended, expired or used up."""
+
+
 class StoreError(CAError):
     """The authority's database is missing, foreign, damaged, or refuses the entry."""
 
