@@ -24,6 +24,7 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
 ENTRIES: Final = "revocations.entries"  # of a tree, next to the statement in a master's home
+AUDIT_FILE: Final = "audit.log"  # of its service
 KEY_URI: Final = "ca.uri"  # names the key, if it is in a token
 _MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024

@@ -25,7 +25,7 @@ from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice.client import running_signer
+from rossec.authority.keyservice.client import RemoteSigner, running_signer
 from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -123,6 +123,8 @@ class AuthorityService:
     def close(self) -> None:
         """Close the record, and forget the key."""
         if self._unlocked is not None:
+            if isinstance(self._unlocked.signer, RemoteSigner):
+                self._unlocked.signer.close()
             self._unlocked.store.close()
             self._unlocked = None
 

@@ -21,8 +21,7 @@ from ca.encoding import Value
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.held_key import UNLOCK_HINT
-from rossec.authority.keyservice.messages import Request
-from rossec.authority.keyservice.server import SOCKET
+from rossec.authority.keyservice.messages import SOCKET, Request
 from rossec.errors import AuthorityLocked, KeyServiceFailed, PeerUserRefused
 from rossec.net.host.peeruid import require_user
 from rossec.operation.unix_socket import MAX_PATH

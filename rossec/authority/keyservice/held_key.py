@@ -6,6 +6,7 @@ looks (`drop_if_over`). Each wrong passphrase in a row doubles the time until th
 Threads share it: joins and the policy are signed for in another one than commands are.
 """
 
+import math
 import threading
 from collections.abc import Callable
 from typing import Final
@@ -91,7 +92,6 @@ class HeldKey:
             is_over = self._until is not None and self._elapsed() >= self._until
             return is_over and self.lock()
 
-    @property
     def remaining(self) -> int | None:
         """For how many more seconds it is held; 0: until it is locked; None: it is not held."""
         with self._held:
@@ -100,7 +100,7 @@ class HeldKey:
             if self._until is None:
                 return 0
             left = self._until - self._elapsed()
-            return None if left <= 0 else max(1, int(left))
+            return None if left <= 0 else math.ceil(left)
 
     def check(self) -> None:
         """Raise unless it is held.
@@ -108,7 +108,7 @@ class HeldKey:
         Raises:
             AuthorityLocked: it is not, or not any more.
         """
-        if self.remaining is None:
+        if self.remaining() is None:
             raise _locked()
 
     def sign(self, message: bytes) -> bytes:
@@ -119,7 +119,7 @@ class HeldKey:
             TokenRefused: the token refuses.
         """
         with self._held:
-            if self.remaining is None or self._signer is None:
+            if self.remaining() is None or self._signer is None:
                 raise _locked()
             return self._signer.sign(message)
 

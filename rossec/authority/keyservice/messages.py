@@ -19,6 +19,7 @@ from rossec.errors import (
     SigningRefused,
 )
 
+SOCKET: Final = "service.sock"  # in the authority's directory
 VERSION: Final = 1
 HEAD: Final = 4
 MAX_FRAME: Final = MAX_MESSAGE + 64

@@ -62,7 +62,7 @@ class KeyOperations:
 
     def status(self) -> Value:
         """Whether the key is held, and for how long; see `HeldKey.remaining`."""
-        remaining = self.held.remaining
+        remaining = self.held.remaining()
         return {**self._describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:

@@ -22,7 +22,6 @@ from rossec.errors import KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.net.host.peeruid import UnixPeer, require_user, unix_peer
 from rossec.operation.unix_socket import listen_at, raw_socket
 
-SOCKET: Final = "service.sock"
 MAX_CALLERS: Final = 64
 IDLE: Final = 120.0  # seconds between two requests of a caller
 DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last, and for an answer
@@ -71,6 +70,7 @@ class KeyServer:
             self._path.unlink(missing_ok=True)
         for writer in self._callers:
             writer.transport.abort()
+        await asyncio.sleep(0)  # the sockets are closed by then
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._callers.add(writer)
