@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import time
 from collections.abc import Callable
 from typing import Final
 
@@ -10,6 +9,7 @@ from ca.authority import Authority
 from ca.encoding import Value
 from ca.errors import HintedError
 from ca.keys.signer import Signer
+from rossec import clock
 from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.authority.keyservice import messages, recognize
 from rossec.authority.keyservice.caller import Caller
@@ -33,7 +33,7 @@ def operations_of(home: AuthorityHome, audit: Callable[[str], None]) -> KeyOpera
     about: dict[int | str, Value] = {
         "domain": anchor.domain,
         "fingerprint": fingerprint(anchor),
-        "started": int(time.time()),
+        "started": clock.now(),
     }
 
     def load(secret: str) -> Signer:

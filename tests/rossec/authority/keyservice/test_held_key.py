@@ -17,7 +17,7 @@ SIGNER = new_signer()
 RIGHT = "four random words"
 
 
-class Held:
+class TimedKey:
     """A key whose passphrase is `RIGHT`, and its clock."""
 
     def __init__(self) -> None:
@@ -31,11 +31,11 @@ class Held:
 
 
 @pytest.fixture
-def held() -> Held:
-    return Held()
+def held() -> TimedKey:
+    return TimedKey()
 
 
-def test_it_signs_for_the_time_it_is_unlocked(held: Held) -> None:
+def test_it_signs_for_the_time_it_is_unlocked(held: TimedKey) -> None:
     assert held.key.remaining() is None
     with pytest.raises(AuthorityLocked, match="locked") as caught:
         held.key.sign(b"m")
@@ -53,7 +53,7 @@ def test_it_signs_for_the_time_it_is_unlocked(held: Held) -> None:
             use()
 
 
-def test_it_is_dropped_once_when_its_time_is_over(held: Held) -> None:
+def test_it_is_dropped_once_when_its_time_is_over(held: TimedKey) -> None:
     assert not held.key.drop_if_over()
     held.key.unlock(RIGHT, 60)
     assert not held.key.drop_if_over()
@@ -64,7 +64,7 @@ def test_it_is_dropped_once_when_its_time_is_over(held: Held) -> None:
     assert held.key.remaining() is None
 
 
-def test_zero_holds_it_until_it_is_locked(held: Held) -> None:
+def test_zero_holds_it_until_it_is_locked(held: TimedKey) -> None:
     held.key.unlock(RIGHT, 0)
     held.now += 1e9
     assert held.key.remaining() == 0
@@ -75,13 +75,13 @@ def test_zero_holds_it_until_it_is_locked(held: Held) -> None:
     assert held.key.remaining() is None
 
 
-def test_unlocking_again_begins_a_new_time(held: Held) -> None:
+def test_unlocking_again_begins_a_new_time(held: TimedKey) -> None:
     held.key.unlock(RIGHT, 60)
     held.key.unlock(RIGHT, 5)
     assert held.key.remaining() == 5
 
 
-def test_each_wrong_passphrase_doubles_the_wait(held: Held) -> None:
+def test_each_wrong_passphrase_doubles_the_wait(held: TimedKey) -> None:
     for wait in (1, 2, 4, 8, 16, 32, MAX_DELAY, MAX_DELAY):
         with pytest.raises(PassphraseRefused):
             held.key.unlock("wrong", 60)
@@ -118,7 +118,7 @@ def test_two_passphrases_are_not_tried_at_the_same_time() -> None:
 
 
 def test_a_token_is_logged_out_before_its_pin_is_tried_again(
-    held: Held, monkeypatch: pytest.MonkeyPatch
+    held: TimedKey, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a session open in the process a token would accept any PIN."""
 

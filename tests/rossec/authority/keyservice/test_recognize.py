@@ -29,7 +29,7 @@ ROOT = Authority(SIGNER, create_root(SIGNER, "home", now=NOW, serial=7))
 OWNER = recognize.Authority(ROOT.anchor.subject, "home")
 
 
-class Asked:
+class Recorder:
     """A signer that keeps what it was given."""
 
     def __init__(self) -> None:
@@ -44,41 +44,41 @@ class Asked:
         return SIGNER.sign(message)
 
 
-def certificate(asked: Asked) -> None:
+def certificate(recorder: Recorder) -> None:
     csr = build_request(new_signer(), "home", "/robot")
-    Authority(asked, ROOT.anchor.certificate).issue(csr, now=NOW, serial=9)
+    Authority(recorder, ROOT.anchor.certificate).issue(csr, now=NOW, serial=9)
 
 
-def intermediate(asked: Asked) -> None:
+def intermediate(recorder: Recorder) -> None:
     csr = build_intermediate_request(new_signer(), "home")
-    Authority(asked, ROOT.anchor.certificate).issue_intermediate(
+    Authority(recorder, ROOT.anchor.certificate).issue_intermediate(
         csr, now=NOW, serial=9, may_enroll=False, lifetime=999
     )
 
 
-def grant(asked: Asked) -> None:
+def grant(recorder: Recorder) -> None:
     draft = Draft(
         domain="home", subject="/robot", holder=b"h" * 32, not_before=NOW, expires=NOW + 60,
         cap=NOW + 60, serial=b"s" * 16, permissions=(Permission("/p", Right.PUBLISH),),
     )  # fmt: skip
-    document.sign(asked, draft)
+    document.sign(recorder, draft)
 
 
-def delegation(asked: Asked) -> None:
-    sign_delegation(asked, Delegation("home", b"h" * 32, NOW, NOW + 9999, 3600, b"s" * 16))
+def delegation(recorder: Recorder) -> None:
+    sign_delegation(recorder, Delegation("home", b"h" * 32, NOW, NOW + 9999, 3600, b"s" * 16))
 
 
-def largest_list(asked: Asked) -> None:
+def largest_list(recorder: Recorder) -> None:
     entries = frozenset(secrets.token_bytes(32) for _ in range(MAX_ENTRIES))
-    sign_list(asked, RevocationList(1, 1, NOW, NOW + 60, entries))
+    sign_list(recorder, RevocationList(1, 1, NOW, NOW + 60, entries))
 
 
-def tree(asked: Asked) -> None:
-    sign_tree(asked, RevocationTree(1, 1, NOW, NOW + 60, 5000, b"r" * 32))
+def tree(recorder: Recorder) -> None:
+    sign_tree(recorder, RevocationTree(1, 1, NOW, NOW + 60, 5000, b"r" * 32))
 
 
-def head(asked: Asked) -> None:
-    sign_head(asked, Head(5, b"r" * 32, NOW))
+def head(recorder: Recorder) -> None:
+    sign_head(recorder, Head(5, b"r" * 32, NOW))
 
 
 @pytest.mark.parametrize(
@@ -94,11 +94,11 @@ def head(asked: Asked) -> None:
     ],
 )
 def test_what_an_authority_signs_is_recognized(make: object, kind: str) -> None:
-    asked = Asked()
+    recorder = Recorder()
     assert callable(make)
-    make(asked)
-    assert kind_of(asked.message, OWNER) == kind
-    for changed in (asked.message + b"\0", asked.message[:-1], b""):
+    make(recorder)
+    assert kind_of(recorder.message, OWNER) == kind
+    for changed in (recorder.message + b"\0", recorder.message[:-1], b""):
         with pytest.raises(SigningRefused):
             kind_of(changed, OWNER)
 
@@ -107,10 +107,10 @@ def test_what_an_authority_signs_is_recognized(make: object, kind: str) -> None:
     "profile", [REQUEST, TICKET, RENEWAL, TIMESTAMP_PROFILE, Profile("rossec-other+cwt")]
 )
 def test_what_others_sign_is_refused(profile: Profile) -> None:
-    asked = Asked()
-    profile.sign(asked, {1: "home"})
+    recorder = Recorder()
+    profile.sign(recorder, {1: "home"})
     with pytest.raises(SigningRefused) as caught:
-        kind_of(asked.message, OWNER)
+        kind_of(recorder.message, OWNER)
     assert caught.value.hint
 
 
@@ -129,7 +129,7 @@ def test_more_than_any_statement_is_refused_unread() -> None:
 
 
 def test_a_certificate_of_another_domain_is_refused() -> None:
-    asked = Asked()
-    certificate(asked)
+    recorder = Recorder()
+    certificate(recorder)
     with pytest.raises(SigningRefused):
-        kind_of(asked.message, recognize.Authority(ROOT.anchor.subject, "garden"))
+        kind_of(recorder.message, recognize.Authority(ROOT.anchor.subject, "garden"))
