@@ -30,6 +30,9 @@ class Statements(Protocol):
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and store a caller's grants."""
 
+    def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
+        """Whether the key `holder` has presented this grant."""
+
     def pertaining(
         self, caller: Caller, names: Iterable[str]
     ) -> Generator[None, None, frozenset[bytes]]:

@@ -15,6 +15,7 @@ from rossec.master.api.methods import (
     Administered,
     CallDenied,
     Denied,
+    GrantsDeposited,
     GrantsPresented,
     MasterEvent,
     ParameterChanged,
@@ -27,6 +28,8 @@ from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.access_rules import Peer
 from rossec.master.rights.interfaces import ChannelPeer, TrustView
+from rossec.master.server.deposit_file import DepositFile
+from rossec.master.server.grant_changes import GrantChanges
 from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
@@ -46,6 +49,7 @@ class MasterState:
         name: the master's certified name.
         now: seconds since the epoch.
         parameter_file: the journal of parameters; None: they do not survive a restart.
+        deposit_file: the journal of deposited grants; None: none is accepted.
         streams: accepted connections.
     """
 
@@ -55,7 +59,9 @@ class MasterState:
     trust: TrustView
     updates: Updates
     parameter_file: ParameterFile | None
+    deposit_file: DepositFile | None = None
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
+    grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[ChannelPeer]] = field(default_factory=set)
 
 
@@ -109,6 +115,9 @@ class Effects:
             case RevocationsChanged(by):
                 _audit.info("%s delivered revocation list %d", by, self._state.trust.number)
                 self._on_revocations()
+            case GrantsDeposited(by, holders, count):
+                _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
+                self._state.grant_changes.notify(holders)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
             case PersistParameter() | Denied() | GrantsPresented() | CallDenied():

@@ -70,6 +70,7 @@ class Maintenance:
         for _ in islice(self._enforcement(), STEPS_AT_ONCE):
             pass
         self._close_revoked()  # also their pending updates
+        self._drop_deposits()
         self._send_revocations()
         self._changed.set()
 
@@ -93,8 +94,9 @@ class Maintenance:
         self._prune()
         for check in self._checks:
             check(self._state.now())
-        if self._state.parameter_file is not None:
-            self._state.parameter_file.sync()
+        for file in (self._state.parameter_file, self._state.deposit_file):
+            if file is not None:
+                file.sync()
 
     async def _enforce(self) -> None:
         """Remove what is no longer authorized; other calls are answered meanwhile."""
@@ -126,7 +128,13 @@ class Maintenance:
             if self._state.trust.caller_of(node, now) is None:
                 self._state.updates.drop(node)
 
+    def _drop_deposits(self) -> None:
+        file = self._state.deposit_file
+        if file is not None:
+            file.deposits.drop_ended(self._state.now(), self._state.trust.revoked())
+
     def _prune(self) -> None:
+        self._drop_deposits()
         nodes = frozenset(self._state.registry.nodes())
         self._state.updates.prune(nodes)
         registered = {node.thumbprint for node in nodes}

@@ -29,10 +29,13 @@ from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
+from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.interfaces import ChannelPeer, TrustView
 from rossec.master.server.answers import CallAnswers
+from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.effects import Effects, MasterState
+from rossec.master.server.grant_changes import WAIT, GrantChanges
 from rossec.master.server.local_authority import (
     SOURCE,
     FindRevocations,
@@ -70,6 +73,7 @@ class MasterServer:
         advertise: host name in `uri`, which nodes are sent.
         clock: seconds since the epoch.
         parameter_file: the journal of parameters; None: they do not survive a restart.
+        deposit_file: the journal of deposited grants; None: none is accepted.
         limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
         check_own_identity: called with the time in each round of maintenance.
@@ -91,6 +95,7 @@ class MasterServer:
         timestamp_every: float = TIMESTAMP_EVERY,
         on_denial: OnDenial = ignore_denial,
         parameter_file: ParameterFile | None = None,
+        deposit_file: DepositFile | None = None,
         limits: MasterLimits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
         check_own_identity: Callable[[int], None] = lambda _: None,
@@ -124,8 +129,9 @@ class MasterServer:
         self._dialer = SlaveDialer(self._context, self._on_mismatch)
         self._updates = Updates(self._dialer.dial, limits.nodes_per_identity + MAX_CLOSING)
         self._state = state = MasterState(
-            name, self._now, self._registry, trust, self._updates, parameter_file
-        )
+            name, self._now, self._registry, trust, self._updates, parameter_file, deposit_file,
+            grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
+        )  # fmt: skip
         self._streams = state.streams
         self._effects = Effects(state, on_denial, self._on_revocations)
         list_changed = partial(self._effects.deliver, RevocationsChanged(SOURCE))
@@ -162,6 +168,7 @@ class MasterServer:
             started=self._now(),
             parameters=self._load_parameters(),
             parameter_bytes=limits.parameters,
+            deposits=self._load_deposits(),
         )
         self._answers = CallAnswers(api, self._state, self._effects, self._dialer, self._turns)
         self._maintenance.start(api)
@@ -171,6 +178,14 @@ class MasterServer:
             return None
         self._parameter_file.open()
         return self._parameter_file.parameters
+
+    def _load_deposits(self) -> Deposits | None:
+        file = self._state.deposit_file
+        if file is None:
+            return None
+        file.open()
+        file.deposits.drop_ended(self._now(), self._trust.revoked())
+        return file.deposits
 
     def status(self) -> dict[str, str | int]:
         """Figures for administrators and metrics."""
@@ -200,8 +215,9 @@ class MasterServer:
         await self._updates.close()
         if self._server is not None:
             await self._server.close()
-        if self._parameter_file is not None:
-            self._parameter_file.close()
+        for file in (self._parameter_file, self._state.deposit_file):
+            if file is not None:
+                file.close()
 
     async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
         key = stream.peer.thumbprint
