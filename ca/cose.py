@@ -81,6 +81,19 @@ class Profile:
         _verify(key, signature, self._signed_frame + head(_BYTES, len(body)) + body)
         return body
 
+    def check(self, data: bytes, key: ec.EllipticCurvePublicKey, payload: Value) -> None:
+        """Return if `data` states exactly `payload`, signed by `key`; nothing of it is decoded.
+
+        Raises:
+            SignatureError: it states something else, or `key` did not sign it.
+        """
+        body = encode(payload)
+        text = head(_BYTES, len(body)) + body
+        statement = self._frame + text + _SIGNATURE_HEAD
+        if not data.startswith(statement) or len(data) != len(statement) + 2 * _COORDINATE:
+            raise SignatureError(f"not the expected statement of kind {self.typ}")
+        _verify(key, data[len(statement) :], self._signed_frame + text)
+
     def peek(self, data: bytes, *, limit: int = MAX_SIZE) -> Value:
         """Return the payload *without* verifying: to display, or to find the key to verify with."""
         return decode(self.peek_body(data, limit=limit), limit=limit)

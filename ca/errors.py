@@ -130,12 +130,28 @@ class EnrollmentOver(EnrollmentRefused):
     """The enrollment has already ended, or the other side ended it."""
 
 
+class NotTheAuthority(EnrollmentRefused):
+    """The peer at the address of an invitation is not the authority that made it."""
+
+
+class JoinRefused(EnrollmentRefused):
+    """The authority does not let this node join by this invitation."""
+
+
+class JoinWaiting(EnrollmentRefused):
+    """The authority is locked, or a person has to approve: the same request may be sent again."""
+
+
 class AcknowledgementRefused(EnrollmentRefused):
     """The node's answer is not signed by its key, or not for this offer."""
 
 
 class DigitsRefused(EnrollmentRefused):
     """The two sides do not show the same six digits."""
+
+
+class InvitationRefused(EnrollmentRefused):
+    """An invitation that is unknown, ended, expired or used up."""
 
 
 class StoreError(CAError):

@@ -15,8 +15,9 @@ from typing import Final
 from ca.errors import NameRefused
 
 MAX_NAME: Final = 255
+AUTHORITY: Final = "/ca"  # the authority's own node
 # Nodes trust the holders of these names; no wildcard covers them.
-RESERVED: Final = frozenset({"/master", "/ca"})
+RESERVED: Final = frozenset({"/master", AUTHORITY})
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
 _TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
 _DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1

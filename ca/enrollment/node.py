@@ -13,6 +13,7 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.enrollment import NONCE_SIZE, WINDOW, qr, transcript
+from ca.enrollment.issued import check_issued
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
@@ -24,7 +25,6 @@ from ca.enrollment.messages import (
     write,
 )
 from ca.errors import (
-    CAError,
     ConflictingOffer,
     DigitsRefused,
     EnrollmentExpired,
@@ -220,7 +220,7 @@ class NodeEnrollment:
     def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
         """Accept the first valid offer; an invalid one changes nothing."""
         transcript_hash = self._check_tag(offer)
-        anchor = self._check_certificates(offer, now)
+        anchor = check_issued(offer.root, offer.chain, self.request, now)
         self._pending = Pending(
             offer.chain,
             offer.root,
@@ -237,7 +237,7 @@ class NodeEnrollment:
         if self._is_pending_offer(offer):
             return [self._acknowledged()]
         self._check_tag(offer)
-        self._check_certificates(offer, now)
+        check_issued(offer.root, offer.chain, self.request, now)
         error = ConflictingOffer(
             "this node received two different offers: another party has its code",
             f"nothing was accepted; find the other party, then {_RESTART_HINT}",
@@ -283,18 +283,3 @@ class NodeEnrollment:
             self.stop(error)
             raise error
         raise OfferRefused("the sender of the offer has not read the code")
-
-    def _check_certificates(self, offer: Offer, now: int) -> TrustAnchor:
-        """The offer is exactly for this node's name and key."""
-        try:
-            anchor = TrustAnchor.load(offer.root)
-            identity = anchor.verify(offer.chain, now)
-        except CAError as error:
-            raise OfferRefused(f"invalid offer: {error}", error.hint) from error
-        own = self.request
-        if identity.thumbprint != own.thumbprint:
-            raise OfferRefused("an identity for another key")
-        offered = (identity.domain, identity.name, identity.wildcard)
-        if offered != (own.domain, own.name, own.wildcard):
-            raise OfferRefused("an identity for another name than the one asked for")
-        return anchor

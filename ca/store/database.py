@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 
 from ca.errors import StoreError
 from ca.keys import ownership
-from ca.store import schema
+from ca.store import migration, schema
 from ca.store.faults import fault
 
 _BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
@@ -166,7 +166,7 @@ class Database:
     def _migrate(self) -> None:
         if schema.version(self.connection) != schema.VERSION:
             with self.transaction() as db:
-                schema.migrate(db)
+                migration.migrate(db)
         schema.check(self.connection)
 
 

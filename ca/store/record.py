@@ -14,6 +14,7 @@ from typing import Any, Self
 from ca.errors import RequestClosed, StoreError
 from ca.store.database import Database
 from ca.store.identities import IdentityTable
+from ca.store.invitations import InvitationTable
 from ca.store.log import AuthorityLog, append_entry
 from ca.store.log_entries import digest_of
 from ca.store.requests import RequestTable
@@ -25,13 +26,14 @@ __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 class Store:
     """An open record. Create it with `create` or `open`.
 
-    `requests` are those for identities, `identities` what came of them, `journal` is the log.
+    `requests` are those for identities, `identities` what came of them, `log` is the log.
     """
 
     def __init__(self, database: Database) -> None:
         self.database = database
         self.identities = IdentityTable(database)
         self.requests = RequestTable(database, self.identities)
+        self.invitations = InvitationTable(database)
         self.log = AuthorityLog(database)
 
     @classmethod
@@ -160,8 +162,8 @@ class Store:
             )
         return alive[-1]
 
-    def add_grant(self, row: GrantRow, now: int) -> None:
-        """Record a grant before it is delivered.
+    def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
+        """Record a grant before it is delivered; `rules`: those of the policy it came from.
 
         Raises:
             StoreError: the id is taken.
@@ -169,6 +171,14 @@ class Store:
         with self.database.transaction() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
             append_entry(db, now, "grant", row.name, row.id.hex(), digest_of(row))
+            if rules:
+                origin = (row.id, rules)
+                db.execute("INSERT INTO policy_grant VALUES (?, ?)", origin)
+                append_entry(db, now, "policy grant", row.name, rules, digest_of(origin))
+
+    def policy_grants(self) -> dict[bytes, str]:
+        """The grants that came from the policy, by id: its rules. All others were made by hand."""
+        return dict(self.database.rows("SELECT id, rules FROM policy_grant"))
 
     def grants(self) -> list[GrantRow]:
         """Every grant signed, oldest first."""

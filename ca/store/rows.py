@@ -49,3 +49,29 @@ class RevocationRow(NamedTuple):
     entry: bytes
     reason: str
     at: int
+
+
+class InvitationRow(NamedTuple):
+    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
+
+    `key` is the public half of the key in its code (an uncompressed P-256 point, 65 bytes), `id`
+    the SHA-256 of `key`; `wildcard`: identities for anonymous nodes too.
+    """
+
+    id: bytes
+    key: bytes
+    pattern: str
+    uses: int
+    wildcard: bool
+    expires: int
+    at: int
+
+
+class InvitationUse(NamedTuple):
+    """One identity that was issued by an invitation; `request` is the digest of its request."""
+
+    invitation: bytes
+    request: bytes
+    name: str
+    thumbprint: bytes
+    at: int

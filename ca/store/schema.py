@@ -1,8 +1,9 @@
-"""The tables and triggers of the authority's record, and the migration from older versions.
+"""The tables and triggers of the authority's record; `ca.store.migration` brings older ones up.
 
-Certificates, grants, revocations, lists, heads and the log are append-only: triggers refuse every
-change. A request follows `ca.store.lifecycle.TRANSITIONS` and is deleted at its end; triggers made
-from that table refuse every other transition. All functions run inside the caller's transaction.
+All but requests for identities are append-only: triggers refuse every change. Such a request
+follows `ca.store.lifecycle.TRANSITIONS` and is deleted at its end; triggers made from that table
+refuse every other transition. Every table in `LOGGED_TABLES` has its rows in the log. All
+functions run inside the caller's transaction.
 """
 
 import re
@@ -10,24 +11,33 @@ import sqlite3
 from collections.abc import Iterator
 from typing import Final
 
-from ca.errors import LogDamaged, StoreError
+from ca.errors import StoreError
 from ca.store.lifecycle import TRANSITIONS, RequestState
-from ca.store.log_entries import LogEntry, digest_of, extend_peaks
+from ca.store.log_entries import LogEntry, extend_peaks
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
-VERSION: Final = 2
+VERSION: Final = 3
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
-APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")
-_TABLES: Final = (*APPEND_ONLY, "answer", "csr")
+APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
+ANSWERS: Final = "answer"  # of version 2, and append-only as well
+DECISIONS: Final = (  # of version 3, all append-only
+    "grant_request", "decision", "policy_grant", "invitation", "invitation_use", "invitation_end",
+)  # fmt: skip
 # For each kind of log entry: the table, and the columns in the order of the digest.
 LOGGED_TABLES: Final = {
     "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
     "grant": ("grant_", "id, name, data, not_before, expires"),
     "revocation": ("revocation", "entry, reason"),
     "list": ("list", "epoch, seq, data"),
+    "grant request": ("grant_request", "id, name, data, at"),
+    "decision": ("decision", "request, right, pattern, answer, reason, at"),
+    "policy grant": ("policy_grant", "id, rules"),
+    "invitation": ("invitation", "id, key, pattern, uses, wildcard, expires, at"),
+    "join": ("invitation_use", "invitation, request, name, thumbprint, at"),
+    "invitation ended": ("invitation_end", "invitation, reason, at"),
 }
 
-_VERSION_1: Final = (  # unchanged since version 1
+VERSION_1: Final = (  # unchanged since version 1
     """CREATE TABLE certificate (
         serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
         not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
@@ -44,7 +54,7 @@ _VERSION_1: Final = (  # unchanged since version 1
         PRIMARY KEY (epoch, seq)
     ) STRICT""",
 )
-_VERSION_2: Final = (
+VERSION_2: Final = (
     """CREATE TABLE log (
         number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
         detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
@@ -59,6 +69,30 @@ _VERSION_2: Final = (
     # One request, one certificate: also when two commands run at once, or one was killed.
     """CREATE TABLE answer (
         request BLOB PRIMARY KEY, serial BLOB NOT NULL UNIQUE, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_3: Final = (
+    """CREATE TABLE grant_request (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE decision (
+        request BLOB NOT NULL, right INTEGER NOT NULL, pattern TEXT NOT NULL,
+        answer TEXT NOT NULL, reason TEXT NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (request, right, pattern)
+    ) STRICT""",
+    # The grants that `policy apply` signed, and the rules they came from; all others are by hand.
+    "CREATE TABLE policy_grant (id BLOB PRIMARY KEY, rules TEXT NOT NULL) STRICT",
+    """CREATE TABLE invitation (
+        id BLOB PRIMARY KEY, key BLOB NOT NULL, pattern TEXT NOT NULL, uses INTEGER NOT NULL,
+        wildcard INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    # A request uses one invitation, once.
+    """CREATE TABLE invitation_use (
+        invitation BLOB NOT NULL, request BLOB PRIMARY KEY, name TEXT NOT NULL,
+        thumbprint BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE invitation_end (
+        invitation BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
 )
 _NO_CHANGE: Final = """
@@ -84,18 +118,19 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 def create(db: sqlite3.Connection) -> None:
     """Create the tables of a new record."""
-    for statement in (*_VERSION_1, *_VERSION_2, *_triggers((*APPEND_ONLY, "answer"))):
+    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS)
+    for statement in (*VERSION_1, *VERSION_2, *VERSION_3, *append_only_triggers(append_only)):
+        db.execute(statement)
+    for statement in request_triggers():
         db.execute(statement)
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     db.execute(f"PRAGMA user_version = {VERSION}")
 
 
 def check_no_foreign_objects(db: sqlite3.Connection) -> None:
-    """Return if this file has no triggers and views but those created here.
+    """Return if this file has no other tables, triggers and views than those created here.
 
-    A trigger could drop an inserted row, a view or a virtual table could replace a table. Other
-    plain tables are allowed, with triggers that make them append-only in this module's form: the
-    grant request store has some.
+    A trigger could drop an inserted row, a view or a virtual table could replace a table.
 
     Raises:
         StoreError: names the first object that is foreign, missing or changed.
@@ -105,25 +140,12 @@ def check_no_foreign_objects(db: sqlite3.Connection) -> None:
     expected, found = _objects(expected_db), _objects(db)
     expected_db.close()
     for name, created in found.items():
-        if name in expected and expected[name] == created:
-            continue
-        if name in expected or not _is_extra_table(*created):
+        if expected.get(name) != created:
             raise StoreError(
                 f"the record holds a {created[0]} that is not rossec's: {name!a}", _RESTORE_HINT
             )
     if missing := expected.keys() - found.keys():
         raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
-
-
-def _is_extra_table(kind: str, table: str, text: str) -> bool:
-    """Whether it is another plain table, or a trigger that makes it append-only."""
-    if kind == "trigger":
-        body = text.split()[3:]  # a renamed table left the trigger its old name
-        return table not in _TABLES and body in [
-            _canonical(_NO_CHANGE.format(table=table, verb=verb)).split()[3:]
-            for verb in ("UPDATE", "DELETE")
-        ]
-    return kind == "table" and text.startswith("create table ")
 
 
 def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
@@ -155,7 +177,7 @@ def check(db: sqlite3.Connection) -> None:
     """
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
     found = {name: _normal(sql) for name, sql in rows}
-    for statement in (*_VERSION_1, *_VERSION_2):
+    for statement in (*VERSION_1, *VERSION_2, *VERSION_3):
         kind, name = statement.split()[1:3]
         if kind == "TABLE" and found.get(name) != _normal(statement):
             raise StoreError(
@@ -168,31 +190,6 @@ def _normal(statement: str) -> str:
     return " ".join(statement.split())
 
 
-def migrate(db: sqlite3.Connection) -> None:
-    """Migrate a record of version 1: its log becomes a tree, and nothing is lost."""
-    if version(db) == VERSION:  # another command has done it
-        return
-    old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
-    db.execute("DROP TABLE log")  # and its triggers with it
-    if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
-        # The name of the grant request table in version 1; see rossec.authority.requests.
-        db.execute("ALTER TABLE request RENAME TO grant_request")
-    for statement in (*_VERSION_2, *_triggers(("log", "head", "answer"))):
-        db.execute(statement)
-    rows = {what: _rows_of(db, what) for what in LOGGED_TABLES}
-    for number, (at, what, subject, detail) in enumerate(old):
-        row = next(rows.get(what, iter(())), None)
-        if row is None:
-            raise LogDamaged(
-                f"line {number} of the log is about a {what} that is not recorded",
-                "restore a backup, and find out who changed the record",
-            )
-        append(db, at, what, subject, detail, digest_of(row))
-    (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
-    append(db, at, "migrated", "record", f"1 to {VERSION}", b"")
-    db.execute(f"PRAGMA user_version = {VERSION}")
-
-
 def append(
     db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
@@ -203,17 +200,16 @@ def append(
     db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
 
 
-def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
-    """The rows of the log entries of kind `what`, oldest first."""
-    table, columns = LOGGED_TABLES[what]
-    return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
-
-
-def _triggers(tables: tuple[str, ...]) -> Iterator[str]:
+def append_only_triggers(tables: tuple[str, ...]) -> Iterator[str]:
+    """The triggers that refuse every change of `tables`."""
     for table in tables:
         for verb in ("UPDATE", "DELETE"):
             yield _NO_CHANGE.format(table=table, verb=verb)
+
+
+def request_triggers() -> tuple[str, str, str]:
+    """The triggers of requests for identities, from `TRANSITIONS`."""
     transitions = ", ".join(
         f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
     )
-    yield from (_NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions))
+    return _NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions)

@@ -1,7 +1,7 @@
 """The grant request store: requests for grants in the authority's record, and their answers.
 
-It adds two tables to the record, append-only like the others: an answer is a new row. Requests
-arrive as files: given by the operator, or written to the inbox by a node of the same ROSSEC_HOME.
+Its two tables are append-only like the others: an answer is a new row. Requests arrive as files:
+given by the operator, or written to the inbox by a node of the same ROSSEC_HOME.
 """
 
 import sqlite3
@@ -12,27 +12,13 @@ from typing import Final, NamedTuple
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store.database import Database
+from ca.store.log import append_entry
+from ca.store.log_entries import digest_of
 from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
 
 MAX_FILE: Final = 16 * 1024
 MAX_INBOX: Final = 256  # files read at once
-_SCHEMA: Final = (
-    """CREATE TABLE IF NOT EXISTS grant_request (
-        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
-    ) STRICT""",
-    """CREATE TABLE IF NOT EXISTS decision (
-        request BLOB NOT NULL, right INTEGER NOT NULL, pattern TEXT NOT NULL,
-        answer TEXT NOT NULL, reason TEXT NOT NULL, at INTEGER NOT NULL,
-        PRIMARY KEY (request, right, pattern)
-    ) STRICT""",
-    *(
-        f"""CREATE TRIGGER IF NOT EXISTS {table}_no_{verb} BEFORE {verb} ON {table}
-        BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END"""
-        for table in ("grant_request", "decision")
-        for verb in ("UPDATE", "DELETE")
-    ),
-)
 
 
 class StoredRequest(NamedTuple):
@@ -54,9 +40,6 @@ class GrantRequestStore:
     def __init__(self, database: Database) -> None:
         """Use the record in `database`, so that an answer shares a transaction with its grants."""
         self._database = database
-        with self._transaction() as db:
-            for statement in _SCHEMA:
-                db.execute(statement)
 
     def add(self, request: GrantRequest, data: bytes, now: int) -> None:
         """Record a verified request.
@@ -67,6 +50,7 @@ class GrantRequestStore:
         with self._transaction() as db:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
+            append_entry(db, now, "grant request", request.node, request.id.hex(), digest_of(row))
 
     def answer(self, stored: StoredRequest, answer: str, reason: str, now: int) -> None:
         """Record the answer to one requested right.
@@ -78,6 +62,8 @@ class GrantRequestStore:
             requested = stored.requested
             row = (stored.request.id, int(requested.right), requested.pattern, answer, reason, now)
             db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
+            detail = f"{answer} {requested.pattern}"
+            append_entry(db, now, "decision", stored.request.node, detail, digest_of(row))
 
     def unanswered(self) -> list[StoredRequest]:
         """Every requested right without an answer, oldest first."""

@@ -122,8 +122,8 @@ class SigningAuthority:
             )
         return self.bundle(row.der)
 
-    def issue_grant(self, draft: Draft, now: int) -> bytes:
-        """Sign and record a grant.
+    def issue_grant(self, draft: Draft, now: int, rules: str = "") -> bytes:
+        """Sign and record a grant; `rules`: those of the policy it came from, if it did.
 
         Raises:
             ConfigurationError: this is an intermediate, whose grants no node accepts.
@@ -137,7 +137,7 @@ class SigningAuthority:
         with self.store.transaction():
             self.store.identities.check_not_revoked(draft.subject, draft.holder)
             self.refresh_list(now)
-            self.store.add_grant(row, now)
+            self.store.add_grant(row, now, rules)
         return data
 
     def issue_delegation(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ca.keys.signer import KeySigner
-from rossec.master.operation.audit import AuditFile, with_hash
-from rossec.master.operation.audit_mark import mark
+from rossec.operation.audit import AuditFile, with_hash
+from rossec.operation.audit_mark import mark
 from rossec.participant.slave_api import MASTER
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer

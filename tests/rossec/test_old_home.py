@@ -18,7 +18,7 @@ from grants.model import Right
 from rossec.authority.backup import restore
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.operation import audit
+from rossec.operation import audit
 
 ARCHIVE: Final = Path(__file__).parents[1] / "vectors" / "homes" / "1.tar.gz"
 PASSPHRASE: Final = "correct horse battery staple"

@@ -10,8 +10,8 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome
-from rossec.master.operation import audit as audits
-from rossec.master.operation.audit_mark import check_beginning
+from rossec.operation import audit as audits
+from rossec.operation.audit_mark import check_beginning
 from rossec.ros.names import MASTER
 from rossec.terminal import note, printable, say
 

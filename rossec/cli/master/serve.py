@@ -4,11 +4,11 @@ import asyncio
 import logging
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rossec.authority.local_list import LocalList
 from rossec.channel import suite_selection
@@ -19,21 +19,24 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort
-from rossec.master.operation.audit_log import audit_written, denials_limited
 from rossec.master.operation.config import Config
+from rossec.master.operation.denial_limit import denials_limited
 from rossec.master.operation.denial_log import DenialLog, ignore_denial
 from rossec.master.operation.descriptor_limit import raise_descriptor_limit
-from rossec.master.operation.json_log import log_as_json
 from rossec.master.operation.metrics import MetricsExporter, on_loop
-from rossec.master.operation.process_lock import process_lock
-from rossec.master.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.master.operation.systemd import READY, STOPPING, notify
 from rossec.master.rights.statements import Renewer
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
+from rossec.operation.audit_log import audit_written
+from rossec.operation.json_log import log_as_json
+from rossec.operation.process_lock import process_lock
+from rossec.operation.shutdown import stop_on_signals, until_first_ends
+from rossec.operation.systemd import READY, STOPPING, notify
 from rossec.ros import settings
 from rossec.ros.names import MASTER
 from rossec.terminal import say, say_json
+
+LOCK: Final = "master.lock"
 
 
 def run(
@@ -70,11 +73,20 @@ def run(
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
         settings.read((), environment.variables, default_name=MASTER)  # likewise
-        stack.enter_context(process_lock(home.path))
+        stack.enter_context(_only_master(home.path))
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
         asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
+
+
+def _only_master(directory: Path) -> AbstractContextManager[None]:
+    """One master at a time runs from a directory."""
+    busy = ConfigurationError(
+        f"another master runs from {directory}",
+        "end it first; two would lose each other's parameters",
+    )
+    return process_lock(directory / LOCK, busy)
 
 
 async def _serve(

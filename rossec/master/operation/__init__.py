@@ -1,1 +1,1 @@
-"""The master as a service: configuration, limits, audit, metrics, and its process."""
+"""The master as a service: configuration, limits, denials, metrics, administration."""

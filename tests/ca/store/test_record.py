@@ -9,6 +9,7 @@ import pytest
 
 from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
+from ca.store import schema
 from ca.store.record import CertificateRow, GrantRow, Store
 from tests.support.pki import Site, new_signer
 
@@ -234,7 +235,7 @@ def test_a_foreign_database_is_refused_and_left_as_it_is(path: Path) -> None:
 
 def test_a_record_from_the_future(path: Path) -> None:
     store = Store.create(path)
-    store.database.connection.execute("PRAGMA user_version = 3")
+    store.database.connection.execute(f"PRAGMA user_version = {schema.VERSION + 1}")
     store.close()
     with pytest.raises(StoreError, match="not a record of this version") as caught:
         Store.open(path)
@@ -256,7 +257,7 @@ def test_damage_inside_is_our_error(path: Path) -> None:
         store.add_grant(GrantRow(number.to_bytes(16), "/a", bytes(1000), NOW, NOW), NOW)
     store.close()
     data = bytearray(path.read_bytes())
-    data[32 * 4096 :] = b"\xff" * (len(data) - 32 * 4096)
+    data[64 * 4096 :] = b"\xff" * (len(data) - 64 * 4096)
     path.write_bytes(data)
     damaged = Store.open(path)
     with pytest.raises(StoreError, match="is damaged: ") as caught:

@@ -9,19 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import LogDamaged, StoreError
+from ca.errors import StoreError
 from ca.store import schema
 from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.record import Store
-from tests.support import oldstore
 from tests.support.pki import new_signer
-
-
-@pytest.fixture
-def old(tmp_path: Path) -> Path:
-    path = tmp_path / "old.db"
-    oldstore.write_version_1(path)
-    return path
 
 
 @pytest.fixture
@@ -29,85 +21,6 @@ def new(tmp_path: Path) -> Iterator[sqlite3.Connection]:
     Store.create(tmp_path / "new.db").close()
     with closing(sqlite3.connect(tmp_path / "new.db", isolation_level=None)) as db:
         yield db
-
-
-def shape(db: sqlite3.Connection) -> list[tuple[str, str]]:
-    return db.execute(
-        "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
-    ).fetchall()
-
-
-def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
-    with closing(Store.open(old)) as store:
-        count = len(oldstore.KEYS)
-        assert [row.thumbprint for row in store.certificates()] == oldstore.KEYS
-        assert [row.id for row in store.grants()] == [key[:16] for key in oldstore.KEYS]
-        assert store.revoked_entries() == {key[:16] for key in oldstore.KEYS}
-        assert store.next_number() == (1, count + 1)
-        entries = store.log.entries()
-        assert [entry.what for entry in entries[:4]] == [
-            "certificate",
-            "grant",
-            "revocation",
-            "list",
-        ]
-        assert [entry.number for entry in entries] == list(range(4 * count + 1))
-        assert entries[0][1:5] == (oldstore.NOW, "certificate", "/node0", oldstore.KEYS[0].hex())
-        assert entries[-1].what == "migrated"
-        store.log.audit(new_signer().public_key)
-        store.revoke(b"n" * 32, "after", oldstore.NOW)
-        store.log.audit(new_signer().public_key)
-
-
-def test_both_ways_lead_to_the_same_tables(old: Path, new: sqlite3.Connection) -> None:
-    Store.open(old).close()
-    with closing(sqlite3.connect(old)) as db:
-        assert shape(db) == shape(new)
-
-
-def test_a_migrated_record_is_not_migrated_again(old: Path) -> None:
-    Store.open(old).close()
-    with closing(sqlite3.connect(old, isolation_level=None)) as db:
-        before = db.execute("SELECT count(*) FROM log").fetchone()
-        schema.migrate(db)  # a second command that waited for the first
-        assert db.execute("SELECT count(*) FROM log").fetchone() == before
-    Store.open(old).close()
-
-
-def test_requests_for_grants_keep_their_rows(old: Path) -> None:
-    """In version 1 the inbox had a table with the name that requests for identities have now."""
-    with closing(sqlite3.connect(old)) as db, db:
-        db.execute("CREATE TABLE request (id BLOB PRIMARY KEY, data BLOB NOT NULL) STRICT")
-        db.execute("INSERT INTO request VALUES (x'01', x'02')")
-    with closing(Store.open(old)) as store:
-        assert store.requests.all() == []
-    with closing(sqlite3.connect(old)) as db:
-        assert db.execute("SELECT * FROM grant_request").fetchall() == [(b"\x01", b"\x02")]
-
-
-def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(oldstore, "KEYS", [])
-    oldstore.write_version_1(tmp_path / "old.db")
-    with closing(Store.open(tmp_path / "old.db")) as store:
-        assert [entry.at for entry in store.log.entries()] == [0]
-
-
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
-        ("INSERT INTO log (at, what, subject, detail) VALUES (0, 'grant', '', '')", "grant"),
-        ("INSERT INTO log (at, what, subject, detail) VALUES (0, 'party', '', '')", "party"),
-    ],
-)
-def test_an_old_log_that_does_not_fit_is_not_brought_up(old: Path, change: str, what: str) -> None:
-    with closing(sqlite3.connect(old, isolation_level=None)) as db:
-        db.execute(change)
-        before = shape(db)
-    with pytest.raises(LogDamaged, match=f"line 20 of the log is about a {what} that is not"):
-        Store.open(old)
-    with closing(sqlite3.connect(old)) as db:
-        assert shape(db) == before
-        assert schema.version(db) == 1
 
 
 def insert(db: sqlite3.Connection, state: str) -> None:
@@ -152,12 +65,6 @@ def record() -> sqlite3.Connection:
 
 
 def test_a_record_of_ours_is_ours(record: sqlite3.Connection) -> None:
-    schema.check_no_foreign_objects(record)
-    record.execute("CREATE TABLE beside (x TEXT)")
-    record.execute(
-        "CREATE TRIGGER IF NOT EXISTS other_name BEFORE DELETE ON beside\n"
-        "BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;"
-    )
     schema.check_no_foreign_objects(record)
 
 
@@ -205,7 +112,7 @@ def test_every_process_makes_the_same_record() -> None:
     ("script", "said"),
     [
         ("CREATE TRIGGER x AFTER INSERT ON log BEGIN SELECT 1; END", "a trigger that is not"),
-        ("CREATE TABLE y (a); CREATE TRIGGER x AFTER INSERT ON y BEGIN SELECT 1; END", "a trigger"),
+        ("CREATE TABLE x (a)", "a table that is not rossec's: 'x'"),
         ("CREATE VIEW x AS SELECT 1", "a view that is not rossec's: 'x'"),
         ("CREATE VIRTUAL TABLE x USING fts5(a)", "a table that is not rossec's: 'x'"),
         ("CREATE INDEX x ON log (at)", "a index that is not rossec's: 'x'"),

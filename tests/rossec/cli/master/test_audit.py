@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.master.operation.audit import AuditFile
+from rossec.operation.audit import AuditFile
 from tests.support.commands import Shell, refused
 
 

@@ -26,7 +26,7 @@ from ca.keys.signer import Signer
 from rossec import files
 from rossec.clock import time as host_time
 from rossec.errors import ConfigurationError
-from rossec.master.operation.audit_mark import FIRST, mark
+from rossec.operation.audit_mark import FIRST, mark
 from rossec.ros.text import printable
 
 LEFT_OUT: Final = "left_out"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.operation.audit import (
+from rossec.operation.audit import (
     LEFT_OUT,
     AuditFile,
     Entry,
@@ -18,7 +18,7 @@ from rossec.master.operation.audit import (
     verify,
     with_hash,
 )
-from rossec.master.operation.audit_mark import FIRST, check_beginning
+from rossec.operation.audit_mark import FIRST, check_beginning
 from tests.support.pki import new_signer
 
 

@@ -1,4 +1,4 @@
-"""Connecting the audit to Python's logging, for as long as a master runs."""
+"""Connecting the audit to Python's logging, for as long as a program runs."""
 
 import logging
 from collections.abc import Iterator
@@ -7,21 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from ca.keys.signer import Signer
-from rossec.master.operation.audit import AuditFile
-from rossec.master.operation.denial_limit import DENIALS, DenialRateLimit
+from rossec.operation.audit import AuditFile
 
 AUDIT: Final = "rossec.audit"
-
-
-@contextmanager
-def denials_limited() -> Iterator[None]:
-    """Limit the rate of the lines that nodes cause."""
-    limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
-    log.addFilter(limit)
-    try:
-        yield
-    finally:
-        log.removeFilter(limit)
 
 
 @contextmanager

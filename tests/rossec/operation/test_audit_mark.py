@@ -5,7 +5,7 @@ import pytest
 from ca.keys.publickey import thumbprint
 from ca.keys.signer import KeySigner
 from rossec.errors import ConfigurationError
-from rossec.master.operation.audit_mark import FIRST, Entry, check_beginning, mark
+from rossec.operation.audit_mark import FIRST, Entry, check_beginning, mark
 from tests.support.pki import new_signer
 
 BEFORE = "ab" * 32
