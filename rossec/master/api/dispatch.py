@@ -29,7 +29,7 @@ from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, TurnExpired, Work
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
 
@@ -51,7 +51,7 @@ class MasterApi:
     def __init__(
         self,
         registry: Registry,
-        statements: Statements,
+        statements: TrustState,
         *,
         name: str,
         uri: str,

@@ -8,6 +8,7 @@ and the caller's rights are evaluated again: results from before a revocation ar
 import asyncio
 from typing import NamedTuple
 
+from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
@@ -15,7 +16,6 @@ from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
-from rossec.master.rights.interfaces import ChannelPeer
 from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
@@ -29,7 +29,7 @@ class PendingCall(NamedTuple):
     is_local: bool
     method: str
     params: tuple[object, ...]
-    peer: ChannelPeer
+    peer: Identity
 
 
 class CallAnswers:
@@ -50,7 +50,7 @@ class CallAnswers:
         self._turns = turns
 
     def dispatch(
-        self, is_local: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+        self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
         """The value to answer with, or an awaitable of it.
 
@@ -124,7 +124,7 @@ class CallAnswers:
         caller, now = self._caller_now(call.peer)
         return self._api.begin(call.method, call.params, caller, now, is_local=call.is_local)
 
-    def _caller_now(self, peer: ChannelPeer) -> tuple[Caller, int]:
+    def _caller_now(self, peer: Identity) -> tuple[Caller, int]:
         """The caller with its rights now, and the time."""
         now = self._state.now()
         try:

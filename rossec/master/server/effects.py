@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
+from ca.certificates import Identity
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
@@ -26,7 +27,7 @@ from rossec.master.api.turns import CallOutcome
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.access_rules import Peer
-from rossec.master.rights.interfaces import ChannelPeer, TrustView
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
@@ -52,11 +53,11 @@ class MasterState:
     name: str
     now: Callable[[], int]
     registry: Registry
-    trust: TrustView
+    trust: TrustState
     updates: Updates
     parameter_file: ParameterFile | None
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
-    streams: set[SecureStream[ChannelPeer]] = field(default_factory=set)
+    streams: set[SecureStream[Identity]] = field(default_factory=set)
 
 
 class Effects:

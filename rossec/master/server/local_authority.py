@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from ca.revocation.tree import is_tree
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.ros.text import printable
 
 SOURCE: Final = "the authority on this host"
@@ -36,7 +36,7 @@ class LocalAuthority:
     """
 
     def __init__(
-        self, find: FindRevocations, statements: Statements, on_changed: Callable[[], None]
+        self, find: FindRevocations, statements: TrustState, on_changed: Callable[[], None]
     ) -> None:
         self._find = find
         self._statements = statements

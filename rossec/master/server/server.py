@@ -1,6 +1,6 @@
 """The running master: accepts secure connections, dispatches calls, sends answers. A shell.
 
-Decisions are elsewhere: access control authorizes calls, `TrustView` tells which grants are valid,
+Decisions are elsewhere: access control authorizes calls, `TrustState` tells which grants are valid,
 the registry returns events. All state is used in one event loop, and a call is answered without
 waiting for any peer, so no locks are needed. The effects of events are in `effects`, periodic work
 in `maintenance`, connections to nodes in `dialer`.
@@ -16,6 +16,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.channel.edhoc.credentials import OwnCredential, Verify
 from rossec.channel.edhoc.known import KnownCertificates
@@ -29,7 +30,7 @@ from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.interfaces import ChannelPeer, TrustView
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import CallAnswers
 from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.effects import Effects, MasterState
@@ -80,8 +81,8 @@ class MasterServer:
     def __init__(
         self,
         credentials: OwnCredential,
-        verify: Verify[ChannelPeer],
-        trust: TrustView,
+        verify: Verify[Identity],
+        trust: TrustState,
         *,
         name: str = DEFAULT_NAME,
         host: str | None = None,
@@ -119,7 +120,7 @@ class MasterServer:
         )
         self._registry = Registry(limits.nodes_per_identity)
         self._answers: CallAnswers | None = None
-        self._server: SecureServer[ChannelPeer] | None = None
+        self._server: SecureServer[Identity] | None = None
         self._revoked_connections = RevokedConnections()
         self._dialer = SlaveDialer(self._context, self._on_mismatch)
         self._updates = Updates(self._dialer.dial, limits.nodes_per_identity + MAX_CLOSING)
@@ -203,7 +204,7 @@ class MasterServer:
         if self._parameter_file is not None:
             self._parameter_file.close()
 
-    async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
+    async def _handle(self, stream: SecureStream[Identity]) -> None:
         key = stream.peer.thumbprint
         open_connections = sum(other.peer.thumbprint == key for other in self._streams)
         if open_connections >= self._limits.connections_per_identity:
@@ -229,7 +230,7 @@ class MasterServer:
             idle_deadline=self._limits.idle_seconds,
         )
 
-    async def _serve_revoked(self, stream: SecureStream[ChannelPeer]) -> None:
+    async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
         """Answer for a few seconds; not one of the streams, so it is sent no updates."""
         keys = stream.peer.keys
         if not self._revoked_connections.admit(keys):
@@ -245,13 +246,13 @@ class MasterServer:
             self._revoked_connections.release(keys)
 
     def _dispatch(
-        self, is_local: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+        self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
         if self._answers is None:
             raise RuntimeError("a call before the master was started")
         return self._answers.dispatch(is_local, method, params, peer)
 
-    def _on_mismatch(self, node: NodeRef, found: ChannelPeer) -> None:
+    def _on_mismatch(self, node: NodeRef, found: Identity) -> None:
         self._effects.evict(node, found)
 
     def _on_revocations(self) -> None:
