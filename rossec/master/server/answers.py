@@ -6,6 +6,7 @@ and the caller's rights are evaluated again: results from before a revocation ar
 """
 
 import asyncio
+from functools import partial
 from typing import NamedTuple
 
 from ca.certificates import Identity
@@ -16,7 +17,6 @@ from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
-from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
 from rossec.master.state.registry import NodeRef
@@ -40,13 +40,11 @@ class CallAnswers:
         api: MasterApi,
         state: MasterState,
         effects: Effects,
-        dialer: SlaveDialer,
         turns: Turns,
     ) -> None:
         self._api = api
         self._state = state
         self._effects = effects
-        self._dialer = dialer
         self._turns = turns
 
     def dispatch(
@@ -66,7 +64,9 @@ class CallAnswers:
         if not isinstance(begun, CallOutcome):
             return self._query(call, begun)
         match begun.events:
-            case [CallDenied(taken_by=NodeRef() as owner)] if owner not in self._dialer.probed:
+            case [CallDenied(taken_by=NodeRef() as owner)] if (
+                owner not in self._effects.dialer.probed
+            ):
                 return self._probe_owner(owner, call)
         return self._effects.apply(begun)
 
@@ -88,7 +88,7 @@ class CallAnswers:
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:
         """Probe `owner`, whose address another node registers, and answer again."""
-        await self._dialer.probe(owner)
+        await self._effects.dialer.probe(owner)
         return await self._finish(call, self._begin(call))
 
     async def _finish(self, call: PendingCall, work: CallOutcome | Work) -> object:
@@ -114,10 +114,8 @@ class CallAnswers:
 
     def _step(self, call: PendingCall, multicall: Multicall) -> None:
         caller, now = self._caller_now(call.peer)
-        expired = self._turns.begin()
-        events = self._api.run_multicall(
-            multicall, caller, now, is_local=call.is_local, expired=expired
-        )
+        begin = partial(self._api.begin, caller=caller, now=now, is_local=call.is_local)
+        events = multicall.step(begin, self._turns.begin())
         self._effects.apply(CallOutcome(None, events))
 
     def _begin(self, call: PendingCall) -> CallOutcome | Work:

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from grants.errors import GrantError
 from grants.model import Permission, Right
@@ -9,7 +10,7 @@ from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent
 from rossec.master.api.multicall import MULTICALL, Multicall
-from rossec.master.api.turns import CallOutcome, Work, advance
+from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
 from rossec.master.rights.access_rules import Caller, Peer
 from rossec.master.rights.presented_grants import Presented, Renewed
 from rossec.master.rights.statements import TrustState
@@ -70,8 +71,21 @@ def call_api(
         return begun if isinstance(begun, CallOutcome) else run_to_end(begun)
     multicall, events = Multicall(params), list[MasterEvent]()
     while not multicall.done:
-        events += api.run_multicall(multicall, who, now, is_local=is_local, expired=never_expires)
+        events += step(api, multicall, who, now, is_local=is_local)
     return CallOutcome(multicall.answer, tuple(events))
+
+
+def step(
+    api: MasterApi,
+    multicall: Multicall,
+    who: Caller,
+    now: int = 0,
+    *,
+    is_local: bool = True,
+    expired: TurnExpired = never_expires,
+) -> tuple[MasterEvent, ...]:
+    """Process elements of a multicall for one turn."""
+    return multicall.step(partial(api.begin, caller=who, now=now, is_local=is_local), expired)
 
 
 @dataclass
