@@ -21,7 +21,7 @@ from rossec.master.api.methods import (
 from rossec.master.api.statement_calls import binaries, refusal
 from rossec.master.rights.access_rules import Refused
 from rossec.master.rights.deposits import DeliveryState, Deposits
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.master.state.deposit_journal import ID_SIZE
 
 WATCH_GRANTS: Final = "rossec.watchGrants"
@@ -35,7 +35,7 @@ _BATCH: Final = 8  # verifications, a millisecond, between two yields
 class DepositCalls:
     """Handlers over the table of deposits; `statements` says what is revoked and presented."""
 
-    def __init__(self, statements: Statements, deposits: Deposits) -> None:
+    def __init__(self, statements: TrustState, deposits: Deposits) -> None:
         self._statements = statements
         self._deposits = deposits
 

@@ -22,7 +22,7 @@ from rossec.master.api.methods import (
 )
 from rossec.master.rights.access_rules import Refused
 from rossec.master.rights.deposits import Deposits
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.master.rights.trl import RevocationQueries
 from rossec.master.state.registry import Kind, Registry
 
@@ -32,7 +32,7 @@ PROOF_LIMIT: Final = 64
 
 
 class StatementCalls:
-    """Handlers over one `Statements`.
+    """Handlers over one `TrustState`.
 
     Args:
         registry: to find the names that a caller is registered for.
@@ -43,7 +43,7 @@ class StatementCalls:
 
     def __init__(
         self,
-        statements: Statements,
+        statements: TrustState,
         registry: Registry,
         master: str,
         started: int,

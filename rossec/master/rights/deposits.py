@@ -19,7 +19,7 @@ from grants.errors import GrantError, GrantExpired
 from grants.model import Grant
 from grants.token import unpack
 from rossec.master.rights.presented_grants import MAX_HELD, MAX_HELD_BYTES
-from rossec.master.state.deposit_journal import DepositChange, Deposited, Held
+from rossec.master.state.deposit_journal import DepositChange, GrantDeposited, GrantHeld
 
 MAX_TOTAL: Final = 64 * 1024  # grants of all nodes
 MAX_TOTAL_BYTES: Final = 64 * 1024 * 1024
@@ -96,7 +96,7 @@ class Deposits:
     def __init__(self, verify: VerifyDeposit = _refuse, persist: Persist = _forget) -> None:
         self.verify = verify
         self._persist = persist
-        self.unsaved: list[Held] = []
+        self.unsaved: list[GrantHeld] = []
         self._by_id: dict[bytes, Deposit] = {}
         self._by_holder: dict[bytes, dict[bytes, Deposit]] = {}
         self._size = 0
@@ -109,19 +109,19 @@ class Deposits:
         """Take what a journal of this master says; it was verified before it was written."""
         for change in changes:
             match change:
-                case Deposited(data):
+                case GrantDeposited(data):
                     with suppress(GrantError):  # written by another version of rossec
                         self._insert(_deposit(data, document.peek(data)))
-                case Held(grant_id) if grant_id in self._by_id:
+                case GrantHeld(grant_id) if grant_id in self._by_id:
                     self._by_id[grant_id].state = DeliveryState.HELD
-                case Held():
+                case GrantHeld():
                     pass
 
     def changes(self) -> list[DepositChange]:
         """The shortest journal of this table."""
         deposits = self._by_id.values()
-        held = (Held(each.grant_id) for each in deposits if each.state is DeliveryState.HELD)
-        return [*(Deposited(each.data) for each in deposits), *held]
+        held = (GrantHeld(each.grant_id) for each in deposits if each.state is DeliveryState.HELD)
+        return [*(GrantDeposited(each.data) for each in deposits), *held]
 
     def add(self, verified: Sequence[tuple[bytes, Grant | HintedError]]) -> list[str]:
         """Add the grants that `verify` accepted; returns why each was refused, empty where not.
@@ -141,7 +141,7 @@ class Deposits:
             else:
                 reasons.append("")
         if accepted:
-            self._persist([Deposited(each.data) for each in accepted.values()])
+            self._persist([GrantDeposited(each.data) for each in accepted.values()])
         for deposit in accepted.values():
             self._insert(deposit)
         return reasons
@@ -178,7 +178,7 @@ class Deposits:
             deposit = waiting.get(_signed_part(token))
             if deposit is not None:
                 deposit.state = DeliveryState.HELD
-                self.unsaved.append(Held(deposit.grant_id))
+                self.unsaved.append(GrantHeld(deposit.grant_id))
 
     def state(self, grant_id: bytes) -> DeliveryState:
         """How far the delivery of a grant is; UNKNOWN: it is not in the table (any more)."""

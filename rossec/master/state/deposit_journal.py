@@ -16,27 +16,27 @@ _GRANT: Final = b"G"
 _HELD: Final = b"H"
 
 
-class Deposited(NamedTuple):
+class GrantDeposited(NamedTuple):
     """The grant `data`, as signed, was deposited."""
 
     data: bytes
 
 
-class Held(NamedTuple):
+class GrantHeld(NamedTuple):
     """The holder of the deposited grant `grant_id` has presented it."""
 
     grant_id: bytes
 
 
-DepositChange = Deposited | Held
+DepositChange = GrantDeposited | GrantHeld
 
 
 def encode(change: DepositChange) -> bytes:
     """One record."""
     match change:
-        case Deposited(data):
+        case GrantDeposited(data):
             return journal_records.frame(_GRANT + data)
-        case Held(grant_id):
+        case GrantHeld(grant_id):
             return journal_records.frame(_HELD + grant_id)
 
 
@@ -55,8 +55,8 @@ def _records(data: bytes, at: int) -> Iterator[tuple[DepositChange, int]]:
     for content, end in journal_records.contents(data, at):
         letter, rest = content[:1], content[1:]
         if letter == _GRANT and rest:
-            yield Deposited(rest), end
+            yield GrantDeposited(rest), end
         elif letter == _HELD and len(rest) == ID_SIZE:
-            yield Held(rest), end
+            yield GrantHeld(rest), end
         else:
             return
