@@ -13,7 +13,7 @@ from ca.names import check_name
 from grants.errors import PolicyRefused
 from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge
 from grants.names import check_pattern
-from grants.policy.index import Hit, Index, hits
+from grants.policy.index import Hit, Index, applied, hits
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.patterns import gives, overlaps
 
@@ -84,6 +84,16 @@ class Decider:
         if right.bit_count() != 1:
             raise PolicyRefused(f"{int(right)} is not one right")
         return self._evaluate(subject, right, name, self._index.find(subject, right, name))
+
+    def rules_of(self, subject: Subject) -> list[PolicyRule]:
+        """The rules that apply to `subject`."""
+        return self._index.rules_of(subject)
+
+    def decide_by(
+        self, rules: Iterable[PolicyRule], subject: Subject, right: Right, name: str
+    ) -> Verdict:
+        """As `decide`, by some `rules` that apply to the subject (`rules_of`), all checked."""
+        return self._evaluate(subject, right, name, list(applied(rules, right, name)))
 
     def decide_without(self, verdict: Verdict) -> Verdict:
         """The verdict without the rules that decided it."""

@@ -29,9 +29,11 @@ class Index:
     """The clauses of one policy by right and name."""
 
     def __init__(self, policy: Policy) -> None:
-        self._policy = policy
         self._roots: dict[Right, _Branch] = {}
-        for rule in policy.rules:
+        self._rules: dict[str, dict[int, PolicyRule]] = {}  # by exact node name, or _ANY_NODE
+        for at, rule in enumerate(policy.rules):
+            for key in _keys(rule):
+                self._rules.setdefault(key, {})[at] = rule
             for clause in rule.clauses:
                 self._insert(rule, clause)
 
@@ -43,7 +45,7 @@ class Index:
             name: an absolute name, or a pattern (then by `hits`).
         """
         if "*" in name:
-            return list(hits(self._policy.rules, subject, right, name))
+            return list(hits(self.rules_of(subject), subject, right, name))
         root = self._roots.get(right)
         if root is None:
             return []
@@ -59,6 +61,11 @@ class Index:
                         found.append((rule, clause))
         return found
 
+    def rules_of(self, subject: Subject) -> list[PolicyRule]:
+        """The rules that apply to `subject`, in the order of the policy."""
+        named = {**self._rules.get(_ANY_NODE, {}), **self._rules.get(subject.name, {})}
+        return [named[at] for at in sorted(named) if named[at].applies_to(subject)]
+
     def _insert(self, rule: PolicyRule, clause: Clause) -> None:
         branch = self._roots.setdefault(clause.right, _Branch())
         for segment in segments(clause.pattern):
@@ -70,21 +77,24 @@ class Index:
 def hits(
     rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str
 ) -> Iterator[Hit]:
-    """Every clause of `rules` that decides on `requested`, a name or a pattern.
+    """Every clause of `rules` that decides on `requested`, a name or a pattern, for `subject`."""
+    return applied((rule for rule in rules if rule.applies_to(subject)), right, requested)
 
-    Denials count if they overlap with it. So do allowing rules with restrictions, to add these;
-    whether all of it is allowed is checked in `decision`.
+
+def applied(rules: Iterable[PolicyRule], right: Right, requested: str) -> Iterator[Hit]:
+    """As `hits`, of rules that apply to the subject.
+
+    Of a pattern every clause counts that overlaps with it: a denial denies it, an allowing one adds
+    its restrictions and its validity; whether all of it is allowed is checked in `decision`.
     """
     for rule in rules:
-        if not rule.applies_to(subject):
-            continue
         for clause in rule.clauses:
             if clause.right is right and _decides(rule, clause, requested):
                 yield rule, clause
 
 
 def _decides(rule: PolicyRule, clause: Clause, requested: str) -> bool:
-    if rule.effect is Effect.DENY or ("*" in requested and clause.restriction is not None):
+    if rule.effect is Effect.DENY or "*" in requested:
         return overlaps(clause.pattern, clause.right, requested)
     return gives(clause.pattern, clause.right, requested)
 

@@ -9,9 +9,9 @@ by then, and what was done can be shown while the master is out of reach.
 
 import contextlib
 import secrets
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
@@ -20,22 +20,18 @@ from ca.revocation.state import RevocationList, open_statement
 from ca.revocation.tree import is_tree
 from ca.store.lifecycle import RequestRow, RequestState
 from ca.store.rows import INTERMEDIATE
-from grants.model import Draft, Grant, Permission
+from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import RemoteSigner, running_signer
+from rossec.authority.policy_operations import Decided, PolicyOperations, SignedGrant
 from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
-
-if TYPE_CHECKING:  # imported where they are used: most operations need no policy
-    from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
-    from rossec.authority.opt_out import OptOut
-    from rossec.authority.policyfile import PolicyFile
 
 _EXPIRES_SOON: Final = 7 * 86400
 _PUBLISH: Final = (
@@ -45,7 +41,8 @@ _PUBLISH: Final = (
 _RENEW: Final = "renew it with: rossec ca refresh"
 _DELEGATE: Final = "it is signed and stored in {}; start the master and run this again"
 
-SignedGrant = tuple[Draft, bytes]
+
+__all__ = ["AuthorityService", "Decided", "MasterCall", "SignedGrant"]
 
 
 class MasterCall(NamedTuple):
@@ -62,16 +59,7 @@ class MasterCall(NamedTuple):
     note: str = ""
 
 
-class Decided(NamedTuple):
-    """The grants signed, and how many rights are allowed, wait for a person, and are denied."""
-
-    grants: list[SignedGrant]
-    allowed: int
-    waiting: int
-    denied: int
-
-
-class AuthorityService:
+class AuthorityService(PolicyOperations):
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     Args:
@@ -244,66 +232,6 @@ class AuthorityService:
             count = "several grants begin" if found else "no grant begins"
             raise ConfigurationError(f"{count} with {beginning!r}", "see: rossec grant list")
         return self.unlock().revoke(found[0], reason, self._now()), found[0]
-
-    def collect_grant_requests(
-        self, policy: "PolicyFile", given: Iterable[bytes] = ()
-    ) -> list[str]:
-        """Record the requests `given` and those in the inbox; returns the errors of the inbox."""
-        with self._queue(policy) as queue:
-            for data in given:
-                queue.add_request(data)
-            return queue.read_inbox()
-
-    def pending_grants(self, policy: "PolicyFile") -> "list[PendingApproval]":
-        """The collected requests that wait for a person."""
-        with self._queue(policy) as queue:
-            return [item for item in queue.pending() if not item.is_allowed]
-
-    def decide_grants(self, policy: "PolicyFile") -> Decided:
-        """Sign the collected requests that the policy allows; without any, no key is needed."""
-        with self._queue(policy) as queue:
-            pending, grants = queue.pending(), []
-            allowed = [item for item in pending if item.is_allowed]
-            if allowed:
-                grants = queue.sign(self.unlock(), allowed, lambda verdict: verdict, "policy")
-            waiting = len(pending) - len(allowed)
-            return Decided(grants, len(allowed), waiting, queue.denied_automatically)
-
-    def approve_grants(
-        self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
-    ) -> list[SignedGrant]:
-        """Approve the one pending request whose id begins so, and sign its grants."""
-        with self._queue(policy) as queue:
-            chosen = queue.chosen(beginning)
-            return queue.sign(self.unlock(), chosen, change, "a person")
-
-    def deny_grants(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
-        """Deny the pending request whose id begins so; returns the rights that were denied."""
-        with self._queue(policy) as queue:
-            chosen = queue.chosen(beginning)
-            for item in chosen:
-                queue.deny(item, "a person")
-            return chosen
-
-    def opt_out(self, policy: "PolicyFile", name: str, *, is_node: bool = False) -> "OptOut":
-        """Deny the topic `name` in the policy, or all topics to the node of that name."""
-        from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - as above
-
-        with contextlib.closing(self.home.store()) as store:
-            known = name in {row.name for row in store.certificates()}
-        self.unlock()
-        return add_denial(policy, name, self._now(), is_node=is_node or known)
-
-    def revoke_opted_out(self, opted_out: "OptOut") -> list[tuple[Grant, bytes | None]]:
-        """Revoke the grants that show what is denied; see `opt_out.revoke_shown`."""
-        from rossec.authority.opt_out import revoke_shown  # noqa: PLC0415 - as above
-
-        return revoke_shown(self.unlock(), opted_out, self._now())
-
-    def _queue(self, policy: "PolicyFile") -> "contextlib.closing[ApprovalQueue]":
-        from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - as above
-
-        return contextlib.closing(ApprovalQueue(self.home, policy, self._now()))
 
     def delegate(self, lifetime: int, max_ttl: int) -> tuple[OpenDelegation, MasterCall]:
         """Let the master renew grants: sign the delegation, which is to be delivered."""

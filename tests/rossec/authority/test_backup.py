@@ -283,4 +283,6 @@ def test_the_audit_of_the_service_is_not_in_a_backup(home: AuthorityHome, tmp_pa
     with service_lock(home.path):
         data = back_up(home, PASSPHRASE)
     restored = restore(tmp_path / "elsewhere", data, PASSPHRASE, NOW).home
-    assert not {"audit.log", "audit.log.1", "service.lock"} & {path.name for path in restored.path.iterdir()}
+    assert not {"audit.log", "audit.log.1", "service.lock"} & {
+        path.name for path in restored.path.iterdir()
+    }

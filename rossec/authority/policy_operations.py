@@ -1,0 +1,110 @@
+"""What an authority does by its policy, as methods of `AuthorityService`.
+
+Requests are decided and answered, the policy is applied, nodes opt out. What each of these needs is
+imported when it is called: most operations of an authority need no policy.
+"""
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from grants.model import Draft, Grant
+from rossec.authority.home import AuthorityHome
+from rossec.authority.signing import SigningAuthority
+
+if TYPE_CHECKING:
+    from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
+    from rossec.authority.opt_out import OptOut
+    from rossec.authority.policyfile import PolicyFile
+
+SignedGrant = tuple[Draft, bytes]
+
+
+class Decided(NamedTuple):
+    """The grants signed, and how many rights are allowed, wait for a person, and are denied."""
+
+    grants: list[SignedGrant]
+    allowed: int
+    waiting: int
+    denied: int
+
+
+class PolicyOperations(ABC):
+    """The methods of `AuthorityService` that need a policy; `_now` returns seconds since the epoch.
+
+    `rossec_home` is ROSSEC_HOME.
+    """
+
+    rossec_home: Path
+    _now: Callable[[], int]
+
+    @property
+    @abstractmethod
+    def home(self) -> AuthorityHome:
+        """The directory of the authority, if there is one."""
+
+    @abstractmethod
+    def unlock(self) -> SigningAuthority:
+        """The authority with its key."""
+
+    def collect_grant_requests(
+        self, policy: "PolicyFile", given: Iterable[bytes] = ()
+    ) -> list[str]:
+        """Record the requests `given` and those in the inbox; returns the errors of the inbox."""
+        with self._queue(policy) as queue:
+            for data in given:
+                queue.add_request(data)
+            return queue.read_inbox()
+
+    def pending_grants(self, policy: "PolicyFile") -> "list[PendingApproval]":
+        """The collected requests that wait for a person."""
+        with self._queue(policy) as queue:
+            return [item for item in queue.pending() if not item.is_allowed]
+
+    def decide_grants(self, policy: "PolicyFile") -> Decided:
+        """Sign the collected requests that the policy allows; without any, no key is needed."""
+        with self._queue(policy) as queue:
+            pending, grants = queue.pending(), []
+            allowed = [item for item in pending if item.is_allowed]
+            if allowed:
+                grants = queue.sign(self.unlock(), allowed, lambda verdict: verdict, "policy")
+            waiting = len(pending) - len(allowed)
+            return Decided(grants, len(allowed), waiting, queue.denied_automatically)
+
+    def approve_grants(
+        self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
+    ) -> list[SignedGrant]:
+        """Approve the one pending request whose id begins so, and sign its grants."""
+        with self._queue(policy) as queue:
+            chosen = queue.chosen(beginning)
+            return queue.sign(self.unlock(), chosen, change, "a person")
+
+    def deny_grants(self, policy: "PolicyFile", beginning: str) -> "list[PendingApproval]":
+        """Deny the pending request whose id begins so; returns the rights that were denied."""
+        with self._queue(policy) as queue:
+            chosen = queue.chosen(beginning)
+            for item in chosen:
+                queue.deny(item, "a person")
+            return chosen
+
+    def opt_out(self, policy: "PolicyFile", name: str, *, is_node: bool = False) -> "OptOut":
+        """Deny the topic `name` in the policy, or all topics to the node of that name."""
+        from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - see above
+
+        with contextlib.closing(self.home.store()) as store:
+            known = name in {row.name for row in store.certificates()}
+        self.unlock()
+        return add_denial(policy, name, self._now(), is_node=is_node or known)
+
+    def revoke_opted_out(self, opted_out: "OptOut") -> list[tuple[Grant, bytes | None]]:
+        """Revoke the grants that show what is denied; see `opt_out.revoke_shown`."""
+        from rossec.authority.opt_out import revoke_shown  # noqa: PLC0415 - see above
+
+        return revoke_shown(self.unlock(), opted_out, self._now())
+
+    def _queue(self, policy: "PolicyFile") -> "contextlib.closing[ApprovalQueue]":
+        from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - see above
+
+        return contextlib.closing(ApprovalQueue(self.home, policy, self._now()))
