@@ -138,6 +138,10 @@ class JoinRefused(EnrollmentRefused):
     """The authority does not let this node join by this invitation."""
 
 
+class JoinBusy(JoinRefused):
+    """The authority decides nothing now: the same request may be sent again soon."""
+
+
 class JoinWaiting(EnrollmentRefused):
     """The authority is locked, or a person has to approve: the same request may be sent again."""
 
@@ -180,6 +184,10 @@ class LogDamaged(StoreError):
 
 class RequestClosed(StoreError):
     """A request that was denied, answered or deleted cannot be used for this."""
+
+
+class TooManyRequests(RequestClosed):
+    """So many requests wait for an answer that no other is recorded."""
 
 
 class NameContested(StoreError):

@@ -38,6 +38,7 @@ from ca.errors import (
     EnrollmentMessageRefused,
     EnrollmentOver,
     EnrollmentRefused,
+    JoinBusy,
     JoinRefused,
     JoinWaiting,
     NotTheAuthority,
@@ -219,7 +220,8 @@ class NodeJoin:
         raise JoinWaiting(*_WAITING[message.reason])
 
     def _refused(self, message: Refused, _: int) -> None:
-        raise JoinRefused(*_REFUSED[message.reason])
+        kind = JoinBusy if message.reason is RefuseReason.BUSY else JoinRefused
+        raise kind(*_REFUSED[message.reason])
 
 
 def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> Identity:

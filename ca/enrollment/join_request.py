@@ -6,6 +6,7 @@ over its hashes: whoever does not know an invitation's secret reaches no parser.
 """
 
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Final, Self
 
 from ca.enrollment import join_transcript
@@ -42,6 +43,11 @@ class JoinRequest:
         )
         if not exact or not fits:
             raise EnrollmentMessageRefused("the parts of a request to join have wrong sizes")
+
+    @property
+    def digest(self) -> bytes:
+        """The SHA-256 of `csr`, by which the record knows it."""
+        return sha256(self.csr).digest()
 
     def to_bytes(self) -> bytes:
         """The request for the process that has the key."""

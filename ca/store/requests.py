@@ -7,7 +7,7 @@ name at the same time neither is approved until the other is denied.
 
 import sqlite3
 
-from ca.errors import NameContested, RequestClosed, StoreError
+from ca.errors import NameContested, RequestClosed, StoreError, TooManyRequests
 from ca.names import covers
 from ca.requests import IdentityRequest
 from ca.store.database import Database
@@ -40,7 +40,7 @@ class RequestTable:
         """
         self.collect(now)
         with self._database.transaction() as db:
-            stored = self._find(request.digest)
+            stored = self.find(request.digest)
             if stored is not None:
                 return stored
             self._check_new(request)
@@ -55,6 +55,14 @@ class RequestTable:
     def all(self) -> list[RequestRow]:
         """Every request that is not collected, oldest first."""
         return self._rows("ORDER BY arrived, rowid")
+
+    def open(self) -> list[RequestRow]:
+        """Those that wait for an answer, or for their identity."""
+        return self._rows(f"WHERE state IN ({_OPEN})")
+
+    def find(self, digest: bytes) -> RequestRow | None:
+        """The request with this digest, if it is recorded."""
+        return next(iter(self._rows("WHERE digest = ?", digest)), None)
 
     def get(self, digest: bytes) -> RequestRow:
         """One request, by its digest or a prefix of it.
@@ -119,7 +127,7 @@ class RequestTable:
         Raises:
             RequestClosed: it was not approved.
         """
-        stored = self._find(digest)
+        stored = self.find(digest)
         if stored is None:
             raise RequestClosed("the request is not recorded", "first: rossec ca approve")
         _update(db, advance(stored, RequestState.ISSUED, now))
@@ -131,7 +139,7 @@ class RequestTable:
         self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
     ) -> None:
         """Return if the key of the request may have the name, as for `approve`."""
-        for other in self._open():
+        for other in self.open():
             if other.name == row.name and other.thumbprint != row.thumbprint:
                 raise NameContested(
                     f"two different keys request the name {row.name}",
@@ -148,8 +156,8 @@ class RequestTable:
                 f"this request of {request.name} has its certificate already",
                 f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
             )
-        if len(self._open()) >= MAX_OPEN:
-            raise RequestClosed(
+        if len(self.open()) >= MAX_OPEN:
+            raise TooManyRequests(
                 f"{MAX_OPEN} requests are pending, the maximum",
                 "list them with: rossec ca requests, and deny unknown ones",
             )
@@ -159,12 +167,6 @@ class RequestTable:
         with self._database.transaction() as db:
             _update(db, moved)
         return moved
-
-    def _find(self, digest: bytes) -> RequestRow | None:
-        return next(iter(self._rows("WHERE digest = ?", digest)), None)
-
-    def _open(self) -> list[RequestRow]:
-        return self._rows(f"WHERE state IN ({_OPEN})")
 
     def _rows(self, clause: str, *values: object) -> list[RequestRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM csr {clause}", *values)  # noqa: S608  (constants)

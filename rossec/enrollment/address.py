@@ -8,6 +8,7 @@ from rossec.errors import ConfigurationError
 from rossec.ros.settings import is_loopback
 
 DEFAULT_PORT: Final = 11317
+JOIN_PORT: Final = 11318  # of the authority, for nodes with an invitation
 # A name of labels, or an address with its zone: codes are untrusted, and the resolver
 # raises exceptions of its own for an empty label, a long one or a NUL.
 _HOST: Final = re.compile(
@@ -30,13 +31,13 @@ def join(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def split(text: str) -> tuple[str, int]:
-    """Host and port of `text`; without a port the default one.
+def split(text: str, default: int = DEFAULT_PORT) -> tuple[str, int]:
+    """Host and port of `text`; without a port the `default` one.
 
     Raises:
         ConfigurationError: not an address.
     """
-    host, port = text, str(DEFAULT_PORT)
+    host, port = text, str(default)
     if text.startswith("["):
         host, _, rest = text[1:].partition("]")
         port = rest.removeprefix(":") if rest else port

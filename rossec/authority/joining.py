@@ -1,0 +1,158 @@
+"""Nodes that join by an invitation: what the process that has the authority's key decides.
+
+The proof is verified first, over hashes: a stranger's request is not parsed. Then one transaction
+decides by the record and changes it: a use is taken, the request approved and its identity recorded
+together, or nothing is. The same request gets the same answer. A name that was certified for
+another key before is not new: it waits for a person, like every request of `rossec ca requests`.
+"""
+
+from typing import Final
+
+from ca.certificates import from_pem
+from ca.enrollment.join_messages import (
+    Issued,
+    JoinAnswer,
+    Refused,
+    RefuseReason,
+    Waiting,
+    WaitReason,
+)
+from ca.enrollment.join_request import JoinRequest
+from ca.errors import (
+    CAError,
+    InvitationRefused,
+    JoinRefused,
+    NameCovered,
+    NameRefused,
+    RecordUnusable,
+    RequestRefused,
+    StoreError,
+    TooManyRequests,
+)
+from ca.names import RESERVED
+from ca.requests import IdentityRequest, check_request
+from ca.store.lifecycle import RequestRow, RequestState
+from ca.store.record import Store
+from ca.store.rows import CertificateRow, InvitationRow, InvitationUse
+from grants.names import covers
+from rossec.authority.signing import SigningAuthority
+
+MAX_WAITING: Final = 16  # requests of one invitation that wait for a person
+_REASONS: Final[tuple[tuple[type[CAError], RefuseReason], ...]] = (
+    (InvitationRefused, RefuseReason.ENDED),
+    (RequestRefused, RefuseReason.REQUEST),
+    (NameRefused, RefuseReason.NAME),
+    (NameCovered, RefuseReason.NAME),
+    (TooManyRequests, RefuseReason.BUSY),
+)
+_OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not valid any more
+
+
+def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
+    """Decide a request to join; what is issued is recorded, with its use, before this returns.
+
+    Raises:
+        RecordUnusable: the record cannot be used now; nothing was changed.
+        IssueRefused: this authority cannot issue now.
+    """
+    invitation = _proved(authority.store, request)
+    if invitation is None:
+        return Refused(RefuseReason.REFUSED)
+    try:
+        asked = _asked(authority, invitation, request)
+        with authority.store.transaction():
+            return _decide(authority, invitation, asked, request.csr, now)
+    except RecordUnusable:
+        raise
+    except (StoreError, InvitationRefused, RequestRefused, NameRefused) as error:
+        return Refused(_reason(error))
+
+
+def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
+    """The answer while the authority is locked: only the holder of an open invitation is told so.
+
+    Raises:
+        RecordUnusable: the record cannot be used now.
+    """
+    invitation = _proved(store, request)
+    if invitation is None:
+        return Refused(RefuseReason.REFUSED)
+    used = any(use.request == request.digest for use in store.invitations.uses(invitation.id))
+    try:
+        if not used:  # a request that was answered gets its answer again, however late
+            store.invitations.check_open(invitation.id, now)
+    except InvitationRefused:
+        return Refused(RefuseReason.ENDED)
+    return Waiting(WaitReason.LOCKED)
+
+
+def _proved(store: Store, request: JoinRequest) -> InvitationRow | None:
+    """The invitation whose secret the request proves; None if it does not."""
+    try:
+        found = store.invitations.get(request.invitation)
+        request.verify(found.key)
+    except (InvitationRefused, JoinRefused):
+        return None
+    return found
+
+
+def _asked(
+    authority: SigningAuthority, invitation: InvitationRow, request: JoinRequest
+) -> IdentityRequest:
+    """What is asked for, if the invitation allows it.
+
+    Raises:
+        RequestRefused: the CSR is invalid, or not the one that the proof is about.
+        NameRefused: another name.
+    """
+    found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
+    if found.name != request.name or found.wildcard != invitation.wildcard:
+        raise RequestRefused("the request is not the one that was proved")
+    if found.name in RESERVED or not covers(invitation.pattern, found.name):
+        raise NameRefused(f"the invitation is not for {found.name}")
+    return found
+
+
+def _decide(
+    authority: SigningAuthority,
+    invitation: InvitationRow,
+    asked: IdentityRequest,
+    csr: bytes,
+    now: int,
+) -> JoinAnswer:
+    """Inside the transaction: repeat an answer, wait for a person, or issue."""
+    store, source = authority.store, f"invitation {invitation.id.hex()[:8]}"
+    row = store.requests.find(asked.digest)
+    if store.identities.issued_for(asked.digest) is None:
+        if row is not None and row.state is not RequestState.APPROVED:
+            return _repeated(row)
+        if row is None and _needs_person(store, asked):
+            store.invitations.check_open(invitation.id, now)
+            if sum(each.source == source for each in store.requests.open()) >= MAX_WAITING:
+                return Refused(RefuseReason.BUSY)
+            return _repeated(store.requests.add(asked, csr, source, now))
+        if row is None:
+            use = InvitationUse(invitation.id, asked.digest, asked.name, asked.thumbprint, now)
+            store.invitations.take(use)
+    bundle = authority.issue(csr, now, wildcard=asked.wildcard, source=source)
+    *chain, _ = from_pem(bundle)
+    return Issued(tuple(chain))
+
+
+def _repeated(row: RequestRow) -> JoinAnswer:
+    """The answer to a recorded request without an identity."""
+    if row.state is RequestState.PENDING:
+        return Waiting(WaitReason.PERSON)
+    return Refused(RefuseReason.DENIED)
+
+
+def _needs_person(store: Store, asked: IdentityRequest) -> bool:
+    """Whether another key had the name, also if that has expired or was revoked, or asks for it."""
+    rows: list[CertificateRow | RequestRow] = [*store.identities.by_name(asked.name)]
+    rows += store.requests.open()
+    return any(row.name == asked.name and row.thumbprint != asked.thumbprint for row in rows)
+
+
+def _reason(error: CAError) -> RefuseReason:
+    """What the holder of an invitation is told."""
+    return next((reason for kind, reason in _REASONS if isinstance(error, kind)), _OTHER)

@@ -1,0 +1,162 @@
+"""The port where nodes join: sessions with strangers, whose requests are decided elsewhere.
+
+Runs in a process without the authority's key. A session has one deadline until its request is
+there; a limited number are open at a time, in all and from one address, and few requests of one
+invitation are decided at a time, so that no code and no host keeps the others out. A session that
+breaks the protocol is closed and reported in one line; a stranger is told nothing but a reason. If
+a request cannot be decided, the node is told to come again: it then gets the same answer.
+"""
+
+import asyncio
+import logging
+import secrets
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Final, TypeAlias
+
+from ca.enrollment import NONCE_SIZE
+from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
+from ca.enrollment.join_messages import JoinAnswer, Refused, RefuseReason, write
+from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.messages import MAX_MESSAGE
+from ca.errors import EnrollmentRefused, HintedError
+from rossec.enrollment import wire
+from rossec.net.aio.server import bind
+from rossec.net.aio.tasks import TaskSet
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.ros.text import printable
+
+Admit: TypeAlias = Callable[[JoinRequest], Awaitable[JoinAnswer]]
+
+PATIENCE: Final = 10.0  # seconds until a session's request is there
+DECISION: Final = 30.0  # seconds until it is decided
+MAX_OF_INVITATION: Final = 4  # decisions at a time
+_CAPS: Final = HalfOpen(per_address=32, total=256)
+_CLOSE_TIMEOUT: Final = 5.0
+_BUSY: Final = Refused(RefuseReason.BUSY)
+_log = logging.getLogger("rossec.enrollment.join")
+
+
+class JoinServer:
+    """The join port of an authority.
+
+    Args:
+        identity: returns the identity of `/ca` as of now; it is renewed while this runs.
+        admit: decides a request; what it raises is logged, and the node told to come again.
+        on_refusal: is called with each broken session as one printable line.
+        patience: seconds until a session's request is there.
+        caps: of open sessions, by address and in all.
+    """
+
+    def __init__(
+        self,
+        identity: Callable[[], LiveIdentity],
+        admit: Admit,
+        on_refusal: Callable[[str], None] = lambda _: None,
+        patience: float = PATIENCE,
+        caps: HalfOpen = _CAPS,
+    ) -> None:
+        self.port = 0
+        self._identity = identity
+        self._admit = admit
+        self._on_refusal = on_refusal
+        self._patience = patience
+        self._servers: list[asyncio.Server] = []
+        self._sessions = HalfOpenCount(caps)
+        self._turns = _Turns(MAX_OF_INVITATION)
+        self._tasks = TaskSet()
+
+    async def listen(self, host: str | None, port: int) -> None:
+        """Serve on `host` (None: every address) and `port` (0: any free one).
+
+        Raises:
+            OSError: not an address of this host, or the port is taken.
+        """
+        for sock in bind(host, port):
+            server = await asyncio.start_server(self._accept, sock=sock, limit=MAX_MESSAGE)
+            self._servers.append(server)
+            self.port = sock.getsockname()[1]
+
+    async def close(self) -> None:
+        """Stop listening, and end the open sessions."""
+        for server in self._servers:
+            server.close()
+        await self._tasks.close()
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        peer = writer.get_extra_info("peername")  # None: closed already
+        address = "" if peer is None else str(peer[0])
+        slot = None if peer is None else self._sessions.admit(address)
+        if slot is None:
+            writer.transport.abort()
+            return
+        work = self._serve_counted(reader, writer, address, slot)
+        self._tasks.spawn(work, name=f"join from {address}")
+
+    async def _serve_counted(
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        address: str,
+        slot: HalfOpenSlot,
+    ) -> None:
+        """A session counts until its socket is closed; a lingering one is evicted first."""
+        slot.close = writer.transport.abort
+        try:
+            await self._serve(reader, writer, address)
+            slot.linger()
+            writer.close()
+            with suppress(OSError, TimeoutError):
+                async with asyncio.timeout(_CLOSE_TIMEOUT):
+                    await writer.wait_closed()
+        finally:
+            writer.transport.abort()
+            slot.release()
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
+        core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
+        try:
+            async with asyncio.timeout(self._patience):
+                while core.state is not AuthorityJoinState.DECIDING:
+                    sent = core.receive(await wire.receive(reader))
+                    if sent is not None:
+                        wire.send(writer, sent)
+            wire.send(writer, core.answer(await self._decided(core.request)))
+        except EnrollmentRefused as error:
+            self._on_refusal(printable(f"{address}: {error}"))
+            wire.send(writer, write(Refused(RefuseReason.REFUSED)))
+        except (OSError, EOFError, TimeoutError):
+            pass  # the node may connect again
+
+    async def _decided(self, request: JoinRequest) -> JoinAnswer:
+        try:
+            async with asyncio.timeout(DECISION), self._turns.turn(request.invitation):
+                return await self._admit(request)
+        except TimeoutError:
+            return _BUSY
+        except HintedError as error:
+            _log.error("a join could not be decided: %s", printable(str(error)))
+        return _BUSY
+
+
+class _Turns:
+    """A bounded number of decisions at a time for each invitation; the others wait in order."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._waiting: dict[bytes, tuple[asyncio.Semaphore, int]] = {}
+
+    @asynccontextmanager
+    async def turn(self, invitation: bytes) -> AsyncIterator[None]:
+        fresh = asyncio.Semaphore(self._most), 0
+        semaphore, users = self._waiting.get(invitation, fresh)
+        self._waiting[invitation] = semaphore, users + 1
+        try:
+            async with semaphore:
+                yield
+        finally:
+            semaphore, users = self._waiting.pop(invitation)
+            if users > 1:
+                self._waiting[invitation] = semaphore, users - 1

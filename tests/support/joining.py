@@ -1,0 +1,127 @@
+"""Invitations, nodes that join by them, and the authority's port, in memory or on loopback."""
+
+import contextlib
+import itertools
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+from ca.certificates import build_request
+from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
+from ca.enrollment.join_messages import Issued, JoinAnswer, Refused, RefuseReason
+from ca.enrollment.join_node import NodeJoin
+from ca.enrollment.join_request import JoinRequest
+from ca.keys.signer import KeySigner
+from ca.names import AUTHORITY
+from ca.store.rows import InvitationRow
+from rossec.authority.joining import join
+from rossec.enrollment.join_server import JoinServer
+from tests.support.pki import NOW, new_signer
+from tests.support.site import Site
+
+HOUR = 3600
+PATTERN = "/fleet/*"
+_numbers = itertools.count(1)
+
+
+def fresh(size: int = 16) -> bytes:
+    """Bytes that are not repeated."""
+    return next(_numbers).to_bytes(size)
+
+
+class JoinSite:
+    """A site whose authority has its own node, and invitations."""
+
+    def __init__(self, root: Path, clock: Callable[[], float] = lambda: NOW) -> None:
+        self.site = Site(root, clock=clock)
+        self.authority = self.site.authority
+        self.store = self.authority.store
+        self.root = self.site.anchor.certificate
+        self.own = self.site.enroll(AUTHORITY)
+        self.address = "127.0.0.1:9"
+
+    @property
+    def now(self) -> int:
+        return self.site.now()
+
+    def invite(
+        self,
+        pattern: str = PATTERN,
+        uses: int = 1,
+        *,
+        lasts: int = HOUR,
+        wildcard: bool = False,
+    ) -> InvitationCode:
+        """A recorded invitation."""
+        expires = self.now + lasts
+        code = InvitationCode(
+            self.site_hash(), fresh(), expires, self.address, pattern, wildcard=wildcard
+        )
+        self.store.invitations.add(
+            InvitationRow(code.id, code.key, pattern, uses, wildcard, expires, self.now)
+        )
+        return code
+
+    def site_hash(self) -> bytes:
+        from hashlib import sha256
+
+        return sha256(self.root).digest()
+
+    def identity(self) -> LiveIdentity:
+        """That of `/ca`."""
+        own = self.own.credentials()
+        return LiveIdentity(own.signer, own.chain, self.root)
+
+    def request(
+        self, code: InvitationCode, csr: bytes, identity: LiveIdentity | None = None
+    ) -> JoinRequest:
+        """The request of a node that joins by `code`, as the authority's key gets it."""
+        node = NodeJoin(code, fresh())
+        face = AuthorityJoin(identity or self.identity(), fresh())
+        welcome = face.receive(node.hello())
+        assert welcome is not None
+        node.receive(welcome, self.now)
+        assert face.receive(node.join(csr)) is None
+        return face.request
+
+    def join(
+        self,
+        code: InvitationCode,
+        name: str = "/fleet/robot07",
+        signer: KeySigner | None = None,
+        now: int | None = None,
+    ) -> JoinAnswer:
+        """The answer to a node with a key of its own."""
+        csr = asked(name, signer, wildcard=code.wildcard)
+        return join(self.authority, self.request(code, csr), self.now if now is None else now)
+
+    @contextlib.asynccontextmanager
+    async def serving(self, server: JoinServer | None = None) -> AsyncIterator[JoinServer]:
+        """With its port, on loopback; invitations made in here name it."""
+        serving = server or JoinServer(self.identity, self.admit)
+        await serving.listen("127.0.0.1", 0)
+        self.address = f"127.0.0.1:{serving.port}"
+        try:
+            yield serving
+        finally:
+            await serving.close()
+
+    async def admit(self, request: JoinRequest) -> JoinAnswer:
+        return join(self.authority, JoinRequest.from_bytes(request.to_bytes()), self.now)
+
+
+def asked(name: str, signer: KeySigner | None = None, *, wildcard: bool = False) -> bytes:
+    """A request (CSR) for `name`."""
+    return build_request(signer or new_signer(), "home", name, wildcard=wildcard)
+
+
+def issued(answer: JoinAnswer) -> bytes:
+    """The certificate in an answer."""
+    assert isinstance(answer, Issued), answer
+    return answer.chain[0]
+
+
+def refusal(answer: JoinAnswer) -> RefuseReason:
+    """The reason in an answer."""
+    assert isinstance(answer, Refused), answer
+    return answer.reason
