@@ -79,6 +79,10 @@ class KeyServiceFailed(RossecError):
     """What answers as the authority's service is not it, or the answer is invalid."""
 
 
+class PolicyContradicted(RossecError):
+    """The policy is in force, but grants made by hand allow what it denies."""
+
+
 class WireError(RossecError):
     """The peer sent bytes that are not the ROS protocol."""
 
