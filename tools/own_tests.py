@@ -71,7 +71,6 @@ MISSING: Final = frozenset(
         "rossec/master/server/start.py",
         "rossec/net/aio/client.py",
         "rossec/net/aio/driver.py",
-        "rossec/net/aio/receive_queue.py",
         "rossec/net/threads/carrier.py",
         "rossec/net/threads/options.py",
         "rossec/node/__init__.py",
