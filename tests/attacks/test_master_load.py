@@ -334,6 +334,6 @@ async def test_m11_connections_the_peer_closed_are_released(narrow: Site) -> Non
             sock.sendall(HEAD[: number % 5])
     for _ in range(3):
         stream = await dial(narrow.master.uri, credentials(narrow))
-        stream._driver.transport.abort()  # as if the process had died
+        stream.transport.abort()  # as if the process had died
     await until(lambda: connections(narrow) == 0)
     assert close_wait(port(narrow)) == []
