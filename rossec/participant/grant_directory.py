@@ -47,7 +47,7 @@ class GrantDirectory:
         """Delete the files of grants that ended long ago; only while the master confirms `now`."""
         for path in self._home.grant_files():
             data = self._read(path)
-            if data is not None and _has_ended(path, data, now):
+            if data is not None and self._has_ended(path, data, now):
                 with contextlib.suppress(OSError):
                     path.unlink()
 
@@ -78,11 +78,10 @@ class GrantDirectory:
             self._errors[path] = error
             _log.warning("%s %s", path, error)
 
-
-def _has_ended(path: Path, data: bytes, now: int) -> bool:
-    """Whether a file, with the name that `NodeHome.add_grant` gives it, is of no use any more."""
-    try:
-        grant = document.peek(data)
-    except GrantError:
-        return False
-    return path.stem == grant.id.hex() and now >= grant.cap + KEPT
+    def _has_ended(self, path: Path, data: bytes, now: int) -> bool:
+        """Whether a file that `NodeHome.add_grant` wrote is of no use any more."""
+        try:
+            grant = document.peek(data)
+        except GrantError:
+            return False
+        return path == self._home.grant_file(grant.id) and now >= grant.cap + KEPT
