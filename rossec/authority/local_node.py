@@ -1,4 +1,4 @@
-"""A node of the authority's own host: enrolled where the authority is, without a request to carry."""
+"""A node of the authority's own host: enrolled in place, without a request to carry."""
 
 from ca.authority import LIFETIME
 from rossec.authority.signing import SigningAuthority

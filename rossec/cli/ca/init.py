@@ -21,9 +21,7 @@ from rossec.terminal import say
 @click.option(
     "--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O"
 )
-@click.option(
-    "--master", "with_master", is_flag=True, help="enroll /master in this ROSSEC_HOME too"
-)
+@click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
 @passphrase.option
 @pass_environment
 def init(
@@ -35,7 +33,8 @@ def init(
 ) -> None:
     """Create the authority of the trust domain DOMAIN, for example home.
 
-    With --master this host can run its master at once. With --key its key is made in a PKCS#11 token and never leaves it; the passphrase is its PIN.
+    With --master this host can run its master at once. With --key its key is made in a PKCS#11
+    token and never leaves it; the passphrase is its PIN.
     """
     token = None if uri is None else KeyUri.parse(uri)
     master = NodeHome.of(environment.home, MASTER)

@@ -36,4 +36,4 @@ def test_nothing_of_a_node_is_replaced(tmp_path: Path) -> None:
         enroll_here(authority, node, NOW)
     assert "move that away" in caught.value.hint
     assert (node.path / "node.key").read_bytes() == key
-    assert [row.name for row in authority.store.certificates()] == ["/ca"]
+    assert not authority.store.identities.by_name(MASTER)
