@@ -180,6 +180,11 @@ class SigningAuthority:
         self._check_root()
         return self._revoke(frozenset({entry}), reason, now)
 
+    def revoke_all(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
+        """Revoke grant ids and key thumbprints, and sign one list."""
+        self._check_root()
+        return self._revoke(entries, reason, now)
+
     def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
         """Revoke every key of `name`; returns the new list, and the number of keys.
 

@@ -1,13 +1,16 @@
 """One command line, from arguments to exit code: a refusal is printed as error and hint."""
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import click
 
-from ca.errors import HintedError
+from ca.errors import HintedError, JoinWaiting
 from rossec.cli.shared.context import Environment
 from rossec.errors import NotDelivered
-from rossec.terminal import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+from rossec.terminal import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, WAITING, fail
+
+_CODES: Final[dict[type[HintedError], int]] = {NotDelivered: UNDELIVERED, JoinWaiting: WAITING}
 
 
 def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
@@ -18,7 +21,7 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
         )
     except HintedError as error:
         fail(str(error), error.hint)
-        return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
+        return next((code for kind, code in _CODES.items() if isinstance(error, kind)), REFUSED)
     except click.ClickException as error:
         return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):
