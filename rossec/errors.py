@@ -63,6 +63,10 @@ class NotDelivered(RossecError):
     """Done here, but not delivered to the master."""
 
 
+class PolicyContradicted(RossecError):
+    """The policy is in force, but grants made by hand allow what it denies."""
+
+
 class WireError(RossecError):
     """The peer sent bytes that are not the ROS protocol."""
 

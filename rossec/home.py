@@ -221,7 +221,11 @@ class NodeHome:
     def add_grant(self, grant_id: bytes, data: bytes) -> None:
         """Store a grant; adding it twice changes nothing."""
         files.make_private_directory(self.path / "grants")
-        files.replace(self.path / "grants" / f"{grant_id.hex()}.grant", data)
+        files.replace(self.grant_file(grant_id), data)
+
+    def grant_file(self, grant_id: bytes) -> Path:
+        """Where `add_grant` stores a grant."""
+        return self.path / "grants" / f"{grant_id.hex()}.grant"
 
     def load_revocations(self) -> bytes | None:
         """The newest revocation list this node has seen, if any."""

@@ -35,6 +35,11 @@ class IdentityTable:
         """The valid identities of `name`: not expired, and no key of the chain is revoked."""
         return self.with_valid_issuer(self.unrevoked(name, now))
 
+    def all_valid(self, now: int) -> list[CertificateRow]:
+        """As `valid`, of every name, oldest first."""
+        alive = "WHERE not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
+        return self.with_valid_issuer(self._find(f"{alive} ORDER BY rowid", now))
+
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
         """Those not expired whose own key is not revoked: the ones that can still be revoked."""
         return self._find(

@@ -184,13 +184,19 @@ class Store:
         """Every grant signed, oldest first."""
         return self._grants("")
 
+    def unrevoked_grants(self, name: str | None = None) -> list[GrantRow]:
+        """The grants that are not revoked, expired or not; with `name`, only that node's."""
+        alive = "WHERE id NOT IN (SELECT entry FROM revocation)"
+        return self._grants(alive) if name is None else self._grants(f"{alive} AND name = ?", name)
+
     def revoked_grants(self) -> list[GrantRow]:
         """The revoked grants, oldest first."""
         return self._grants("WHERE id IN (SELECT entry FROM revocation)")
 
-    def _grants(self, clause: str) -> list[GrantRow]:
+    def _grants(self, clause: str, *values: str) -> list[GrantRow]:
         rows = self.database.rows(
-            f"SELECT id, name, data, not_before, expires FROM grant_ {clause} ORDER BY rowid"  # noqa: S608  (constants)
+            f"SELECT id, name, data, not_before, expires FROM grant_ {clause} ORDER BY rowid",  # noqa: S608  (constants)
+            *values,
         )
         return [GrantRow(*row) for row in rows]
 

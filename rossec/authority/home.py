@@ -19,7 +19,7 @@ from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open
 from ca.store.record import Store
 from rossec import files
 from rossec.authority import list_contents
-from rossec.authority.signing import OWN_NODE, SigningAuthority
+from rossec.authority.signing import OWN_NODE, SigningAuthority, delegations
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
@@ -172,6 +172,15 @@ class AuthorityHome:
         data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
         TreeEntries.read(data).check(tree)
         return data
+
+    def has_delegated(self, now: int) -> bool:
+        """Whether the master can renew grants at `now`, by a delegation of this authority."""
+        given = [item for item in delegations(self.path, self.own_key()) if now < item.expires]
+        if not given:
+            return False
+        with contextlib.closing(self.store()) as store:
+            revoked = store.revoked_entries()
+        return any(revoked.isdisjoint((item.id, item.holder)) for item in given)
 
     def count_unlisted(self, now: int) -> int:
         """The number of recorded revocations that are not in the signed list."""

@@ -11,7 +11,7 @@ import contextlib
 import secrets
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
@@ -23,12 +23,13 @@ from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
 from rossec.authority import renewals
+from rossec.authority.grant_delivery import GrantDelivery
 from rossec.authority.home import AuthorityHome
+from rossec.authority.master_call import MasterCall
 from rossec.authority.policy_operations import Decided, PolicyOperations, SignedGrant
 from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 
 _EXPIRES_SOON: Final = 7 * 86400
@@ -43,27 +44,13 @@ _DELEGATE: Final = "it is signed and stored in {}; start the master and run this
 __all__ = ["AuthorityService", "Decided", "MasterCall", "SignedGrant"]
 
 
-class MasterCall(NamedTuple):
-    """A signed statement for the master: called as `node`, the authority's own.
-
-    `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
-    """
-
-    node: NodeHome
-    method: str
-    statement: tuple[bytes, ...]
-    what: str
-    hint: str
-    note: str = ""
-
-
-class AuthorityService(PolicyOperations):
+class AuthorityService(PolicyOperations, GrantDelivery):
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     Args:
         home: ROSSEC_HOME.
         passphrase: returns the passphrase of the key, or raises.
-        deliver: calls the master; raises `NotDelivered` if it cannot.
+        deliver: calls the master, returns its answer; raises `NotDelivered` if it cannot.
         now: seconds since the epoch.
     """
 
@@ -71,7 +58,7 @@ class AuthorityService(PolicyOperations):
         self,
         home: Path,
         passphrase: Callable[[], str],
-        deliver: Callable[[MasterCall], None],
+        deliver: Callable[[MasterCall], object],
         now: Callable[[], int] = clock.now,
     ) -> None:
         self.rossec_home = home
@@ -256,8 +243,8 @@ class AuthorityService(PolicyOperations):
         soon = note if at >= expires - _EXPIRES_SOON else ""
         self.deliver(MasterCall(home.node(), method, statement, "the list", _PUBLISH, soon))
 
-    def deliver(self, call: MasterCall) -> None:
-        """Deliver a statement to the master.
+    def deliver(self, call: MasterCall) -> object:
+        """Deliver a statement to the master; returns the value of its answer.
 
         Raises:
             ConfigurationError: the identity of the authority's own node has expired.
@@ -270,4 +257,4 @@ class AuthorityService(PolicyOperations):
                 f"the identity of {call.node.name} has expired, no master accepts it",
                 f"renew it: rossec ca renew {call.node.name}",
             ) from error
-        self._deliver(call)
+        return self._deliver(call)

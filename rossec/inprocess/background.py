@@ -184,6 +184,10 @@ class BackgroundLoop:
         self._ready.clear()
         return await self._dialer.rpc(*self.address)
 
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, for a call that waits."""
+        return await self._dialer.rpc(*self.address)
+
     async def restore(self) -> None:
         """Make every registration again."""
         for method, params in self._registrations.all():

@@ -255,6 +255,10 @@ class Node:
         """Connect to the master."""
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, for a call that waits."""
+        return await self.dial_master()
+
     async def restore(self) -> None:
         """Make every registration again."""
         await self._topics.restore()

@@ -3,12 +3,18 @@
 Grants may arrive while the node runs; they are checked by `access`.
 """
 
+import contextlib
 import logging
 from pathlib import Path
+from typing import Final
 
 from ca.errors import HintedError
+from grants import document
+from grants.errors import GrantError
 from rossec.home import NodeHome
 from rossec.participant.access_interfaces import HeldGrants
+
+KEPT: Final = 30 * 86400  # seconds after its end that a file stays
 
 _log = logging.getLogger("rossec.node")
 
@@ -28,6 +34,22 @@ class GrantDirectory:
         self._errors = {path: text for path, text in self._errors.items() if path in paths}
         found = ((path, self._read(path)) for path in paths)
         return [data for path, data in found if data is not None and self._hold(path, data)]
+
+    def store(self, grant_id: bytes, data: bytes) -> bool:
+        """Store a verified grant and hold it; whether it is new. A full disk is logged."""
+        try:
+            self._home.add_grant(grant_id, data)
+        except (OSError, HintedError) as error:  # the master has it after a restart, too
+            _log.warning("a delivered grant is used, but not saved: %s", error)
+        return self._hold(self._home.path, data)
+
+    def drop_ended(self, now: int) -> None:
+        """Delete the files of grants that ended long ago; only while the master confirms `now`."""
+        for path in self._home.grant_files():
+            data = self._read(path)
+            if data is not None and self._has_ended(path, data, now):
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
     def _read(self, path: Path) -> bytes | None:
         try:
@@ -55,3 +77,11 @@ class GrantDirectory:
         if self._errors.get(path) != error:
             self._errors[path] = error
             _log.warning("%s %s", path, error)
+
+    def _has_ended(self, path: Path, data: bytes, now: int) -> bool:
+        """Whether a file that `NodeHome.add_grant` wrote is of no use any more."""
+        try:
+            grant = document.peek(data)
+        except GrantError:
+            return False
+        return path == self._home.grant_file(grant.id) and now >= grant.cap + KEPT

@@ -62,6 +62,12 @@ class MasterSession:
         self._prove = prove
         self._client: RpcClient | None = None
         self._stream: SecureStream[Identity] | None = None
+        self._is_restored = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection on which everything is registered."""
+        return self._is_restored and self._client is not None and not self._client.closed
 
     async def call(self, method: str, *params: object) -> object:
         """The value in the master's answer `[1, status, value]`.
@@ -105,6 +111,7 @@ class MasterSession:
         except BaseException:  # no caller may use a session that failed to open
             await self._disconnect()
             raise
+        self._is_restored = True
         return stream
 
     async def run(self) -> None:
@@ -136,6 +143,7 @@ class MasterSession:
 
     async def _disconnect(self) -> None:
         client, self._client = self._client, None
+        self._is_restored = False
         if client is not None:
             await client.close()
 

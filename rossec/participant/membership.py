@@ -1,14 +1,14 @@
 """The membership of one identity at the master, for every form of a node.
 
-On each connection to the master it renews the node's grants, presents them, and has everything
-registered again. Meanwhile it takes grants that arrive in the node's directory, renews grants and
-the identity, requests proofs, and takes revocation data. A list is on disk before it is used.
+On each connection to the master it fetches and renews the node's grants, presents them, and has
+everything registered again. Meanwhile it takes grants that are delivered or arrive in the node's
+directory, renews grants and the identity, requests proofs, and takes revocation data. A list is on
+disk before it is used.
 
 What a form registers is behind `MembershipHooks`, what it closes behind `Watchdog`. Fail closed: if
 a task crashes, connections might not be closed any more, so the form closes all (`crashed`).
 """
 
-import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
@@ -23,6 +23,7 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.participant.access_interfaces import HeldGrants
+from rossec.participant.grant_delivery import GrantDelivery, GrantWatch
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
@@ -94,6 +95,9 @@ class MembershipHooks(Protocol):
     async def dial_master(self) -> SecureStream[Identity]:
         """Connect to the master."""
 
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, beside the session."""
+
     async def restore(self) -> None:
         """Make every registration again; the grants are presented."""
 
@@ -135,6 +139,10 @@ class Membership:
         self._hooks = hooks
         self._grant_directory = GrantDirectory(identity.home, access)
         self._grant_directory.take_new()
+        self._delivery = GrantDelivery(
+            identity.anchor, identity.identity.thumbprint, identity.revocations, access,
+            self._grant_directory,
+        )  # fmt: skip
         self._renewals = Renewals(access)
         self._identity_renewal = IdentityRenewal(
             identity.home, identity.live_credentials, clock.now()
@@ -146,6 +154,9 @@ class Membership:
             self._restore,
             lambda: identity.revocations.data,
             lambda call: prove(call, access),
+        )
+        self._watch = GrantWatch(
+            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open
         )
         self.tasks = TaskSet(self._crashed)
         self._has_crashed = False
@@ -161,6 +172,7 @@ class Membership:
         self.tasks.spawn(self._watchdog.run(), f"{name}: watchdog")
         self.tasks.spawn(self._run_session(opening), f"{name}: master session")
         self.tasks.spawn(self._maintain(), f"{name}: maintenance")
+        self.tasks.spawn(self._watch.run(), f"{name}: waiting for grants")
 
     async def close(self) -> None:
         """Stop every task and end the session; registrations at the master stay."""
@@ -191,6 +203,10 @@ class Membership:
     async def _restore(self, session: MasterSession) -> None:
         """Renew, present and register everything again: the master may have been restarted."""
         self._grace.session_opened()
+        await self._watch.session_opened()
+        await self._delivery.fetch(session.call)
+        self._take_new()
+        self._grant_directory.drop_ended(clock.now())
         with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
         await session.call(PRESENT, self._access.current(clock.now())[:MAX_PRESENTED])
@@ -198,20 +214,25 @@ class Membership:
 
     async def _maintain(self) -> None:
         while True:
-            await asyncio.sleep(PERIOD)
+            await self._delivery.wait(PERIOD)
             self._hooks.maintain()
-            new = self._grant_directory.take_new()
-            if new:
-                _log.info("%s: %d new grants", self._identity.name, len(new))
-                self.rights_version += 1
+            new = self._take_new()
             with contextlib.suppress(HintedError, OSError, Fault):  # else later, or on reconnection
                 await self._update(new)
+
+    def _take_new(self) -> list[bytes]:
+        """The grants that were delivered, or have appeared in the directory; they are held."""
+        new = [*self._delivery.take_new(), *self._grant_directory.take_new()]
+        if new:
+            _log.info("%s: %d new grants", self._identity.name, len(new))
+            self.rights_version += 1
+        return new
 
     async def _update(self, new: list[bytes]) -> None:
         """Present `new` grants, renew what is due, request proofs."""
         call = self.session.call
-        if new:
-            await call(PRESENT, new)
+        for begin in range(0, len(new), MAX_PRESENTED):
+            await call(PRESENT, new[begin : begin + MAX_PRESENTED])
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
             self.rights_version += 1

@@ -14,6 +14,7 @@ SEPARATOR: Final = "/"
 PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
 MASTER: Final = "/master"  # the name a master is certified for
+AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
 
 
 def canonical(name: str) -> str:

@@ -184,6 +184,10 @@ class Agent:
         host, port = self._settings.master_host, self._settings.master_port
         return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
 
+    async def dial_watch(self) -> SecureStream[Identity]:
+        """Connect to the master once more, for a call that waits."""
+        return await self.dial_master()
+
     async def restore(self) -> None:
         """Make every registration of the programs again."""
         await run_layer(self, registrations.restore(self.state))

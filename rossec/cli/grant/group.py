@@ -15,12 +15,19 @@ _GRANT: Final = {
         "grant.request:decide",
         "Let the policy decide the requests in REQUEST_FILES and in the inbox.",
     ),
+    "deliver": (
+        "grant.delivery:deliver",
+        "Deposit every grant in force that the master does not have.",
+    ),
     "deny": ("grant.request:deny", "Deny the request REQUEST_ID (or the beginning of it)."),
     "install": (
         "grant.signed_grants:install",
         "Give the grant in FILE to its node, on the node's machine.",
     ),
-    "list": ("grant.signed_grants:list_", "List the grants signed here, of one NODE or of all."),
+    "list": (
+        "grant.delivery:list_",
+        "List the grants signed here, of one NODE or of all, and how far each has come.",
+    ),
     "pending": ("grant.request:pending", "Show what nodes ask for and the policy leaves to you."),
     "presets": ("grant.sign:presets", "Show what each preset hides, and what it still discloses."),
     "request": ("grant.request:request", "Ask for rights as NODE, on its machine."),

@@ -18,7 +18,7 @@ from rossec.authority.policyfile import PolicyFile, read_policy
 from rossec.authority.service import AuthorityService, SignedGrant
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.service import deliver_grant, pass_service, service_of
+from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -78,6 +78,7 @@ def request(
     "--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too"
 )
 @options.policy
+@options.master_uri
 @pass_service
 def decide(
     service: AuthorityService,
@@ -121,6 +122,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
 @click.option("--today", "only_today", is_flag=True, help="only until midnight")
 @click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False))
 @options.policy
+@options.master_uri
 @pass_service
 def approve(
     service: AuthorityService,
@@ -178,8 +180,9 @@ def _deliver(service: AuthorityService, signed: list[SignedGrant], out_dir: Path
                 say(f"    {line}")
         if out_dir is not None:
             out_dir.mkdir(parents=True, exist_ok=True)
-        out = None if out_dir is None else out_dir / f"{number}.grant"
-        deliver_grant(service, draft.subject, data, out)
+            deliver_grant(service, data, out_dir / f"{number}.grant")
+    if out_dir is None:
+        deliver_grants(service, [data for _, data in signed])
 
 
 def _show(item: PendingApproval, policy: PolicyFile) -> None:

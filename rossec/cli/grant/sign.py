@@ -10,6 +10,7 @@ from grants import document
 from grants.filters.presets import PRESETS
 from rossec.authority.service import AuthorityService
 from rossec.cli.grant import permission_options
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
 from rossec.clock import format_time
@@ -49,6 +50,7 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 @click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
 )
+@options.master_uri
 @pass_service
 def sign(
     service: AuthorityService,
@@ -69,6 +71,7 @@ def sign(
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
+    The node gets the grant from the master, or from its directory if that is in this ROSSEC_HOME.
     PATTERN is a name; * stands for one segment, ** for any depth.
     """
     check_name(node)
@@ -81,7 +84,7 @@ def sign(
     )
     draft, data = service.sign_grant(node, permissions, lifetime, renewal)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
-    deliver_grant(service, node, data, out)
+    deliver_grant(service, data, out)
     remind_to_publish(service)
 
 

@@ -1,34 +1,17 @@
-"""`rossec grant list | show | install | revoke`: the grants that were signed."""
+"""`rossec grant show | install | revoke`: one grant that was signed."""
 
 from pathlib import Path
 
 import click
 
 from grants import document
-from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
 from rossec.home import NodeHome
-from rossec.terminal import printable, say, say_json
-
-
-@click.command("list")
-@click.argument("node", required=False)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-@pass_environment
-def list_(environment: Environment, node: str | None, as_json: bool) -> None:
-    """List the grants signed here, of one NODE or of all."""
-    store = AuthorityHome.at(environment.home).store()
-    rows = [row for row in store.grants() if node in (None, row.name)]
-    revoked = store.revoked_entries()
-    if as_json:
-        say_json([_summary(row.data, revoked) for row in rows])
-        return
-    for row in rows:
-        say(_line(row.data, revoked))
+from rossec.terminal import printable, say
 
 
 @click.command()
@@ -74,29 +57,3 @@ def revoke(service: AuthorityService, grant_id: str, reason: str) -> None:
 def _read(file: Path) -> bytes:
     with file.open("rb") as stream:
         return stream.read(64 * 1024)
-
-
-def _summary(data: bytes, revoked: frozenset[bytes]) -> dict[str, object]:
-    content = document.peek(data)
-    return {
-        "id": content.id.hex(),
-        "node": content.subject,
-        "not_before": content.not_before,
-        "expires": content.expires,
-        "revoked": content.id in revoked,
-        "permissions": [
-            {
-                "rights": item.rights.label,
-                "pattern": item.pattern,
-                "restrictions": item.restriction.lines() if item.restriction else [],
-            }
-            for item in content.permissions
-        ],
-    }
-
-
-def _line(data: bytes, revoked: frozenset[bytes]) -> str:
-    content = document.peek(data)
-    rights = "; ".join(f"{item.rights.label} {item.pattern}" for item in content.permissions)
-    state = "revoked" if content.id in revoked else f"until {format_time(content.expires)}"
-    return f"{content.id.hex()}  {content.subject}  {rights}  {state}"

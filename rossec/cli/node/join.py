@@ -42,7 +42,7 @@ def command(environment: Environment, path: Path | None, name: str | None) -> No
     which other users of this host can see. The authority must be running (`rossec ca serve`). If
     this waits for it or for a person, run it again: the same request gets its answer.
 
-    Exit codes: 0 joined, 1 refused, 2 wrong usage, 4 waiting, 130 interrupted.
+    Exit codes: 0 joined, 1 refused, 2 wrong usage, 5 waiting, 130 interrupted.
     """
     code = _code(path, sys.stdin.buffer)
     home = NodeHome.of(environment.home, _name(code, name))

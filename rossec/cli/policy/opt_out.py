@@ -9,7 +9,7 @@ from grants.names import check_pattern
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
-from rossec.cli.shared.service import deliver_grant, pass_service, publish_list
+from rossec.cli.shared.service import deliver_grants, pass_service, publish_list
 from rossec.terminal import say
 
 
@@ -32,9 +32,9 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     withdrawn = service.revoke_opted_out(opted_out)
     for grant, _ in withdrawn:
         say(f"revoked grant {grant.id.hex()} of {grant.subject}")
-    for grant, reissued in withdrawn:
-        if reissued is not None:
-            say(f"its other rights are grant {document.grant_id(reissued).hex()}")
-            deliver_grant(service, grant.subject, reissued, None)
+    reissued = [data for _, data in withdrawn if data is not None]
+    for data in reissued:
+        say(f"its other rights are grant {document.grant_id(data).hex()}")
+    deliver_grants(service, reissued)
     if withdrawn:
         publish_list(service)

@@ -7,10 +7,14 @@ import click
 
 from ca.errors import HintedError, JoinWaiting
 from rossec.cli.shared.context import Environment
-from rossec.errors import NotDelivered
-from rossec.terminal import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, WAITING, fail
+from rossec.errors import NotDelivered, PolicyContradicted
+from rossec.terminal import CONTRADICTED, INTERRUPTED, REFUSED, UNDELIVERED, USAGE, WAITING, fail
 
-_CODES: Final[dict[type[HintedError], int]] = {NotDelivered: UNDELIVERED, JoinWaiting: WAITING}
+_EXIT_CODES: Final[dict[type[HintedError], int]] = {
+    NotDelivered: UNDELIVERED,
+    PolicyContradicted: CONTRADICTED,
+    JoinWaiting: WAITING,
+}
 
 
 def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
@@ -21,7 +25,7 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
         )
     except HintedError as error:
         fail(str(error), error.hint)
-        return next((code for kind, code in _CODES.items() if isinstance(error, kind)), REFUSED)
+        return _EXIT_CODES.get(type(error), REFUSED)
     except click.ClickException as error:
         return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):

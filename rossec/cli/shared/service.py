@@ -2,7 +2,7 @@
 
 import asyncio
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -11,14 +11,16 @@ from typing import Any, Final
 from ca.errors import HintedError
 from grants import document
 from rossec import files
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.grant_delivery import LATER, RefusedDeposit
+from rossec.authority.master_call import MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
-from rossec.errors import NotDelivered
-from rossec.home import NodeHome
+from rossec.errors import ConfigurationError, NotDelivered
 from rossec.ros import settings
-from rossec.terminal import note, say
+from rossec.ros.xmlrpc import Fault
+from rossec.terminal import note, printable, say
 
 _SIGNED_ANEW: Final = (
     "the revocation list was due and is signed anew; deliver it with: rossec ca publish"
@@ -53,8 +55,10 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
     return passphrase.option(run)
 
 
-def call_master(environment: Environment, master_uri: str | None, call: MasterCall) -> None:
+def call_master(environment: Environment, master_uri: str | None, call: MasterCall) -> object:
     """Call the master at `master_uri`, by default ROS_MASTER_URI, as the authority's own node.
+
+    Returns the value of its answer.
 
     Raises:
         NotDelivered: the master is unreachable or refuses the statement.
@@ -64,15 +68,24 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     uri = master_at(environment, master_uri)
     settings.parse_uri(uri, "the master's URI")
 
-    async def ask() -> None:
-        async with master_as(environment, call.node, uri) as client:
-            await client.ask(call.method, call.node.name, *call.statement)
+    async def ask() -> object:
+        async with (
+            asyncio.timeout(call.within),
+            master_as(environment, call.node, uri) as client,
+        ):
+            return await client.ask(call.method, call.node.name, *call.statement)
 
     try:
-        asyncio.run(ask())
-    except (HintedError, OSError, TimeoutError) as error:
-        what = f"the master at {uri} did not take {call.what}: {error}"
+        return asyncio.run(ask())
+    except (HintedError, OSError, TimeoutError, Fault) as error:
+        what = f"the master at {uri} did not take {call.what}: {_reason(error)}"
         raise NotDelivered(what, call.hint) from error
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, Fault):
+        return f"it answers {printable(error.faultString)}: is it of an older version?"
+    return str(error) or "no answer in time"
 
 
 def publish_list(service: AuthorityService) -> None:
@@ -96,17 +109,45 @@ def remind_to_publish(service: AuthorityService) -> None:
         note(_SIGNED_ANEW)
 
 
-def deliver_grant(service: AuthorityService, node: str, data: bytes, out: Path | None) -> None:
-    """Store a grant in its node's directory if that is on this host, and in the file `out`."""
-    if out is not None:
-        files.create(out, data, 0o644)
-        say(f"written to {out}")
-    home = NodeHome.of(service.rossec_home, node)
-    if home.path.is_dir():
-        home.add_grant(document.grant_id(data), data)
-        say(f"given to {node} in {home.path}")
-    elif out is None:
-        note(
-            f"{node} is on another host:"
-            " sign with --out FILE, then `rossec grant install FILE` there"
-        )
+def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> None:
+    """Store each grant in its node's directory if that is in this home, deposit the others.
+
+    A master that is out of reach is no failure of what was signed: a note says what to do later.
+    """
+    elsewhere = []
+    for data in grants:
+        node, path = document.peek(data).subject, service.store_grant(data)
+        if path is None:
+            elsewhere.append(data)
+        else:
+            say(f"given to {node} in {path}")
+    if not elsewhere:
+        return
+    try:
+        refused = service.deposit(elsewhere)
+    except (NotDelivered, ConfigurationError) as error:
+        note(f"{error}; {LATER}")
+        return
+    say_deposited(len(elsewhere) - len(refused), refused)
+
+
+def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
+    """Say how many grants the master has now, and why it refuses the others."""
+    if count == 1:
+        say("the master has the grant, and gives it to the node")
+    elif count:
+        say(f"the master has {count} grants, and gives them to the nodes")
+    for each in refused:
+        short = each.grant_id.hex()[:8]
+        note(f"the master refuses the grant {short} of {each.node}: {each.reason}")
+
+
+def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> None:
+    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
+    if out is None:
+        deliver_grants(service, [data])
+        return
+    files.create(out, data, 0o644)
+    say(f"written to {out}")
+    if (path := service.store_grant(data)) is not None:
+        say(f"given to {document.peek(data).subject} in {path}")

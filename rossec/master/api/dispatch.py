@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
+from rossec.master.api.deposit_calls import DepositCalls
 from rossec.master.api.graph_calls import GraphCalls
 from rossec.master.api.methods import (
     Administered,
@@ -27,6 +28,7 @@ from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
+from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
@@ -44,6 +46,7 @@ class MasterApi:
         started: when this run began, seconds since the epoch.
         parameters: those already set.
         parameter_bytes: limit on the size of all parameters together.
+        deposits: the grants deposited so far; by default none is accepted.
     """
 
     def __init__(
@@ -58,18 +61,21 @@ class MasterApi:
         started: int = 0,
         parameters: Parameters | None = None,
         parameter_bytes: int = SIZE_LIMIT,
+        deposits: Deposits | None = None,
     ) -> None:
         self._uri = uri
         self._pid = pid
         self._access_control = AccessControl(registry, name)
         self.watch_calls = WatchCalls(registry, self._access_control, instance)
         tree = Parameters() if parameters is None else parameters
+        deposits = Deposits() if deposits is None else deposits
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
             **GraphCalls(registry, self._access_control).methods(),
             **self.parameters.methods(),
             **self.watch_calls.methods(),
-            **StatementCalls(statements, registry, name, started).methods(),
+            **StatementCalls(statements, registry, name, started, deposits).methods(),
+            **DepositCalls(statements, deposits).methods(),
             **self._own_methods(),
         }
 

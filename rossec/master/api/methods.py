@@ -36,6 +36,15 @@ class GrantsPresented:
 
 
 @dataclass(frozen=True)
+class GrantsDeposited:
+    """The authority has deposited `count` grants for the keys `holders`: notify these nodes."""
+
+    by: str
+    holders: frozenset[bytes]
+    count: int
+
+
+@dataclass(frozen=True)
 class RevocationsChanged:
     """A newer revocation list, delivered by `by`, is in force: enforce it and distribute it."""
 
@@ -85,6 +94,7 @@ MasterEvent = (
     | PersistParameter
     | StopMaster
     | GrantsPresented
+    | GrantsDeposited
     | RevocationsChanged
     | Denied
     | CallDenied

@@ -25,7 +25,8 @@ MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries 
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
         "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations", "rossec.trl",
         "rossec.updateRevocationTree", "rossec.revocationProofs", "rossec.renewIdentity",
-        "rossec.watchGraph",
+        "rossec.watchGraph", "rossec.depositGrants", "rossec.deliveryStates", "rossec.fetchGrants",
+        "rossec.watchGrants",
     }
 )  # fmt: skip
 

@@ -21,6 +21,7 @@ from rossec.master.api.methods import (
     Steps,
 )
 from rossec.master.rights.access_rules import Refused
+from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.rights.trl import RevocationQueries
 from rossec.master.state.registry import Kind, Registry
@@ -37,15 +38,22 @@ class StatementCalls:
         registry: to find the names that a caller is registered for.
         master: the master's own certified name; ADMIN is a right on this name.
         started: when this run of the master began, seconds since the epoch.
+        deposits: to record which of them their holders have.
     """
 
     def __init__(
-        self, statements: TrustState, registry: Registry, master: str, started: int
+        self,
+        statements: TrustState,
+        registry: Registry,
+        master: str,
+        started: int,
+        deposits: Deposits,
     ) -> None:
         self._statements = statements
         self._registry = registry
         self._master = master
         self._queries = RevocationQueries(started)
+        self._deposits = deposits
 
     def methods(self) -> Methods:
         """The entries of the method table."""
@@ -71,9 +79,9 @@ class StatementCalls:
         }
 
     def _present(self, request: CallRequest) -> Reply:
-        presented = self._statements.present(
-            request.caller, _binaries(request.arguments[1]), request.now
-        )
+        tokens = binaries(request.arguments[1])
+        presented = self._statements.present(request.caller, tokens, request.now)
+        self._deposits.presented(request.caller.thumbprint, tokens)
         refused = "; ".join(presented.refused)
         # No error even if all are refused: a node whose grants have expired keeps its session and
         # presents new ones in it.
@@ -83,7 +91,7 @@ class StatementCalls:
 
     def _renew(self, request: CallRequest) -> Reply:
         renewed = self._statements.renew(
-            request.caller, _binaries(request.arguments[1]), request.now
+            request.caller, binaries(request.arguments[1]), request.now
         )
         refused = "; ".join(renewed.refused)
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
@@ -95,14 +103,14 @@ class StatementCalls:
         try:
             bundle = self._statements.renew_identity(request.caller, data, request.now)
         except HintedError as error:
-            raise _refusal(error) from error
+            raise refusal(error) from error
         return Reply(bundle, "identity renewed")
 
     def _update_delegation(self, request: CallRequest) -> Reply:
         try:
             newer = self._statements.update_delegation(request.binary(1))
         except HintedError as error:
-            raise _refusal(error) from error
+            raise refusal(error) from error
         if not newer:
             return Reply(0, "not newer than the delegation held")
         delivered = Administered(request.caller.identity, "delivered a delegation to renew grants")
@@ -122,7 +130,7 @@ class StatementCalls:
         try:
             newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
-            raise _refusal(error) from error
+            raise refusal(error) from error
         return _update_reply(newer, request)
 
     def _update_tree(self, request: CallRequest) -> Reply:
@@ -130,11 +138,11 @@ class StatementCalls:
         try:
             newer = self._statements.update_tree(tree, entries, request.now)
         except HintedError as error:
-            raise _refusal(error) from error
+            raise refusal(error) from error
         return _update_reply(newer, request)
 
     def _proofs(self, request: CallRequest) -> Reply:
-        return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
+        return Reply(self._statements.proofs(binaries(request.arguments[1])), "proofs")
 
     def _query(self, request: CallRequest) -> Steps:
         caller = request.caller
@@ -147,7 +155,7 @@ class StatementCalls:
         try:
             return Reply(self._queries.answer(requester, entries, request.binary(1)), "revocations")
         except HintedError as error:
-            raise _refusal(error) from error
+            raise refusal(error) from error
 
     def _names_of(self, node: str) -> list[str]:
         """The names a node is registered for; a subscription to all parameters names none."""
@@ -162,9 +170,11 @@ def _update_reply(newer: bool, request: CallRequest) -> Reply:
     return Reply(1, "revocations updated", events=(changed,))
 
 
-def _refusal(error: HintedError) -> Refused:
+def refusal(error: HintedError) -> Refused:
+    """An error of the authority's statements, as the answer to a call."""
     return Refused(f"{error} ({error.hint})" if error.hint else str(error))
 
 
-def _binaries(value: object) -> Sequence[bytes]:
+def binaries(value: object) -> Sequence[bytes]:
+    """An argument that `arg.binaries` has checked."""
     return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []

@@ -14,7 +14,7 @@ class MasterLimits:
     Args:
         body: bytes of one call, and of one answer.
         parameters: bytes of all parameters together.
-        connections_per_identity: open at a time.
+        connections_per_identity: open at a time; a node has two, and one for each watched graph.
         nodes_per_identity: registered at a time; only a wildcard identity can have several.
         handshake_seconds: from the first byte of a connection to an authenticated peer.
         request_seconds: from the first byte of a call to its last.
@@ -24,7 +24,7 @@ class MasterLimits:
 
     body: int = BODY_LIMIT
     parameters: int = SIZE_LIMIT
-    connections_per_identity: int = 16
+    connections_per_identity: int = 32
     nodes_per_identity: int = NODES_LIMIT
     handshake_seconds: int = 5
     request_seconds: int = 10

@@ -12,11 +12,13 @@ from enum import Enum
 from typing import Final, Protocol
 
 from ca import names
+from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
 from grants.reach import Reach
 from rossec.master.state.addresses import endpoint, is_loopback_host
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
+from rossec.ros.names import AUTHORITY
 
 ASK_OPERATOR: Final = "ask the authority's operator for a grant"
 NAMES_PER_YIELD: Final = 64
@@ -71,6 +73,7 @@ class Caller:
         authorize: called for a right on a name that `reach` does not cover.
         wildcard: the certified name has a wildcard tail.
         certified: the certified name where `name` is another one.
+        is_authority: it is the authority's own node, see `is_authority`.
     """
 
     name: str
@@ -79,6 +82,7 @@ class Caller:
     authorize: Authorize
     wildcard: bool = False
     certified: str = ""
+    is_authority: bool = False
 
     @property
     def display_name(self) -> str:
@@ -136,6 +140,7 @@ class Scope(Enum):
     OWN = "only registrations of the caller itself"
     FILTERED = "the whole graph, filtered by what the caller may see"
     MASTER = "the master itself"
+    AUTHORITY = "the authority's own node alone"
     OPEN = "no right is needed"
 
 
@@ -188,6 +193,10 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
     "rossec.updateRevocationTree": AccessRule(Scope.OPEN),
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
+    "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
+    "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
+    "rossec.fetchGrants": AccessRule(Scope.OPEN),  # only grants of the caller's key are returned
+    "rossec.watchGrants": AccessRule(Scope.OPEN),  # as above
     "rossec.trl": AccessRule(Scope.FILTERED),  # all entries with ADMIN on the master
     "rossec.updateRevocations": AccessRule(Scope.OPEN),  # signed by the authority
 }
@@ -252,6 +261,8 @@ class AccessControl:
             require(caller, rule.right, str(arguments[rule.name]))
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
+        if rule.scope is Scope.AUTHORITY and not caller.is_authority:
+            raise Refused(f"only the authority's own node {AUTHORITY} may call this")
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
 
@@ -268,6 +279,14 @@ class AccessControl:
         kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
         keys = (key for kind in kinds for key in self._registry.keys_of(name, kind))
         return any(caller.may_see(key) for key in keys)
+
+
+def is_authority(peer: Identity) -> bool:
+    """Whether a peer is the authority's own node: its name, certified by the root itself.
+
+    Whoever holds an intermediate can certify any name below it.
+    """
+    return peer.name == AUTHORITY and not peer.wildcard and len(peer.keys) == 1
 
 
 def require(caller: Caller, right: Right, name: str) -> None:

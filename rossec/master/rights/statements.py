@@ -8,6 +8,7 @@ stored per key, verified once, bounded in number and size.
 
 import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
@@ -19,7 +20,7 @@ from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
-from rossec.master.rights.access_rules import Caller, Peer
+from rossec.master.rights.access_rules import Caller, Peer, is_authority
 from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.presented_grants import (
     FAILURE_WINDOW,
@@ -86,7 +87,8 @@ class TrustState:
         keys = self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(keys):
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        return self._caller(peer, now, wildcard=peer.wildcard)
+        caller = self._caller(peer, now, wildcard=peer.wildcard)
+        return replace(caller, is_authority=True) if is_authority(peer) else caller
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """A name and key seen before, with its rights now; None: the key is revoked."""
@@ -110,6 +112,11 @@ class TrustState:
                 held.count_failure(now)
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
+
+    def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
+        """Whether a valid or expired grant is among those that its holder has presented."""
+        held = self._held.get(holder)
+        return held is not None and any(each.id == grant_id for each in held.grants.values())
 
     def revoked(self) -> frozenset[bytes]:
         """All revoked entries."""

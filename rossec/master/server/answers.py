@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec.master.api.deposit_calls import WATCH_GRANTS, is_empty
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
@@ -60,6 +61,8 @@ class CallAnswers:
             multicall = Multicall(params)
             self._step(call, multicall)
             return multicall.answer if multicall.done else self._multicall(call, multicall)
+        if method == WATCH_GRANTS:
+            return self._watch_grants(call)
         begun = self._begin(call)
         if not isinstance(begun, CallOutcome):
             return self._query(call, begun)
@@ -85,6 +88,13 @@ class CallAnswers:
     async def _watch(self, call: PendingCall) -> object:
         await self._state.graph_changes.wait(WATCH_WAIT)
         return await self._finish(call, self._begin(call))
+
+    async def _watch_grants(self, call: PendingCall) -> object:
+        answer = await self._finish(call, self._begin(call))
+        if is_empty(answer):
+            await self._state.grant_changes.wait(call.peer.thumbprint)
+            answer = await self._finish(call, self._begin(call))
+        return answer
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:
         """Probe `owner`, whose address another node registers, and answer again."""

@@ -18,6 +18,7 @@ from rossec.master.api.methods import (
     Administered,
     CallDenied,
     Denied,
+    GrantsDeposited,
     GrantsPresented,
     MasterEvent,
     ParameterChanged,
@@ -31,7 +32,9 @@ from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.access_rules import Peer
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.statements import TrustState
+from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.dialer import SlaveDialer
+from rossec.master.server.grant_changes import GrantChanges
 from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
@@ -53,6 +56,7 @@ class MasterState:
         name: the master's certified name.
         clock: seconds since the epoch.
         parameter_file: the journal of parameters; None: they do not survive a restart.
+        deposit_file: the journal of deposited grants; None: none is accepted.
         streams: accepted connections.
     """
 
@@ -61,7 +65,9 @@ class MasterState:
     registry: Registry
     trust: TrustState
     parameter_file: ParameterFile | None
+    deposit_file: DepositFile | None = None
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
+    grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
 
     def now(self) -> int:
@@ -130,6 +136,9 @@ class Effects:
             case RevocationsChanged(by):
                 _audit.info("%s delivered revocation list %d", by, self._state.trust.number)
                 self._enforce_list()
+            case GrantsDeposited(by, holders, count):
+                _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
+                self._state.grant_changes.notify(holders)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
             case PersistParameter() | Denied() | GrantsPresented() | CallDenied():
@@ -163,6 +172,7 @@ class Effects:
         for _ in islice(self.enforcement(), STEPS_AT_ONCE):
             pass
         self.close_revoked()  # also their pending updates
+        self.drop_deposits()
         self.send_revocations()
         self.list_changed.set()
 
@@ -186,6 +196,12 @@ class Effects:
         for node in self.updates.nodes:
             if self._state.trust.caller_of(node, now) is None:
                 self.updates.drop(node)
+
+    def drop_deposits(self) -> None:
+        """Remove the deposited grants that have ended or are revoked."""
+        file = self._state.deposit_file
+        if file is not None:
+            file.deposits.drop_ended(self._state.now(), self._state.trust.revoked())
 
     def send_revocations(self) -> None:
         """Send every node a timestamp of the list, and the list to nodes that do not hold it."""

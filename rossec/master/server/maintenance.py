@@ -80,8 +80,9 @@ class Maintenance:
         self._check_own_identity(self._state.now())
         if self._local_authority.has_newer_list(self._state.now()):
             self._effects.deliver(RevocationsChanged(SOURCE))
-        if self._state.parameter_file is not None:
-            self._state.parameter_file.sync()
+        for file in (self._state.parameter_file, self._state.deposit_file):
+            if file is not None:
+                file.sync()
 
     async def _enforce(self) -> None:
         """Remove what is no longer authorized; other calls are answered meanwhile."""
@@ -91,6 +92,7 @@ class Maintenance:
         self._state.graph_changes.notify()  # rights also narrow what watchers see
 
     def _prune(self) -> None:
+        self._effects.drop_deposits()
         nodes = frozenset(self._state.registry.nodes())
         self._effects.updates.prune(nodes)
         keys = self._connected_keys() | {node.thumbprint for node in nodes}

@@ -30,9 +30,12 @@ from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
+from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import CallAnswers
+from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.effects import Effects, MasterState
+from rossec.master.server.grant_changes import WAIT, GrantChanges
 from rossec.master.server.local_authority import (
     FindRevocations,
     LocalAuthority,
@@ -68,6 +71,7 @@ class MasterServer:
         advertise: host name in `uri`, which nodes are sent.
         clock: seconds since the epoch.
         parameter_file: the journal of parameters; None: they do not survive a restart.
+        deposit_file: the journal of deposited grants; None: none is accepted.
         limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
         check_own_identity: called with the time in each round of maintenance.
@@ -92,6 +96,7 @@ class MasterServer:
         timestamp_every: float = TIMESTAMP_EVERY,
         on_denial: OnDenial = ignore_denial,
         parameter_file: ParameterFile | None = None,
+        deposit_file: DepositFile | None = None,
         limits: MasterLimits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
         check_own_identity: Callable[[int], None] = lambda _: None,
@@ -115,8 +120,9 @@ class MasterServer:
             half_open=HalfOpenCount(HalfOpen(limits.unfinished_per_address, limits.unfinished)),
         )
         self.state = state = MasterState(
-            name, clock, Registry(limits.nodes_per_identity), trust, parameter_file
-        )
+            name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
+            grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
+        )  # fmt: skip
         self._effects = Effects(
             state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
@@ -160,9 +166,18 @@ class MasterServer:
             started=state.now(),
             parameters=parameters,
             parameter_bytes=self._limits.parameters,
+            deposits=self._load_deposits(),
         )
         self._answers = CallAnswers(api, state, self._effects, self._turns)
         self._maintenance.start(api.watch_calls.keep_only)
+
+    def _load_deposits(self) -> Deposits | None:
+        file = self.state.deposit_file
+        if file is None:
+            return None
+        file.open()
+        self._effects.drop_deposits()
+        return file.deposits
 
     def status(self) -> dict[str, str | int]:
         """Figures for administrators and metrics."""
@@ -193,8 +208,9 @@ class MasterServer:
         await self._effects.updates.close()
         if self._server is not None:
             await self._server.close()
-        if self.state.parameter_file is not None:
-            self.state.parameter_file.close()
+        for file in (self.state.parameter_file, self.state.deposit_file):
+            if file is not None:
+                file.close()
 
     async def _handle(self, stream: SecureStream[Identity]) -> None:
         state, key = self.state, stream.peer.thumbprint

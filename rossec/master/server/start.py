@@ -15,7 +15,9 @@ from rossec.home import NodeHome
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.deposits import verifier
 from rossec.master.rights.statements import Renewer, TrustState
+from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.local_authority import FindRevocations, no_authority
 from rossec.master.server.own_identity import OwnIdentity
 from rossec.master.server.parameter_file import ParameterFile
@@ -77,6 +79,7 @@ def master_of(
         advertise=host or socket.gethostname(),
         on_denial=on_denial,
         parameter_file=ParameterFile(home.path / "parameters.journal"),
+        deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
         limits=limits,
         suites=suites,
         check_own_identity=partial(_maintain, own_identity, saved_list),

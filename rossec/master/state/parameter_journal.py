@@ -1,23 +1,20 @@
 """The journal of parameter changes, from which a restarted master restores them. Pure.
 
-A record is length and CRC-32 (4 bytes each, big endian), then the call that makes the change, as
-XML-RPC: every value a client can set can be written, and reading applies the same limits. A record
-that is truncated or damaged ends the journal: it was being written when the power failed. The CRC
-detects accidents, not attacks: the file is writable for its owner alone.
+A record (`journal_records`) holds the call that makes the change, as XML-RPC: every value a client
+can set can be written, and reading applies the same limits.
 """
 
-import zlib
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from rossec.errors import XmlRpcRefused
+from rossec.master.state import journal_records
 from rossec.master.state.parameters import ParameterMissing, Parameters
 from rossec.ros import xmlrpc
 
 MAGIC: Final = b"rossec parameters 1\n"
 _SET: Final = "setParam"
 _DELETE: Final = "deleteParam"
-_HEADER_SIZE: Final = 8
 
 
 class ParameterChange(NamedTuple):
@@ -38,7 +35,7 @@ def encode(change: ParameterChange) -> bytes:
         call = xmlrpc.dump_call(_DELETE, (change.key,))
     else:
         call = xmlrpc.dump_call(_SET, (change.key, change.value))
-    return len(call).to_bytes(4) + zlib.crc32(call).to_bytes(4) + call
+    return journal_records.frame(call)
 
 
 def decode(data: bytes) -> tuple[list[ParameterChange], int]:
@@ -53,21 +50,14 @@ def decode(data: bytes) -> tuple[list[ParameterChange], int]:
 
 
 def _records(data: bytes, at: int) -> Iterator[tuple[ParameterChange, int]]:
-    while len(data) - at >= _HEADER_SIZE:
-        length = int.from_bytes(data[at : at + 4])
-        call = data[at + _HEADER_SIZE : at + _HEADER_SIZE + length]
-        if len(call) != length or zlib.crc32(call) != int.from_bytes(
-            data[at + 4 : at + _HEADER_SIZE]
-        ):
-            return
-        at += _HEADER_SIZE + length
+    for call, end in journal_records.contents(data, at):
         try:
-            change = _change(xmlrpc.load_call(call, limit=length))
+            change = _change(xmlrpc.load_call(call, limit=len(call)))
         except XmlRpcRefused:
             return
         if change is None:
             return
-        yield change, at
+        yield change, end
 
 
 def _change(call: xmlrpc.Call) -> ParameterChange | None:

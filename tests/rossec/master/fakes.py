@@ -106,6 +106,9 @@ class FakeStatements(TrustState):
         self.presented += good
         return Presented(len(self.presented), ("forged",) * (len(tokens) - len(good)))
 
+    def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
+        return grant_id in self.presented
+
     def revoked(self) -> frozenset[bytes]:
         return frozenset({b"one", b"two"})
 

@@ -59,6 +59,9 @@ class Form:
         assert self.site.master is not None
         return await self.dialer.rpc(*parse_uri(self.site.master.uri))
 
+    async def dial_watch(self) -> SecureStream[Identity]:
+        return await self.dial_master()
+
     async def restore(self) -> None:
         self.calls.append("restore")
         await self._register()
@@ -321,7 +324,7 @@ async def test_a_session_opened_later_is_watched_meanwhile(site: Site) -> None:
     async with site.running():
         form.membership.start(opens)
         await until(lambda: "maintain" in form.calls)
-        assert len(form.membership.tasks) == 3
+        assert len(form.membership.tasks) == 4
         may_open.set()
         await until(lambda: "opened" in form.calls)
         assert form.calls.count("restore") == 1

@@ -85,7 +85,7 @@ def test_what_waits_is_denied(shell: Shell) -> None:
         file.write_text(code)
         file.chmod(0o600)
         ask = ("node", "join", "--file", str(file), "--name", "/fleet/a")
-        assert shell(*ask).code == 4
+        assert shell(*ask).code == 5
         assert "denied 1 request that waited" in shell("ca", "invitations", "revoke", short).out
         refused(shell(*ask), "was denied", "new key")
     assert AuthorityHome.at(shell.root).store().requests.open() == []

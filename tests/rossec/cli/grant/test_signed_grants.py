@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import pytest
@@ -15,19 +14,6 @@ from tests.support.commands import Shell, refused
 def robot(shell: Shell) -> Shell:
     shell.enroll("/robot")
     return shell
-
-
-def test_the_list_marks_revoked_grants(robot: Shell) -> None:
-    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
-    robot.unlocked("grant", "sign", "/robot", "--subscribe", "/q")
-    first, second = (line.split()[0] for line in robot("grant", "list").out.splitlines())
-    said = robot.unlocked("grant", "revoke", first[:8], "--master", "http://127.0.0.1:1")
-    assert f"revoked {first}" in said.out
-    refused(said, "did not take the list", "rossec ca publish", code=3)
-    listed = json.loads(robot("grant", "list", "/robot", "--json").out)
-    assert [(row["id"], row["revoked"]) for row in listed] == [(first, True), (second, False)]
-    assert robot("grant", "list").out.splitlines()[0].endswith("revoked")
-    assert robot("grant", "list", "/other").out == ""
 
 
 def test_an_unknown_or_ambiguous_id_is_not_revoked(robot: Shell) -> None:

@@ -119,8 +119,8 @@ def test_the_name_is_required_for_a_pattern(shell: Shell, pasted: Pasted) -> Non
 @pytest.mark.parametrize(
     ("answer", "code", "error", "hint"),
     [
-        (Waiting(WaitReason.LOCKED), 4, "the authority is locked", "rossec ca unlock"),
-        (Waiting(WaitReason.PERSON), 4, "a person has to approve", "rossec ca requests"),
+        (Waiting(WaitReason.LOCKED), 5, "the authority is locked", "rossec ca unlock"),
+        (Waiting(WaitReason.PERSON), 5, "a person has to approve", "rossec ca requests"),
         (Refused(RefuseReason.ENDED), 1, "is used up", "rossec ca invite"),
     ],
 )
@@ -144,7 +144,7 @@ def test_a_person_approves_a_known_name(shell: Shell, pasted: Pasted) -> None:
     with JoinPort(shell.root, PASSPHRASE) as port:
         line = invited(shell, port, "/robot")
         pasted(line)
-        refused(shell("node", "join"), "a person has to approve", code=4)
+        refused(shell("node", "join"), "a person has to approve", code=5)
         waiting = shell("ca", "requests").out
         assert "pending  /robot  invitation " in waiting
         said = shell.unlocked("ca", "approve", waiting[:8], "--replace-key", "/robot")

@@ -1,17 +1,31 @@
 import asyncio
+import re
 import time
 from pathlib import Path
 
 import click
 import pytest
 
+from ca.certificates import Identity
+from rossec.authority.grant_delivery import RefusedDeposit
 from rossec.authority.home import AuthorityHome
+from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
-from rossec.cli.shared.service import deliver_grant, pass_service, service_of
+from rossec.cli.shared.service import (
+    call_master,
+    deliver_grant,
+    pass_service,
+    say_deposited,
+    service_of,
+)
+from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from rossec.master.server.start import master_of
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
+from rossec.net.rpc.client import serve_calls
+from rossec.ros.xmlrpc import Fault
 from rossec.terminal import say
 from tests.support.commands import PASSPHRASE, Shell, refused
 
@@ -79,16 +93,77 @@ def test_a_grant_is_given_to_a_node_of_this_host(
     shell.unlocked("grant", "sign", "/robot", "--publish", "/p", "--out", str(out))
     (held,) = (shell.node("/robot") / "grants").iterdir()
     held.unlink()
-    service = service_of(Environment(shell.environ))
-    deliver_grant(service, "/robot", out.read_bytes(), None)
+    service = service_of(Environment(shell.environ), master_uri=NOBODY[1])
+    deliver_grant(service, out.read_bytes(), None)
     assert [file.read_bytes() for file in held.parent.iterdir()] == [out.read_bytes()]
-    assert capsys.readouterr().out == f"given to /robot in {shell.node('/robot')}\n"
-    deliver_grant(service, "/elsewhere", out.read_bytes(), None)
-    assert "rossec grant install FILE" in capsys.readouterr().err
+    given = f"given to /robot in {shell.node('/robot')}\n"
+    assert capsys.readouterr() == (given, ""), "no master is needed"
+    shell.node("/robot").rename(shell.root / "elsewhere")
+    deliver_grant(service, out.read_bytes(), None)
+    said = capsys.readouterr().err
+    assert "the master at http://127.0.0.1:1 did not take the grant" in said
+    assert said.endswith("deliver it when the master runs: rossec grant deliver\n")
     copy = tmp_path / "copy"
-    deliver_grant(service, "/elsewhere", out.read_bytes(), copy)
+    deliver_grant(service, out.read_bytes(), copy)
     assert copy.read_bytes() == out.read_bytes()
-    assert capsys.readouterr() == (f"written to {copy}\n", "")
+    assert capsys.readouterr() == (f"written to {copy}\n", ""), "somebody carries it"
+
+
+def test_deposits_are_reported_with_what_the_master_refuses(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    say_deposited(1, [])
+    say_deposited(0, [RefusedDeposit(bytes(16), "/robot", "too many grants")])
+    say_deposited(30, [])
+    said = capsys.readouterr()
+    assert said.out.splitlines() == [
+        "the master has the grant, and gives it to the node",
+        "the master has 30 grants, and gives them to the nodes",
+    ]
+    assert said.err == "rossec: the master refuses the grant 00000000 of /robot: too many grants\n"
+
+
+class Answers:
+    """A peer that answers every call the same way."""
+
+    def __init__(self, value: object) -> None:
+        self.value = value
+
+    async def __call__(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
+        if isinstance(self.value, Exception):
+            raise self.value
+        if self.value is None:
+            await asyncio.Event().wait()
+        return [1, "", self.value]
+
+
+@pytest.mark.parametrize(
+    ("value", "outcome"),
+    [
+        (["", "full"], ["", "full"]),
+        (Fault(1, "method is not supported"), "is it of an older version?"),
+        (None, "no answer in time"),
+    ],
+)
+async def test_a_call_at_the_master_has_a_value_or_a_reason(
+    shell: Shell, value: object, outcome: object
+) -> None:
+    shell.enroll("/master")
+    home, node = NodeHome.of(shell.root, "/master"), AuthorityHome.at(shell.root).node()
+    own = SecureContext(home.credentials(), home.anchor().verify)
+
+    async def handle(stream: SecureStream[Identity]) -> None:
+        await serve_calls(stream, Answers(value))
+
+    async with serve(handle, "127.0.0.1", 0, own, WireProtocol.HTTP) as server:
+        call = MasterCall(node, "a.method", ([b"x"],), "the grants", "later", within=0.5)
+        uri = f"http://127.0.0.1:{server.port}"
+        made = asyncio.to_thread(call_master, Environment(shell.environ), uri, call)
+        if isinstance(outcome, str):
+            with pytest.raises(NotDelivered, match=re.escape(outcome)):
+                await made
+        else:
+            assert await made == outcome
 
 
 async def test_the_master_gets_the_revocation_of_a_replaced_key(shell: Shell) -> None:

@@ -1,0 +1,115 @@
+"""`rossec grant list | deliver`, with a master that runs, and without one."""
+
+import asyncio
+import json
+import shutil
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from rossec.authority.home import AuthorityHome
+from rossec.home import NodeHome
+from rossec.master.server.server import MasterServer
+from rossec.master.server.start import master_of
+from rossec.node import Node
+from tests.support.commands import Said, Shell, refused
+from tests.support.witness import until
+
+NOBODY = ("--master", "http://127.0.0.1:1")
+
+
+@pytest.fixture
+def robot(shell: Shell) -> Shell:
+    shell.enroll("/robot")
+    return shell
+
+
+@asynccontextmanager
+async def running_master(shell: Shell) -> AsyncIterator[MasterServer]:
+    shell.enroll("/master")
+    home = NodeHome.of(shell.root, "/master")
+    newest = AuthorityHome.at(shell.root).revocation_list()
+    master = master_of(home, host="127.0.0.1", port=0, newest=newest, now=int(time.time()))
+    await master.start()
+    try:
+        yield master
+    finally:
+        await master.close()
+
+
+def states(said: Said) -> list[tuple[str, str]]:
+    return [(row["node"], row["state"]) for row in json.loads(said.out)]
+
+
+def test_the_list_marks_revoked_grants(robot: Shell) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    robot.unlocked("grant", "sign", "/robot", "--subscribe", "/q")
+    first, second = (line.split()[0] for line in robot("grant", "list").out.splitlines())
+    said = robot.unlocked("grant", "revoke", first[:8], *NOBODY)
+    assert f"revoked {first}" in said.out
+    refused(said, "did not take the list", "rossec ca publish", code=3)
+    listed = json.loads(robot("grant", "list", "/robot", "--json", *NOBODY).out)
+    assert [(row["id"], row["revoked"], row["state"]) for row in listed] == [
+        (first, True, "revoked"),
+        (second, False, "delivered"),
+    ]
+    assert robot("grant", "list", *NOBODY).out.splitlines()[0].endswith("revoked")
+    assert robot("grant", "list", "/other").out == ""
+
+
+def test_without_a_master_the_list_says_what_it_knows(robot: Shell) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    said = robot("grant", "list", *NOBODY)
+    assert said.out.strip().endswith("delivered")
+    assert said.err == "", "the grant is in the node's directory: no master has to be asked"
+    shutil.rmtree(robot.node("/robot") / "grants")
+    said = robot("grant", "list", *NOBODY)
+    assert said.code == 0
+    assert said.out.strip().endswith("unknown")
+    assert said.err.startswith("rossec: whether nodes have their grants is unknown: the master at")
+    refused(robot("grant", "deliver", *NOBODY), "did not take the grant", "grant deliver", code=3)
+
+
+def test_a_grant_that_has_ended_is_expired(robot: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p", "--for", "1h")
+    monkeypatch.setattr("rossec.cli.grant.delivery.now", lambda: int(time.time()) + 3600)
+    said = robot("grant", "list", *NOBODY)
+    assert said.out.strip().endswith("expired")
+    assert said.err == ""
+
+
+async def test_a_grant_for_a_node_elsewhere_arrives_through_the_master(robot: Shell) -> None:
+    """Signed while the master is off, deposited later, fetched by a node with its own home."""
+    elsewhere = robot.root / "elsewhere"
+    (elsewhere / "nodes").mkdir(parents=True, mode=0o700)
+    elsewhere.chmod(0o700)
+    shutil.move(robot.node("/robot"), elsewhere / "nodes" / "robot")
+    sign = ("grant", "sign", "/robot", "--publish", "/p")
+    said = await asyncio.to_thread(robot.unlocked, *sign, *NOBODY)
+    assert said.code == 0
+    assert "deliver it when the master runs: rossec grant deliver" in said.err
+    async with running_master(robot) as master:
+
+        async def command(*words: str) -> Said:
+            return await asyncio.to_thread(robot, *words, "--master", master.uri)
+
+        assert states(await command("grant", "list", "--json")) == [("/robot", "undelivered")]
+        delivered = await command("grant", "deliver")
+        assert delivered.out == "the master has the grant, and gives it to the node\n"
+        assert (await command("grant", "deliver")).out == "the master has every grant in force\n"
+        assert states(await command("grant", "list", "--json")) == [("/robot", "waiting")]
+        environ = {
+            "ROSSEC_HOME": str(elsewhere), "ROS_MASTER_URI": master.uri, "ROS_IP": "127.0.0.1"
+        }  # fmt: skip
+        async with Node("/robot", environ=environ) as node:
+            await node.publisher("/p", "std_msgs/String")
+            assert states(await command("grant", "list", "--json")) == [("/robot", "held")]
+            said = await asyncio.to_thread(
+                robot.unlocked, "grant", "sign", "/robot", "--subscribe", "/q", "--master",
+                master.uri,
+            )  # fmt: skip
+            assert said.out.endswith("the master has the grant, and gives it to the node\n")
+            await until(lambda: len(node.home.grants()) == 2)
+            await node.subscriber("/q", "std_msgs/String")
