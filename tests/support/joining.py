@@ -18,7 +18,7 @@ from ca.enrollment.join_node import NodeJoin
 from ca.enrollment.join_request import JoinRequest
 from ca.keys.signer import KeySigner
 from ca.names import AUTHORITY
-from ca.store.rows import InvitationRow
+from ca.store.invitations import InvitationRow
 from rossec.authority.home import AuthorityHome
 from rossec.authority.joining import join
 from rossec.enrollment.join_server import JoinServer
