@@ -1,7 +1,8 @@
 """The output of the command line: lower case, no full stop, an error and then its hint.
 
 Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
-3 done here but not delivered (the master or the node was out of reach), 130 interrupted.
+3 done here but not delivered (the master or the node was out of reach), 4 done, but grants made by
+hand allow what the policy denies, 130 interrupted.
 """
 
 import json
@@ -13,6 +14,7 @@ from rossec.ros.text import printable as text_on_one_line
 REFUSED = 1
 USAGE = 2
 UNDELIVERED = 3
+CONTRADICTED = 4
 INTERRUPTED = 130
 
 

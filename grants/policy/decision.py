@@ -92,8 +92,12 @@ class Decider:
     def decide_by(
         self, rules: Iterable[PolicyRule], subject: Subject, right: Right, name: str
     ) -> Verdict:
-        """As `decide`, by some `rules` that apply to the subject (`rules_of`), all checked."""
-        return self._evaluate(subject, right, name, list(applied(rules, right, name)))
+        """As `decide`, with all checked before; `rules` are those of the subject (`rules_of`)."""
+        whole = "*" in name
+        found = (
+            list(applied(rules, right, name)) if whole else self._index.find(subject, right, name)
+        )
+        return self._evaluate(subject, right, name, found)
 
     def decide_without(self, verdict: Verdict) -> Verdict:
         """The verdict without the rules that decided it."""

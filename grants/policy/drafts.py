@@ -73,9 +73,16 @@ def shorten(verdict: Verdict, seconds: int) -> Verdict:
 
 
 def drafts(
-    verdicts: Iterable[Verdict], *, domain: str, now: int, serial: Callable[[], bytes]
+    verdicts: Iterable[Verdict],
+    *,
+    domain: str,
+    now: int,
+    serial: Callable[[], bytes],
+    skew: int = 0,
 ) -> list[Draft]:
     """The drafts to sign for allowed verdicts: one for each subject and validity.
+
+    `skew`: seconds by which they are backdated, for hosts whose clock is behind.
 
     Raises:
         PolicyRefused: a verdict other than ALLOW.
@@ -88,7 +95,7 @@ def drafts(
         groups.setdefault(key, []).append(verdict)
     return [
         Draft(
-            domain=domain, subject=subject.name, holder=subject.key, not_before=now,
+            domain=domain, subject=subject.name, holder=subject.key, not_before=now - skew,
             expires=now + lifetime, cap=now + max(lifetime, renew), serial=serial(),
             permissions=tuple(item for verdict in group for item in permissions(verdict)),
         )

@@ -5,7 +5,7 @@ is allowed is wanted: what a person decides is left to a person, and a pattern o
 denied is withheld whole: a grant cannot say "except". Both are reported with their rules.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -123,7 +123,7 @@ class WantedState:
         return Wanted(tuple(rights.values()), tuple(withheld.values()))
 
 
-def rule_ids(rules: tuple[PolicyRule, ...]) -> str:
+def rule_ids(rules: Iterable[PolicyRule]) -> str:
     """The ids of `rules`, as text."""
     return " ".join(sorted({rule.id for rule in rules}))
 

@@ -21,12 +21,13 @@ from grants.model import Draft, Restriction
 from grants.policy.decision import Verdict
 from grants.policy.drafts import approve, approximate, drafts, shorten
 from grants.policy.model import Effect, Policy, Subject
+from grants.policy.wanted import rule_ids
 from grants.request import GrantRequest, open_request, peek_request
 from rossec.authority import requests
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
-from rossec.authority.signing import SigningAuthority
+from rossec.authority.signing import SKEW, SigningAuthority
 from rossec.errors import ConfigurationError
 
 MAX_PENDING: Final = 16  # prompts that one node may have pending
@@ -163,18 +164,31 @@ class ApprovalQueue:
         """
         chosen = list(approvals)
         verdicts = [change(approve(approval.verdict)) for approval in chosen]
-        made = drafts(
-            verdicts,
-            domain=authority.domain,
-            now=self._now,
-            serial=lambda: secrets.token_bytes(16),
-        )
+        made = self._drafts(authority.domain, zip(chosen, verdicts, strict=True))
         answers = GrantRequestStore(authority.store.database)
         with authority.store.transaction():
             self._policy.check_unchanged()
             for approval in chosen:
                 answers.answer(approval.stored, GRANTED, reason, self._now)
-            return [(draft, authority.issue_grant(draft, self._now)) for draft in made]
+            signed = authority.issue_grants(made, self._now)
+        return [(draft, data) for (draft, _), data in zip(made, signed, strict=True)]
+
+    def _drafts(
+        self, domain: str, decided: Iterable[tuple[PendingApproval, Verdict]]
+    ) -> list[tuple[Draft, str]]:
+        """The grants to sign, with the rules of those that the policy allows by itself."""
+        groups: dict[str, list[Verdict]] = {}
+        for approval, verdict in decided:
+            rules = rule_ids(verdict.rules) if approval.is_allowed else ""
+            groups.setdefault(rules, []).append(verdict)
+        return [
+            (draft, rules)
+            for rules, group in groups.items()
+            for draft in drafts(
+                group, domain=domain, now=self._now, skew=SKEW,
+                serial=lambda: secrets.token_bytes(16),
+            )
+        ]  # fmt: skip
 
     def _verdict(self, stored: StoredRequest) -> Verdict:
         row = self._store.valid_certificate(stored.request.node, self._now)

@@ -19,11 +19,12 @@ from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open
 from ca.store.record import Store
 from rossec import files
 from rossec.authority import list_contents
-from rossec.authority.signing import OWN_NODE, SigningAuthority
+from rossec.authority.signing import OWN_NODE, SigningAuthority, delegations
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
 ENTRIES: Final = "revocations.entries"  # of a tree, next to the statement in a master's home
+AUDIT_FILE: Final = "audit.log"  # of its service
 KEY_URI: Final = "ca.uri"  # names the key, if it is in a token
 _MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024
@@ -111,13 +112,23 @@ class AuthorityHome:
         Raises:
             PassphraseRefused: the passphrase is wrong.
         """
-        authority = Authority(
-            self._signer(passphrase), self.anchor().certificate, self.intermediate()
-        )
+        return self.open(self.load_key(passphrase))
+
+    def open(self, signer: Signer) -> SigningAuthority:
+        """The authority with `signer`, its key.
+
+        Raises:
+            IssueRefused: it is another key.
+        """
+        authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
-    def _signer(self, secret: str) -> Signer:
-        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+    def load_key(self, secret: str) -> Signer:
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
+
+        Raises:
+            PassphraseRefused, TokenRefused: it is wrong, or there is no such token.
+        """
         path = self.path / KEY_URI
         if not path.exists():
             return KeySigner(key_files.load_private(self.path / "ca.key", secret))
@@ -172,6 +183,15 @@ class AuthorityHome:
         data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
         TreeEntries.read(data).check(tree)
         return data
+
+    def has_delegated(self, now: int) -> bool:
+        """Whether the master can renew grants at `now`, by a delegation of this authority."""
+        given = [item for item in delegations(self.path, self.own_key()) if now < item.expires]
+        if not given:
+            return False
+        with contextlib.closing(self.store()) as store:
+            revoked = store.revoked_entries()
+        return any(revoked.isdisjoint((item.id, item.holder)) for item in given)
 
     def count_unlisted(self, now: int) -> int:
         """The number of recorded revocations that are not in the signed list."""

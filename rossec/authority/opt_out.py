@@ -57,17 +57,19 @@ def revoke_shown(
     """
     store = authority.store
     with store.transaction():
-        revoked = store.revoked_entries()
+        revoked, rules = store.revoked_entries(), store.policy_grants()
         grants = [document.peek(row.data) for row in store.grants()]
         return [
-            (grant, _revoke(authority, grant, opted_out, now))
+            (grant, _revoke(authority, grant, opted_out, now, rules.get(grant.id, "")))
             for grant in grants
             if revoked.isdisjoint((grant.id, grant.holder)) and now < grant.cap
             and opted_out.affects(grant)
         ]  # fmt: skip
 
 
-def _revoke(authority: SigningAuthority, grant: Grant, opted_out: OptOut, now: int) -> bytes | None:
+def _revoke(
+    authority: SigningAuthority, grant: Grant, opted_out: OptOut, now: int, rules: str
+) -> bytes | None:
     """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
     authority.revoke(grant.id, f"opted out of {opted_out.name}", now)
     permissions: list[Permission] = []
@@ -81,4 +83,4 @@ def _revoke(authority: SigningAuthority, grant: Grant, opted_out: OptOut, now: i
         grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap,
         secrets.token_bytes(16), tuple(permissions),
     )  # fmt: skip
-    return authority.issue_grant(draft, now)
+    return authority.issue_grant(draft, now, rules)

@@ -6,17 +6,21 @@ imported when it is called: most operations of an authority need no policy.
 
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from grants.document import grant_id
 from grants.model import Draft, Grant
 from rossec.authority.home import AuthorityHome
-from rossec.authority.signing import SigningAuthority
+from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.errors import NotDelivered
+from rossec.home import NodeHome
 
 if TYPE_CHECKING:
     from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
     from rossec.authority.opt_out import OptOut
+    from rossec.authority.policy_plan import PolicyPlan
     from rossec.authority.policyfile import PolicyFile
 
 SignedGrant = tuple[Draft, bytes]
@@ -48,6 +52,10 @@ class PolicyOperations(ABC):
     @abstractmethod
     def unlock(self) -> SigningAuthority:
         """The authority with its key."""
+
+    @abstractmethod
+    def publish(self) -> None:
+        """Deliver the newest list to the master."""
 
     def collect_grant_requests(
         self, policy: "PolicyFile", given: Iterable[bytes] = ()
@@ -94,7 +102,7 @@ class PolicyOperations(ABC):
         from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - see above
 
         with contextlib.closing(self.home.store()) as store:
-            known = name in {row.name for row in store.certificates()}
+            known = name in {row.name for row in store.identities.all()}
         self.unlock()
         return add_denial(policy, name, self._now(), is_node=is_node or known)
 
@@ -108,3 +116,77 @@ class PolicyOperations(ABC):
         from rossec.authority.approvals import ApprovalQueue  # noqa: PLC0415 - see above
 
         return contextlib.closing(ApprovalQueue(self.home, policy, self._now()))
+
+    def plan_policy(
+        self,
+        policy: "PolicyFile",
+        names: Collection[str] | None = None,
+        *,
+        renew_due: bool = False,
+        prune: bool = False,
+    ) -> "PolicyPlan":
+        """What applying `policy` would change, for the nodes `names` or for all; needs no key.
+
+        Raises:
+            RevocationRefused, PolicyRefused: as `policy_plan.make_plan`.
+        """
+        from grants.policy.difference import Moment  # noqa: PLC0415 - see above
+        from rossec.authority.policy_plan import PlanOptions, make_plan  # noqa: PLC0415 - see above
+
+        with contextlib.closing(self.home.store()) as store:
+            at = self._now()
+            moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
+            return make_plan(store, policy, PlanOptions(names, renew_due, prune), moment)
+
+    def grant_outright(self, name: str) -> list[SignedGrant]:
+        """Sign what the policy in force gives the node `name` outright, if there is a policy.
+
+        What it no longer allows waits for `apply_policy`.
+
+        Raises:
+            ConfigurationError, PathRefused, PolicyRefused: the policy cannot be used.
+        """
+        from rossec.authority import policy_apply, policyfile  # noqa: PLC0415 - see above
+
+        if self.home.is_intermediate or not policyfile.place(self.rossec_home, None).exists():
+            return []
+        policy = policyfile.read_policy(self.rossec_home, None, signs=True)
+        plan = self.plan_policy(policy, [name])
+        return policy_apply.sign_planned(self.unlock(), plan, self._now()) if plan.signs else []
+
+    def apply_policy(
+        self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
+    ) -> list[SignedGrant]:
+        """Carry out a plan: sign and deliver what is new, then revoke what goes, and publish that.
+
+        `report` is called with each step that was done. Returns the new grants.
+
+        Raises:
+            ConfigurationError, StoreError: as `policy_apply.sign_planned`; nothing was done.
+            NotDelivered: all is signed and recorded, but the master did not take all of it.
+        """
+        from rossec.authority import policy_apply  # noqa: PLC0415 - see above
+
+        signed = policy_apply.sign_planned(self.unlock(), plan, self._now())
+        if signed:
+            report(f"signed: {len(signed)}")
+        failed: NotDelivered | None = None
+        try:
+            self._deliver_all(signed)
+        except NotDelivered as error:  # what is not allowed any more is revoked all the same
+            failed = error
+        listed = policy_apply.revoke_planned(self.unlock(), plan, self._now())
+        if listed is not None:
+            report(f"revoked: {len(plan.revoke)} (list {listed.seq})")
+            self.publish()
+            report("the master has the new list")
+        if failed is not None:
+            raise failed
+        return signed
+
+    def _deliver_all(self, signed: Sequence[SignedGrant]) -> None:
+        """Give grants to their nodes: those of this ROSSEC_HOME, and all others by the master."""
+        for draft, data in signed:
+            home = NodeHome.of(self.rossec_home, draft.subject)
+            if home.path.is_dir():
+                home.add_grant(grant_id(data), data)

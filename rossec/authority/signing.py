@@ -6,9 +6,12 @@ recorded in one transaction, and so is a revocation with its list.
 """
 
 import secrets
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, check_request, to_pem
@@ -17,13 +20,13 @@ from ca.keys.signer import Signer
 from ca.names import check_name
 from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
+from ca.store.identities import INTERMEDIATE, CertificateRow
 from ca.store.lifecycle import RequestState
 from ca.store.log_entries import sign_head
-from ca.store.record import CertificateRow, GrantRow, Store
-from ca.store.rows import INTERMEDIATE
+from ca.store.record import GrantRow, Store
 from grants import document
 from grants.model import Draft
-from grants.renewal import Delegation, open_delegation, sign_delegation
+from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
 from rossec import files
 from rossec.authority import list_contents
 from rossec.errors import ConfigurationError
@@ -129,16 +132,34 @@ class SigningAuthority:
             ConfigurationError: this is an intermediate, whose grants no node accepts.
             StoreError: its key was revoked since the draft was made.
         """
-        self._check_root("sign grants")
-        data = document.sign(self.signer, draft)
-        row = GrantRow(
-            document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
-        )
-        with self.store.transaction():
-            self.store.identities.check_not_revoked(draft.subject, draft.holder)
-            self.refresh_list(now)
-            self.store.add_grant(row, now, rules)
+        (data,) = self.issue_grants([(draft, rules)], now)
         return data
+
+    def issue_grants(
+        self,
+        drafts: Sequence[tuple[Draft, str]],
+        now: int,
+        check: Callable[[], None] = lambda: None,
+    ) -> list[bytes]:
+        """Sign grants, each with its rules, and record all of them or none.
+
+        `check` raises if they must not be recorded; no other command changes the record after it.
+
+        Raises:
+            ConfigurationError, StoreError: as `issue_grant`.
+        """
+        self._check_root("sign grants")
+        signed = [document.sign(self.signer, draft) for draft, _ in drafts]  # tokens are slow
+        with self.store.transaction():
+            check()
+            for draft, _ in drafts:
+                self.store.identities.check_not_revoked(draft.subject, draft.holder)
+            self.refresh_list(now)
+            for (draft, rules), data in zip(drafts, signed, strict=True):
+                number = document.grant_id(data)
+                row = GrantRow(number, draft.subject, data, draft.not_before, draft.expires)
+                self.store.add_grant(row, now, rules)
+        return signed
 
     def issue_delegation(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
         """Let the master with the key `holder` renew grants; recorded before it is delivered.
@@ -163,12 +184,8 @@ class SigningAuthority:
         Raises:
             ConfigurationError: there is none.
         """
-        missing = ConfigurationError("no delegation")
-        found = [
-            open_delegation(files.read_own(path, _SIZE_LIMIT, missing), self.signer.public_key)
-            for path in sorted((self.path / DELEGATIONS).glob("*.cose"))
-        ]
-        living = frozenset(item.id for item in found if now < item.expires)
+        given = delegations(self.path, self.signer.public_key)
+        living = frozenset(item.id for item in given if now < item.expires)
         with self.store.transaction():
             living -= self.store.revoked_entries()
             if not living:
@@ -177,8 +194,12 @@ class SigningAuthority:
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Revoke a grant id or key thumbprint, and sign a new list."""
+        return self.revoke_all(frozenset({entry}), reason, now)
+
+    def revoke_all(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
+        """As `revoke`, all of `entries` with one list."""
         self._check_root()
-        return self._revoke(frozenset({entry}), reason, now)
+        return self._revoke(entries, reason, now)
 
     def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
         """Revoke every key of `name`; returns the new list, and the number of keys.
@@ -198,7 +219,7 @@ class SigningAuthority:
                 self._check_root()
                 return self._revoke(found, reason, now), len(found)
             self.refresh_list(now)
-        certified = self.store.certified_name(name, now)
+        certified = self.store.identities.certified_name(name, now)
         raise ConfigurationError(
             f"{name} has no valid identity to revoke",
             "see: rossec ca show; to deliver the list again: rossec ca publish"
@@ -265,6 +286,13 @@ class SigningAuthority:
             head = sign_head(self.signer, self.store.log.head(now))
             self.store.log.add_head(head, now)
         return head
+
+
+def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDelegation]:
+    """Every delegation signed by the authority with this directory and key."""
+    missing = ConfigurationError("no delegation")
+    found = sorted((authority / DELEGATIONS).glob("*.cose"))
+    return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]
 
 
 def certificate_row(identity: Identity) -> CertificateRow:

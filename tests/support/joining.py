@@ -13,7 +13,7 @@ from ca.enrollment.join_node import NodeJoin
 from ca.enrollment.join_request import JoinRequest
 from ca.keys.signer import KeySigner
 from ca.names import AUTHORITY
-from ca.store.rows import InvitationRow
+from ca.store.invitations import InvitationRow
 from rossec.authority.joining import join
 from rossec.enrollment.join_server import JoinServer
 from tests.support.pki import NOW, new_signer

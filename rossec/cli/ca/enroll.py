@@ -22,6 +22,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.ca.requests import show_request
 from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.context import ask_yes_no, now, reraise_interrupt
+from rossec.cli.shared.outright import give_outright
 from rossec.cli.shared.service import pass_service, publish_if_revoked, remind_to_publish
 from rossec.enrollment import address
 from rossec.enrollment.authority import deliver, fetch
@@ -105,6 +106,7 @@ def enroll(
             remind_to_publish(service)
             raise
         say(f"enrolled {row.name}")
+    give_outright(service, row.name)
     publish_if_revoked(service)
 
 

@@ -16,6 +16,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.ca.sign import warn_of_wildcard
 from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.outright import give_outright
 from rossec.cli.shared.service import pass_service, publish_if_revoked, service_of
 from rossec.clock import format_time
 from rossec.terminal import printable, say, say_json
@@ -70,6 +71,7 @@ def approve(
     if out is not None:
         files.create(out, bundle, 0o644)
         say(f"signed: {out}; at the node: rossec node install {out.name}")
+    give_outright(service, row.name)
     publish_if_revoked(service)
 
 

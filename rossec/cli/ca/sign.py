@@ -13,6 +13,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.outright import give_outright
 from rossec.cli.shared.service import pass_service, publish_if_revoked
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say
@@ -68,6 +69,7 @@ def sign(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"
                 )
                 _write_identity(path, bundle, name)
+                give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
 

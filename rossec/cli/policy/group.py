@@ -10,6 +10,10 @@ from rossec.cli.shared.context import Environment
 from rossec.cli.shared.lazy import LazyGroup
 
 _POLICY: Final = {
+    "apply": (
+        "policy.apply:apply",
+        "Put the policy in force: sign what it allows outright, revoke what it does not allow.",
+    ),
     "check": (
         "policy.check:check",
         "Check the policy in FILE: its form, its words, and every condition and filter in it.",

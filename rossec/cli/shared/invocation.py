@@ -1,13 +1,19 @@
 """One command line, from arguments to exit code: a refusal is printed as error and hint."""
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import click
 
 from ca.errors import HintedError
 from rossec.cli.shared.context import Environment
-from rossec.errors import NotDelivered
-from rossec.terminal import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+from rossec.errors import NotDelivered, PolicyContradicted
+from rossec.terminal import CONTRADICTED, INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+
+_EXIT_CODES: Final[dict[type[HintedError], int]] = {
+    NotDelivered: UNDELIVERED,
+    PolicyContradicted: CONTRADICTED,
+}
 
 
 def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
@@ -18,7 +24,7 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
         )
     except HintedError as error:
         fail(str(error), error.hint)
-        return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
+        return _EXIT_CODES.get(type(error), REFUSED)
     except click.ClickException as error:
         return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):

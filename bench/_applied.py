@@ -1,0 +1,83 @@
+"""CPU seconds that `rossec policy apply` takes for one changed rule, by the number of nodes.
+
+The rule is for every node, so each of them gets a new grant and loses one; their other grants are
+kept. The record is on the disk; no master runs, so delivery is not in the figure.
+"""
+
+import contextlib
+import secrets
+import tempfile
+import time
+from pathlib import Path
+
+from ca.certificates import build_request
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import NAME, read_policy
+from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.signing import SigningAuthority, certificate_row
+
+SIZES = (30, 300, 3000)
+_PASSPHRASE = "four random words here"
+_RULES = """rossec: 1
+robot: bench
+types: {/map: nav_msgs/OccupancyGrid, /fleet/pose: geometry_msgs/PoseStamped}
+rules:
+  - {id: poses, who: "/fleet/**", allow: {publish: [/fleet/pose], subscribe: [/fleet/pose]}}
+  - {id: map, who: "/fleet/**", allow: {subscribe: [/map]}, CHANGED}
+  - {id: graph, who: "/fleet/**", allow: {graph: ["/fleet/**"]}}
+  - {id: dock, who: "/fleet/**", prompt: {call: [/dock]}}
+  - {id: camera, who: "*", deny: {subscribe: ["/camera/**"]}}
+"""
+
+
+def apply_s(nodes: int) -> dict[str, float]:
+    """CPU seconds of an apply of one changed rule for all of `nodes`, and of one without change."""
+    with tempfile.TemporaryDirectory() as directory:
+        root = Path(directory)
+        with contextlib.closing(_service(root, nodes)) as service:
+            _write(root, "why: first")
+            _apply(root, service)
+            _write(root, "limit: {rate: 1}")
+            changed = _timed(root, service)
+            return {"changed": changed, "unchanged": _timed(root, service)}
+
+
+def _service(root: Path, nodes: int) -> AuthorityService:
+    now = int(time.time())
+    AuthorityHome.create(root, "home", _PASSPHRASE, now)
+    service = AuthorityService(root, lambda: _PASSPHRASE, _ignore, lambda: now)
+    authority = service.unlock()
+    with authority.store.transaction():
+        for number in range(nodes):
+            _enroll(authority, f"/fleet/robot{number}", now)
+    return service
+
+
+def _enroll(authority: SigningAuthority, name: str, now: int) -> None:
+    request = build_request(KeySigner(generate()), "home", name)
+    der = authority.authority.issue(request, now=now, serial=secrets.randbits(127) + 1)
+    authority.store.add_certificate(certificate_row(authority.verify(der, now)), now)
+
+
+def _ignore(call: MasterCall) -> None:
+    """No master runs."""
+
+
+def _write(root: Path, changed: str) -> None:
+    path = root / "ca" / NAME
+    path.write_text(_RULES.replace("CHANGED", changed))
+    path.chmod(0o600)
+
+
+def _apply(root: Path, service: AuthorityService) -> None:
+    plan = service.plan_policy(read_policy(root, None, signs=True))
+    if not plan.is_empty:
+        service.apply_policy(plan)
+
+
+def _timed(root: Path, service: AuthorityService) -> float:
+    begin = time.process_time()
+    _apply(root, service)
+    return round(time.process_time() - begin, 3)

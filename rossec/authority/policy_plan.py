@@ -1,0 +1,210 @@
+"""The plan to put a policy in force: for each node, what to sign and revoke. Changes nothing.
+
+The record is the authority's own, so its grants are read without verifying their signatures again.
+The wanted state is that of the nodes with a valid identity; `/ca` and `/master` act by their
+identity and get none. The grants of other keys only lose what the policy no longer allows.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+from ca.errors import RevocationRefused
+from ca.names import RESERVED
+from ca.revocation.lists import MAX_ENTRIES
+from ca.revocation.tree import MAX_LEAVES
+from ca.store.record import Store
+from grants import document
+from grants.model import Draft, Grant, Permission
+from grants.policy.difference import (
+    Contradiction,
+    Moment,
+    NodeDifference,
+    RecordedGrant,
+    atoms,
+    difference,
+)
+from grants.policy.model import Subject
+from grants.policy.wanted import WantedRight, WantedState, rule_ids
+from rossec.authority import list_contents
+from rossec.authority.list_contents import SKEW
+from rossec.authority.policyfile import PolicyFile
+
+_OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants have expired"
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is asked of a plan.
+
+    Args:
+        names: only these nodes; None for all.
+        renew_due: sign anew what has less than a third of its time left.
+        prune: revoke grants made by hand against a denial; what else they allow is granted anew.
+    """
+
+    names: Collection[str] | None = None
+    renew_due: bool = False
+    prune: bool = False
+
+
+@dataclass(frozen=True)
+class PolicyPlan:
+    """What applying a policy would do.
+
+    Args:
+        pruned: grants made by hand that go, each with what it allows and the policy does not deny.
+        entries: of the log of the record from which it was made.
+        listed: the number of entries of the revocation list afterwards; 0 if nothing is revoked.
+    """
+
+    policy: PolicyFile
+    options: PlanOptions
+    moment: Moment
+    nodes: tuple[NodeDifference, ...]
+    pruned: tuple[tuple[Grant, tuple[Permission, ...]], ...]
+    entries: int
+    listed: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to do."""
+        return not self.revoke and self.signs == 0
+
+    @property
+    def signs(self) -> int:
+        """The number of grants to sign."""
+        return sum(len(node.sign) for node in self.nodes) + sum(
+            1 for _, left in self.pruned if left
+        )
+
+    @property
+    def revoke(self) -> tuple[Grant, ...]:
+        """The grants to revoke."""
+        gone = [grant for node in self.nodes for grant in node.revoke]
+        return (*gone, *(grant for grant, _ in self.pruned))
+
+    @property
+    def contradictions(self) -> tuple[Contradiction, ...]:
+        """What grants made by hand allow against a denial, and will allow afterwards."""
+        if self.options.prune:
+            return ()
+        return tuple(each for node in self.nodes for each in node.contradictions)
+
+    @property
+    def needs_tree(self) -> bool:
+        """Whether there will be more revocations than a list holds."""
+        return self.listed > MAX_ENTRIES
+
+    @property
+    def ends(self) -> int | None:
+        """When the first right from the policy ends, seconds; None without any."""
+        return min((node.ends for node in self.nodes if node.ends is not None), default=None)
+
+    def drafts(
+        self, domain: str, now: int, serial: Callable[[], bytes]
+    ) -> Iterator[tuple[Draft, str]]:
+        """The grants to sign at `now`, each with the rules it comes from."""
+        for node in self.nodes:
+            for group in node.sign:
+                yield _draft(domain, node.subject, group, now, serial())
+        for grant, left in self.pruned:
+            if left and now < grant.expires:
+                draft = Draft(
+                    domain, grant.subject, grant.holder, grant.not_before, grant.expires,
+                    grant.cap, serial(), left,
+                )  # fmt: skip
+                yield draft, ""
+
+
+def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
+    """Compare what `policy` allows outright with the grants in the record.
+
+    Raises:
+        RevocationRefused: more would be revoked than a list can hold.
+        PolicyRefused: a node would need more grants than it can present.
+    """
+    state = WantedState(policy.decider)
+    with store.read_transaction():
+        recorded = _recorded(store, options.names, moment.now)
+        getting = _subjects(store, options.names, moment.now)
+        subjects = sorted(getting | recorded.keys(), key=lambda each: (each.name, each.key))
+        nodes = tuple(
+            difference(state, each, recorded.get(each, ()), moment, gets=each in getting)
+            for each in subjects
+        )
+        pruned = tuple(_pruned(nodes)) if options.prune else ()
+        plan = PolicyPlan(policy, options, moment, nodes, pruned, store.log.head(0).size)
+        return _measured(store, plan)
+
+
+def _subjects(store: Store, names: Collection[str] | None, now: int) -> set[Subject]:
+    """The nodes that may get grants, with their present keys."""
+    found = (
+        store.identities.all_valid(now)
+        if names is None
+        else [row for name in names for row in store.identities.valid(name, now)]
+    )
+    newest = {row.name: row.thumbprint for row in found if row.name.startswith("/")}
+    return {Subject(name, key) for name, key in newest.items() if name not in RESERVED}
+
+
+def _recorded(
+    store: Store, names: Collection[str] | None, now: int
+) -> dict[Subject, list[RecordedGrant]]:
+    """The grants that are or can be in force, by node and key."""
+    revoked, rules = store.revoked_entries(), store.policy_grants()
+    rows = (
+        store.unrevoked_grants()
+        if names is None
+        else [row for name in names for row in store.unrevoked_grants(name)]
+    )
+    found: dict[Subject, list[RecordedGrant]] = {}
+    for row in rows:
+        grant = document.peek(row.data)
+        if now < grant.cap and grant.holder not in revoked:
+            of = found.setdefault(Subject(grant.subject, grant.holder), [])
+            of.append(RecordedGrant(grant, rules.get(row.id, "")))
+    return found
+
+
+def _pruned(
+    nodes: tuple[NodeDifference, ...],
+) -> Iterator[tuple[Grant, tuple[Permission, ...]]]:
+    for node in nodes:
+        denied: dict[bytes, set[tuple[int, str]]] = {}
+        for each in node.contradictions:
+            denied.setdefault(each.grant.id, set()).add((each.right, each.pattern))
+        for grant in {each.grant.id: each.grant for each in node.contradictions}.values():
+            kept = [
+                entries for atom, entries in atoms(grant).items() if atom not in denied[grant.id]
+            ]
+            yield grant, tuple(item for entries in kept for item in entries)
+
+
+def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
+    """The plan with the length of the list that it would make."""
+    gone = {grant.id for grant in plan.revoke}
+    if not gone:
+        return plan
+    listed = len(list_contents.required_entries(store, plan.moment.now) | gone)
+    if listed > MAX_LEAVES:
+        raise RevocationRefused(
+            f"revoking {len(gone)} grants would make a list of {listed} entries"
+            f" where at most {MAX_LEAVES} are allowed",
+            _OVER,
+        )
+    return replace(plan, listed=listed)
+
+
+def _draft(
+    domain: str, subject: Subject, group: tuple[WantedRight, ...], now: int, serial: bytes
+) -> tuple[Draft, str]:
+    lifetime = min(each.lifetime for each in group)
+    renewal = min(max(each.lifetime, each.renew_until) for each in group)
+    draft = Draft(
+        domain=domain, subject=subject.name, holder=subject.key,
+        not_before=now - SKEW, expires=now + lifetime, cap=now + renewal, serial=serial,
+        permissions=tuple(item for each in group for item in each.permissions),
+    )  # fmt: skip
+    return draft, rule_ids(rule for each in group for rule in each.rules)

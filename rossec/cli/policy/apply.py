@@ -1,0 +1,74 @@
+"""`rossec policy apply`: make the grants in force what the policy allows outright."""
+
+from pathlib import Path
+
+import click
+
+from rossec.authority.policy_plan import PolicyPlan
+from rossec.authority.policyfile import read_policy
+from rossec.authority.service import AuthorityService
+from rossec.cli.policy import apply_report
+from rossec.cli.shared import options
+from rossec.cli.shared.context import confirm
+from rossec.cli.shared.service import pass_service, remind_to_publish
+from rossec.errors import PolicyContradicted
+from rossec.terminal import note, say, say_json
+
+
+@click.command()
+@options.policy
+@click.option("--node", "names", multiple=True, metavar="NAME", help="only for this node")
+@click.option("--dry-run", is_flag=True, help="only show the difference")
+@click.option("--prune", is_flag=True, help="revoke grants made by hand against a denial, too")
+@click.option("--renew", is_flag=True, help="sign anew what has less than a third of its time left")
+@options.master_uri
+@click.option("--yes", is_flag=True, help="do not ask")
+@click.option("--json", "as_json", is_flag=True, help="the difference as one line of JSON")
+@pass_service
+def apply(
+    service: AuthorityService,
+    policy_path: Path | None,
+    names: tuple[str, ...],
+    dry_run: bool,
+    prune: bool,
+    renew: bool,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Put the policy in force: sign what it allows outright, revoke what it does not allow.
+
+    Shows the difference to the grants in force (+ new, ~ narrower or wider, - no longer allowed),
+    asks, signs and delivers what is new, then revokes the rest. Grants that say what the policy
+    says are kept. Applying it twice changes nothing. Grants made by hand are left alone.
+
+    Exit codes: 0 in force, or shown with --dry-run; 1 refused, nothing was done; 2 wrong usage; 3
+    signed here, but the master did not take it; 4 as 0, but grants made by hand allow what the
+    policy denies; 130 interrupted.
+    """
+    policy = read_policy(service.rossec_home, policy_path, signs=True)
+    plan = service.plan_policy(policy, names or None, renew_due=renew, prune=prune)
+    if as_json:
+        say_json(apply_report.as_json(plan))
+    else:
+        for line in apply_report.lines(plan):
+            say(line)
+    if not dry_run and not plan.is_empty:
+        confirm(f"{apply_report.summary(plan)}?", yes=yes)
+        service.apply_policy(plan, note if as_json else say)
+        remind_to_publish(service)
+    _check_contradictions(plan)
+
+
+def _check_contradictions(plan: PolicyPlan) -> None:
+    """Return if no grant made by hand allows what the policy denies.
+
+    Raises:
+        PolicyContradicted: some do.
+    """
+    grants = {each.grant.id for each in plan.contradictions}
+    if grants:
+        allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"
+        raise PolicyContradicted(
+            f"{len(grants)} {allow} what the policy denies",
+            "revoke them with: rossec policy apply --prune; or: rossec grant revoke ID",
+        )

@@ -1,0 +1,101 @@
+"""A right before and after: what is certain to be narrower or wider is called so."""
+
+import pytest
+
+from grants.model import FilterRule, Permission, Restriction, Right
+from grants.policy.changes import Before, Change, Kind, change_of, kept, withdrawn
+from grants.policy.decision import Decider
+from grants.policy.model import DAY, Effect, PolicyRule
+from grants.policy.wanted import WantedRight
+from tests.grants.policy.policies import node, rules
+
+X = node("/x")
+RULE = PolicyRule("r", Effect.ALLOW, (), (), line=7)
+POSE = "geometry_msgs/PoseStamped"
+SLOW, FAST = Restriction(rate=1), Restriction(rate=2)
+DAYTIME = Restriction(conditions=("now.getHours() >= 6",))
+ROUND = Restriction(POSE, (), (FilterRule("pose.position", "round", (("step", 2.0),)),))
+COARSE = Restriction(POSE, (), (FilterRule("pose.position", "round", (("step", 9.0),)),))
+KEPT = Restriction(keep_when_stale=True)
+Restrictions = tuple[Restriction | None, ...]
+
+
+def entries(restrictions: Restrictions) -> tuple[Permission, ...]:
+    return tuple(Permission("/pose", Right.SUBSCRIBE, each) for each in restrictions)
+
+
+def wanted(restrictions: Restrictions, lifetime: int = DAY, renew: int = 0) -> WantedRight:
+    return WantedRight(Right.SUBSCRIBE, "/pose", entries(restrictions), (RULE,), lifetime, renew)
+
+
+def before(restrictions: Restrictions, lifetime: int = DAY, longest: int = DAY) -> Before:
+    return Before(frozenset(entries(restrictions)), lifetime, longest)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind"),
+    [
+        ((None,), (SLOW,), Kind.NARROWER),
+        ((SLOW,), (None,), Kind.WIDER),
+        ((FAST,), (SLOW,), Kind.NARROWER),
+        ((None,), (ROUND,), Kind.NARROWER),
+        ((ROUND,), (ROUND, DAYTIME), Kind.NARROWER),
+        ((ROUND, DAYTIME), (DAYTIME,), Kind.WIDER),
+        ((KEPT,), (None,), Kind.NARROWER),
+        ((None,), (KEPT,), Kind.WIDER),
+        ((ROUND,), (COARSE,), Kind.CHANGED),
+        ((ROUND,), (SLOW,), Kind.CHANGED),
+        ((KEPT,), (FAST,), Kind.NARROWER),
+        ((ROUND, SLOW), (ROUND, SLOW), Kind.KEPT),
+    ],
+)
+def test_restrictions_are_compared(old: Restrictions, new: Restrictions, kind: Kind) -> None:
+    assert change_of(X, wanted(new), before(old)).kind is kind
+
+
+@pytest.mark.parametrize(
+    ("lifetime", "renew", "kind"),
+    [
+        (DAY, 0, Kind.KEPT),
+        (2 * DAY, 0, Kind.WIDER),
+        (DAY // 2, 0, Kind.NARROWER),
+        (DAY, 30 * DAY, Kind.WIDER),
+        (DAY // 2, 30 * DAY, Kind.CHANGED),
+    ],
+)
+def test_validities_are_compared(lifetime: int, renew: int, kind: Kind) -> None:
+    assert change_of(X, wanted((None,), lifetime, renew), before((None,))).kind is kind
+
+
+def test_a_new_right_has_its_rule_and_its_restrictions() -> None:
+    change = change_of(X, wanted((ROUND, SLOW), renew=30 * DAY))
+    assert change == Change(
+        Kind.NEW, X, Right.SUBSCRIBE, "/pose",
+        ("at most 1 messages a second", "pose.position: round step 2.0",
+         "valid 1d, renewed until 30d"),
+        (RULE,),
+    )  # fmt: skip
+
+
+def test_a_changed_right_shows_what_it_was() -> None:
+    change = change_of(X, wanted((FAST,)), before((SLOW,), 2 * DAY, 9 * DAY))
+    assert change.before == ("at most 1 messages a second", "valid 2d, renewed until 9d")
+    assert change_of(X, wanted((FAST,)), before((FAST,))).before == ()
+
+
+def test_a_right_that_goes_has_the_rules_that_deny_it() -> None:
+    policy = rules("{id: d, who: /x, deny: {subscribe: [/pose]}}")
+    atom = (Right.SUBSCRIBE, "/pose")
+    for subject, ids in ((X, ["d"]), (node("/y"), [])):
+        verdict = Decider(policy).decide(subject, *atom)
+        change = withdrawn(subject, atom, verdict, before((ROUND,)))
+        assert (change.kind, [rule.id for rule in change.rules]) == (Kind.GONE, ids)
+        assert change.restrictions == ("pose.position: round step 2.0",)
+
+
+def test_a_kept_right_says_what_it_is() -> None:
+    assert kept(X, wanted((None,))).restrictions == ("valid 1d",)
+
+
+def test_each_kind_has_its_sign() -> None:
+    assert "".join(kind.sign for kind in Kind) == "+~~~-="
