@@ -39,6 +39,7 @@ _CA: Final = {
         "Let nodes whose names PATTERN covers join by a code, without a person for each of them.",
     ),
     "list": ("ca.identities:list_", "List the identities that are valid now."),
+    "lock": ("ca.unlock:lock", "Let the running service drop the key at once."),
     "log": ("ca.group:log", "Show everything the authority did, oldest first."),
     "publish": ("ca.revocation:publish", "Give the newest revocation list to the master."),
     "refresh": (
@@ -58,8 +59,20 @@ _CA: Final = {
         "ca.revocation:revoke",
         "Revoke the identity of the node NAME, and notify the master at once.",
     ),
+    "serve": (
+        "ca.serve:serve",
+        "Hold the authority's key, so that commands need no passphrase. Ends with Ctrl-C.",
+    ),
     "show": ("ca.identities:show", "Show the authority, or everything about the node NAME."),
     "sign": ("ca.sign:sign", "Sign the identity requests in REQUESTS, after showing them."),
+    "status": (
+        "ca.unlock:status",
+        "Show whether the authority's service runs, and whether it holds the key.",
+    ),
+    "unlock": (
+        "ca.unlock:unlock",
+        "Give the running service the passphrase: it holds the key from now on, for a time.",
+    ),
 }
 
 _INTERMEDIATE: Final = {

@@ -76,6 +76,28 @@ def tables() -> list[str]:
     return [path.read_text() for path in TABLES if path.exists()]
 
 
+class UnixPeer(NamedTuple):
+    """The other end of a unix socket: the process that connected it or listened, and its user.
+
+    The number of a process that has ended may be given to another one: it identifies nobody.
+    """
+
+    process: int
+    user: int
+
+
+def unix_peer(sock: socket.socket) -> UnixPeer:
+    """The other end of a connected unix socket (SO_PEERCRED, unix(7)).
+
+    Raises:
+        OSError: not connected.
+    """
+    size = struct.calcsize("3i")
+    credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    process, user, _ = struct.unpack("3i", credentials)
+    return UnixPeer(process, user)
+
+
 def user_of(sock: socket.socket) -> int:
     """The user id at the other end of a connected unix or TCP socket of this host.
 
@@ -84,9 +106,7 @@ def user_of(sock: socket.socket) -> int:
         OSError: not connected, or the kernel's tables cannot be read.
     """
     if sock.family == socket.AF_UNIX:
-        size = struct.calcsize("3i")
-        credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-        return int(struct.unpack("3i", credentials)[1])
+        return unix_peer(sock).user
     return holder_of(sock).user
 
 

@@ -177,3 +177,9 @@ def test_the_holder_of_an_ipv6_listener(monkeypatch: pytest.MonkeyPatch, asked: 
         with socket.create_server(("127.0.0.1", port)):
             (holder,) = peeruid.listeners(("::1", port))
         assert holder == (os.getuid(), os.fstat(server.fileno()).st_ino)
+
+
+def test_a_unix_socket_names_process_and_user() -> None:
+    one, other = socket.socketpair()
+    with one, other:
+        assert peeruid.unix_peer(one) == (os.getpid(), os.getuid())
