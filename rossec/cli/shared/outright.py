@@ -5,7 +5,7 @@ from typing import Final
 from ca.errors import HintedError
 from grants import document
 from rossec.authority.service import AuthorityService, SignedGrant
-from rossec.cli.shared.service import deliver_grant
+from rossec.cli.shared.service import deliver_grants
 from rossec.terminal import note, say
 
 _NAMED: Final = 5  # rights of the line
@@ -25,8 +25,7 @@ def give_outright(service: AuthorityService, name: str) -> None:
         return
     if signed:
         say(f"the policy gives {name}: {_rights(signed)}")
-    for draft, data in signed:
-        deliver_grant(service, draft.subject, data, None)
+        deliver_grants(service, [data for _, data in signed])
 
 
 def _rights(signed: list[SignedGrant]) -> str:
