@@ -60,6 +60,20 @@ class Profile:
         signature = signer.sign(self._signed_frame + encode(body))
         return _SIGN1_TAG + encode([self.protected, {}, body, signature])
 
+    def payload_to_sign(self, message: bytes, *, limit: int = MAX_SIZE) -> Value:
+        """The payload in `message`, which a signer is asked to sign: see `sign`.
+
+        Raises:
+            SignatureError: not what a statement of this kind has signed.
+            EncodingError: its payload is not strict deterministic CBOR.
+        """
+        start = len(self._signed_frame)
+        start += _HEAD_SIZES.get(message[start], 1) if start < len(message) else 0
+        body = message[start:]
+        if message != self._signed_frame + head(_BYTES, len(body)) + body:
+            raise SignatureError(f"not a statement of kind {self.typ}")
+        return decode(body, limit=limit)
+
     def open(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> Value:
         """Verify `data` against `key` and return its payload.
 

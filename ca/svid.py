@@ -163,6 +163,14 @@ def check_leaf(extensions: x509.Extensions) -> None:
         raise CertificateRefused("the certificate's key usage is not digital signature only")
 
 
+def is_authority(extensions: x509.Extensions) -> bool:
+    """Whether basic constraints say so, critical or not; `check_authority` checks the rest."""
+    return any(
+        isinstance(extension.value, x509.BasicConstraints) and extension.value.ca
+        for extension in extensions
+    )
+
+
 def check_authority(extensions: x509.Extensions) -> None:
     """An authority: critical basic constraints with cA true, key usage keyCertSign."""
     match _critical(extensions, x509.BasicConstraints):

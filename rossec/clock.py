@@ -89,6 +89,16 @@ def format_time(seconds: int) -> str:
     return _time.strftime("%Y-%m-%d %H:%M:%S UTC", _time.gmtime(seconds))
 
 
+def format_duration(seconds: int) -> str:
+    """A duration for people, in its largest whole units: `14m 59s`, `2d 3h`."""
+    parts = list[str]()
+    for unit, size in (("d", 86400), ("h", 3600), ("m", 60), ("s", 1)):
+        count, seconds = divmod(seconds, size)
+        if count:
+            parts.append(f"{count}{unit}")
+    return " ".join(parts[:2]) or "0s"
+
+
 def correct(moment: int) -> bool:
     """As of `Clock`."""
     return HOST.correct(moment)

@@ -63,6 +63,22 @@ class NotDelivered(RossecError):
     """Done here, but not delivered to the master."""
 
 
+class AuthorityLocked(RossecError):
+    """The authority's service runs, but does not hold the key now."""
+
+
+class SigningRefused(RossecError):
+    """Bytes that the authority's service does not recognize as something an authority signs."""
+
+
+class KeyServiceRefused(RossecError):
+    """The authority's service refuses for another reason: it is busy, or cannot write its audit."""
+
+
+class KeyServiceFailed(RossecError):
+    """What answers as the authority's service is not it, or the answer is invalid."""
+
+
 class PolicyContradicted(RossecError):
     """The policy is in force, but grants made by hand allow what it denies."""
 
@@ -77,6 +93,10 @@ class HeaderRefused(WireError):
 
 class FrameRefused(WireError):
     """A TCPROS message longer than allowed."""
+
+
+class KeyMessageRefused(WireError):
+    """A message to or from the authority's service that is malformed or too long."""
 
 
 class HttpRefused(WireError):

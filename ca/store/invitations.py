@@ -6,14 +6,40 @@ invitation ends by its time, by its number of uses, or by an entry that says why
 """
 
 import hashlib
+from typing import NamedTuple
 
 from ca.errors import InvitationRefused
 from ca.store.database import Database
-from ca.store.log import append_entry
 from ca.store.log_entries import digest_of
-from ca.store.rows import InvitationRow, InvitationUse
+from ca.store.schema import append_entry
 
 _COLUMNS = "id, key, pattern, uses, wildcard, expires, at"
+
+
+class InvitationRow(NamedTuple):
+    """An invitation: nodes whose names `pattern` covers may join, `uses` of them, until `expires`.
+
+    `key` is the public half of the key in its code (an uncompressed P-256 point, 65 bytes), `id`
+    the SHA-256 of `key`; `wildcard`: identities for anonymous nodes too.
+    """
+
+    id: bytes
+    key: bytes
+    pattern: str
+    uses: int
+    wildcard: bool
+    expires: int
+    at: int
+
+
+class InvitationUse(NamedTuple):
+    """One identity that was issued by an invitation; `request` is the digest of its request."""
+
+    invitation: bytes
+    request: bytes
+    name: str
+    thumbprint: bytes
+    at: int
 
 
 class InvitationTable:

@@ -44,7 +44,7 @@ def _to_version_2(db: sqlite3.Connection) -> None:
                 f"line {number} of the log is about a {what} that is not recorded",
                 "restore a backup, and find out who changed the record",
             )
-        schema.append(db, at, what, subject, detail, digest_of(row))
+        schema.append_entry(db, at, what, subject, detail, digest_of(row))
 
 
 def _to_version_3(db: sqlite3.Connection) -> None:
@@ -54,12 +54,12 @@ def _to_version_3(db: sqlite3.Connection) -> None:
         db.execute(statement)
     for row in requests:
         db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
-        schema.append(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
+        schema.append_entry(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
     names = {row[0]: row[1] for row in requests}
     for row in decisions:
         db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
         subject = names.get(row[0], "")
-        schema.append(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
+        schema.append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
 
 
 def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
@@ -73,7 +73,7 @@ def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, 
 
 def _finish(db: sqlite3.Connection, version: int) -> None:
     (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
-    schema.append(db, at, "migrated", "record", f"{version - 1} to {version}", b"")
+    schema.append_entry(db, at, "migrated", "record", f"{version - 1} to {version}", b"")
     db.execute(f"PRAGMA user_version = {version}")
 
 

@@ -190,10 +190,10 @@ def _normal(statement: str) -> str:
     return " ".join(statement.split())
 
 
-def append(
+def append_entry(
     db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
-    """Append an entry to the log."""
+    """Append an entry to the log, inside the transaction of the change it describes."""
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)

@@ -23,10 +23,12 @@ from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from ca.store import backup
 from ca.store.log_entries import LogEntry
 from rossec import files
-from rossec.authority.home import AuthorityHome
+from rossec.authority.home import AUDIT_FILE, AuthorityHome
+from rossec.authority.keyservice.lock import LOCK, service_lock
 from rossec.authority.signing import SigningAuthority
 
-_SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
+# The record goes in as a snapshot; the audit is of one host, and may be larger than a backup.
+_SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm", LOCK)
 _HINT: Final = "take another backup, and find out who made this one"
 _PUBLIC: Final = ".pem"
 
@@ -46,10 +48,10 @@ def back_up(home: AuthorityHome, passphrase: str) -> bytes:
         str(path): (home.path / path).read_bytes()
         for path in sorted(each.relative_to(home.path) for each in home.path.rglob("*"))
         if (home.path / path).is_file() and path.name not in _SKIPPED
-        and not path.name.startswith(".") and "grants" not in path.parts
+        and not path.name.startswith((".", AUDIT_FILE)) and "grants" not in path.parts
     }  # fmt: skip
     with contextlib.closing(home.store()) as store:
-        content["ca.db"] = store.snapshot()
+        content["ca.db"] = store.database.snapshot()
     salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
     return backup.seal(content, passphrase, salt=salt, nonce=nonce)
 
@@ -80,6 +82,7 @@ def restore(
         entries: those of the tree, which does not contain them.
 
     Raises:
+        ConfigurationError: the authority's service runs.
         BackupRefused: not a backup, incomplete, or `over` or `forget` do not match.
         RevocationRefused: the list, tree or entries are not the authority's.
         PassphraseRefused: the passphrase is wrong.
@@ -117,7 +120,7 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
     try:
         authority = staging.unlock(secret)
         authority.store.log.audit(authority.signer.public_key)
-        authority.store.check()
+        authority.store.database.check()
         newest = authority.store.newest_list()
         if newest is not None and authority.authority.is_root:
             key = authority.authority.anchor.public_key
@@ -134,8 +137,10 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
 
 @contextlib.contextmanager
 def _locked(target: Path) -> Iterator[None]:
-    """Lock the record at `target` from its comparison with the backup until it is moved away."""
+    """Lock the service and the record at `target` from the comparison until it is moved."""
     with contextlib.ExitStack() as stack:
+        if target.is_dir():
+            stack.enter_context(service_lock(target))
         with contextlib.suppress(HintedError):  # an incomplete authority: `_read` reports it
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
             stack.enter_context(store.transaction())
@@ -208,8 +213,12 @@ def _revoked_by(
 def _start_new_epoch(
     authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
-    """Start a new epoch and add missing revocations; an intermediate has neither."""
+    """Start a new epoch and add missing revocations; an intermediate has neither.
+
+    Invitations end: the backup does not know which of their uses were taken since.
+    """
     authority.store.log_event("restored", "record", f"from {entries} entries", now)
+    authority.store.invitations.end_all("restored from a backup", now)
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()

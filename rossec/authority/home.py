@@ -24,6 +24,7 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
 ENTRIES: Final = "revocations.entries"  # of a tree, next to the statement in a master's home
+AUDIT_FILE: Final = "audit.log"  # of its service
 KEY_URI: Final = "ca.uri"  # names the key, if it is in a token
 _MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024
@@ -111,13 +112,23 @@ class AuthorityHome:
         Raises:
             PassphraseRefused: the passphrase is wrong.
         """
-        authority = Authority(
-            self._signer(passphrase), self.anchor().certificate, self.intermediate()
-        )
+        return self.open(self.load_key(passphrase))
+
+    def open(self, signer: Signer) -> SigningAuthority:
+        """The authority with `signer`, its key.
+
+        Raises:
+            IssueRefused: it is another key.
+        """
+        authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
-    def _signer(self, secret: str) -> Signer:
-        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+    def load_key(self, secret: str) -> Signer:
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
+
+        Raises:
+            PassphraseRefused, TokenRefused: it is wrong, or there is no such token.
+        """
         path = self.path / KEY_URI
         if not path.exists():
             return KeySigner(key_files.load_private(self.path / "ca.key", secret))

@@ -110,7 +110,7 @@ class PolicyOperations(ABC):
         from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - see above
 
         with contextlib.closing(self.home.store()) as store:
-            known = name in {row.name for row in store.certificates()}
+            known = name in {row.name for row in store.identities.all()}
         self.unlock()
         return add_denial(policy, name, self._now(), is_node=is_node or known)
 

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store.database import Database
-from ca.store.log import append_entry
 from ca.store.log_entries import digest_of
+from ca.store.schema import append_entry
 from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
 

@@ -15,16 +15,18 @@ from typing import Final
 
 from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
+from ca.keys.signer import Signer
 from ca.revocation.state import RevocationList, open_statement
 from ca.revocation.tree import is_tree
+from ca.store.identities import INTERMEDIATE
 from ca.store.lifecycle import RequestRow, RequestState
-from ca.store.rows import INTERMEDIATE
 from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.grant_delivery import GrantDelivery
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.client import RemoteSigner, running_signer
 from rossec.authority.master_call import MasterCall
 from rossec.authority.policy_operations import Decided, PolicyOperations, SignedGrant
 from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
@@ -52,6 +54,7 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         passphrase: returns the passphrase of the key, or raises.
         deliver: calls the master, returns its answer; raises `NotDelivered` if it cannot.
         now: seconds since the epoch.
+        find_signer: the key, if a service holds it; `running_signer` asks the one that runs.
     """
 
     def __init__(
@@ -60,11 +63,13 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         passphrase: Callable[[], str],
         deliver: Callable[[MasterCall], object],
         now: Callable[[], int] = clock.now,
+        find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
     ) -> None:
         self.rossec_home = home
         self._passphrase = passphrase
         self._deliver = deliver
         self._now = now
+        self._find_signer = find_signer
         self._unlocked: SigningAuthority | None = None
         self._before: tuple[frozenset[bytes], tuple[int, int]] = frozenset(), (0, 0)
 
@@ -74,14 +79,18 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         return AuthorityHome.at(self.rossec_home)
 
     def unlock(self) -> SigningAuthority:
-        """The authority with its key; asks for the passphrase unless this was done before.
+        """The authority with its key: that of its service where one runs (`rossec ca serve`).
+
+        Otherwise it asks for the passphrase, unless this was done before.
 
         Raises:
+            AuthorityLocked: the service runs, and does not hold the key.
             PassphraseRefused: it is wrong; the next call asks again.
         """
         if self._unlocked is None:
             home = self.home
-            authority = home.unlock(self._passphrase())
+            signer = self._find_signer(home)
+            authority = home.unlock(self._passphrase()) if signer is None else home.open(signer)
             self._before = authority.store.revoked_entries(), authority.store.next_number()
             self._unlocked = authority
         return self._unlocked
@@ -89,6 +98,8 @@ class AuthorityService(GrantDelivery, PolicyOperations):
     def close(self) -> None:
         """Close the record, and forget the key."""
         if self._unlocked is not None:
+            if isinstance(self._unlocked.signer, RemoteSigner):
+                self._unlocked.signer.close()
             self._unlocked.store.close()
             self._unlocked = None
 

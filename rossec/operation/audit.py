@@ -145,6 +145,11 @@ class AuditFile(logging.Handler):
         if now - self._synced >= SYNC_EVERY or now < self._synced:
             self.sync()
 
+    @property
+    def is_failing(self) -> bool:
+        """Whether the last line could not be written."""
+        return self._failing
+
     def sync(self) -> None:
         """Sync what was written to the disk."""
         self._synced = self._clock()

@@ -13,7 +13,7 @@ AUDIT: Final = "rossec.audit"
 
 
 @contextmanager
-def audit_written(path: Path, signer: Signer) -> Iterator[None]:
+def audit_written(path: Path, signer: Signer) -> Iterator[AuditFile]:
     """Write what is logged to `rossec.audit` to the audit file at `path`.
 
     Raises:
@@ -27,7 +27,7 @@ def audit_written(path: Path, signer: Signer) -> Iterator[None]:
         other.setLevel(max(other.level, root.level))
     log.addHandler(handler)
     try:
-        yield
+        yield handler
     finally:
         log.setLevel(level)
         log.removeHandler(handler)

@@ -193,7 +193,13 @@ class Agent:
         await run_layer(self, registrations.restore(self.state))
 
     async def rights_changed(self) -> None:
-        """Nothing: a program makes a registration that was refused again itself."""
+        """Make registrations again that were refused: roscpp and rospy never do so themselves."""
+        now, access = clock.now(), self.state.access
+
+        def holds(right: Right, name: str) -> bool:
+            return access.holds(right, name, now)
+
+        await run_layer(self, registrations.rights_changed(self.state, holds))
 
     def maintain(self) -> None:
         """Nothing: `Resubscriber` drops expired publishers."""

@@ -131,3 +131,38 @@ def test_long_heads_are_refused() -> None:
     ):
         with pytest.raises(EncodingError, match="not in its deterministic form"):
             PROFILE.open(longer, KEY)
+
+
+class Recorder:
+    """A signer that keeps what it is asked to sign."""
+
+    public_key = KEY
+    message = b""
+
+    def sign(self, message: bytes) -> bytes:
+        self.message = message
+        return SIGNER.sign(message)
+
+
+@pytest.mark.parametrize("payload", [{}, {1: "a", 2: b"b"}, {1: b"x" * 300}])
+def test_what_is_to_be_signed_is_read_before(payload: dict[int | str, Value]) -> None:
+    recorder = Recorder()
+    PROFILE.sign(recorder, payload)
+    assert PROFILE.payload_to_sign(recorder.message) == payload
+    with pytest.raises(SignatureError, match="not a statement of kind rossec-other"):
+        OTHER.payload_to_sign(recorder.message)
+    cut = [recorder.message[:size] for size in range(len(recorder.message))]
+    for changed in [*cut, recorder.message + b"\0"]:
+        with pytest.raises((SignatureError, EncodingError)):
+            PROFILE.payload_to_sign(changed)
+
+
+def test_what_is_to_be_signed_must_be_deterministic_and_bounded() -> None:
+    recorder = Recorder()
+    PROFILE.sign(recorder, {1: "a"})
+    beginning = recorder.message[: -1 - len(encode({1: "a"}))]
+    for body in (b"\xff", b"\xa1\x18\x01\x61a"):
+        with pytest.raises(EncodingError):
+            PROFILE.payload_to_sign(beginning + encode(body))
+    with pytest.raises(EncodingError, match="at most 3"):
+        PROFILE.payload_to_sign(recorder.message, limit=3)

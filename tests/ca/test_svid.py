@@ -247,3 +247,10 @@ def test_a_malformed_wildcard(value: bytes) -> None:
 def test_a_critical_wildcard_is_not_ours() -> None:
     with pytest.raises(CertificateRefused, match=r"unknown critical extension 2\.25\.1769"):
         leaf_with(NO_CA, USAGE, NAME, (TAIL, True))
+
+
+def test_an_authority_is_told_from_a_leaf_critical_or_not() -> None:
+    assert not svid.is_authority(leaf_with(NO_CA, USAGE, NAME))
+    for critical in (True, False):
+        constraints = x509.BasicConstraints(ca=True, path_length=0)
+        assert svid.is_authority(leaf_with((constraints, critical), USAGE, NAME))

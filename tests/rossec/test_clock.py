@@ -144,3 +144,11 @@ def test_no_other_module_reads_the_hosts_clock() -> None:
         if re.search(r"\btime\.time\b(?!_ns)|^import time as", path.read_text(), re.MULTILINE)
     }
     assert asking == {"clock.py", *_MEASURES}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(0, "0s"), (59, "59s"), (900, "15m"), (899, "14m 59s"), (7 * 86400 + 61, "7d 1m")],
+)
+def test_durations_are_formatted_in_two_units(seconds: int, shown: str) -> None:
+    assert clock.format_duration(seconds) == shown

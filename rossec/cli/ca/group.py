@@ -1,4 +1,4 @@
-"""The groups `rossec ca`, `rossec ca intermediate` and `rossec ca log`."""
+"""The groups `rossec ca`, and `intermediate`, `invitations` and `log` in it."""
 
 from typing import Final
 
@@ -30,7 +30,16 @@ _CA: Final = {
         "ca.group:intermediate",
         "Let a host sign nodes for a limited time, while the root stays offline.",
     ),
+    "invitations": (
+        "ca.group:invitations",
+        "Show the invitations that can be used, and who joined by them.",
+    ),
+    "invite": (
+        "ca.invite:command",
+        "Let nodes whose names PATTERN covers join by a code, without a person for each of them.",
+    ),
     "list": ("ca.identities:list_", "List the identities that are valid now."),
+    "lock": ("ca.unlock:lock", "Let the running service drop the key at once."),
     "log": ("ca.group:log", "Show everything the authority did, oldest first."),
     "publish": ("ca.revocation:publish", "Give the newest revocation list to the master."),
     "refresh": (
@@ -50,8 +59,20 @@ _CA: Final = {
         "ca.revocation:revoke",
         "Revoke the identity of the node NAME, and notify the master at once.",
     ),
+    "serve": (
+        "ca.serve:serve",
+        "Hold the authority's key, so that commands need no passphrase. Ends with Ctrl-C.",
+    ),
     "show": ("ca.identities:show", "Show the authority, or everything about the node NAME."),
     "sign": ("ca.sign:sign", "Sign the identity requests in REQUESTS, after showing them."),
+    "status": (
+        "ca.unlock:status",
+        "Show whether the authority's service runs, and whether it holds the key.",
+    ),
+    "unlock": (
+        "ca.unlock:unlock",
+        "Give the running service the passphrase: it holds the key from now on, for a time.",
+    ),
 }
 
 _INTERMEDIATE: Final = {
@@ -63,6 +84,13 @@ _INTERMEDIATE: Final = {
     "sign": (
         "ca.intermediate:sign",
         "At the root: sign REQUEST of a host, and set what it may do.",
+    ),
+}
+
+_INVITATIONS: Final = {
+    "revoke": (
+        "ca.invitations:revoke",
+        "End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.",
     ),
 }
 
@@ -97,3 +125,16 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
     from rossec.cli.ca.log import show  # noqa: PLC0415 - imported when it runs
 
     show(context.ensure_object(Environment), last, in_json=in_json)
+
+
+@click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
+@click.option("--all", "everything", is_flag=True, help="also those that have ended")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def invitations(context: click.Context, everything: bool, in_json: bool) -> None:
+    """Show the invitations that can be used, and who joined by them."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.ca.invitations import show  # noqa: PLC0415 - imported when it runs
+
+    show(context.ensure_object(Environment), everything=everything, in_json=in_json)

@@ -63,6 +63,22 @@ class Duration(click.ParamType[int]):
         return seconds
 
 
+class UnlockTime(click.ParamType[int]):
+    """A duration as seconds, or 0 for no end."""
+
+    name = "duration"
+
+    def __init__(self, most: int) -> None:
+        """Allow at most `most` seconds."""
+        self._duration = Duration(most // _UNITS["d"])
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int:
+        """Seconds of the duration `value`; 0: no end."""
+        return 0 if value in {0, "0"} else self._duration.convert(value, param, ctx)
+
+
 def reraise_interrupt(abort: click.Abort) -> None:
     """Distinguish Ctrl-C from the end of input: click raises `Abort` for both.
 

@@ -211,9 +211,10 @@ class Deposits:
                 "revoke those that are not needed, or sign one grant with several rights",
             )
         total = self._size + _size(accepted.values()) + len(deposit.data)
-        if len(self._by_id) + len(accepted) >= MAX_TOTAL or total > MAX_TOTAL_BYTES:
+        count = len(self._by_id) + len(accepted)
+        if count >= MAX_TOTAL or total > MAX_TOTAL_BYTES:
             raise GrantError(
-                f"the master holds {len(self._by_id)} grants and takes no more",
+                f"the master holds {count} grants and takes no more",
                 "hand the grant over as a file: rossec grant install FILE on the node's machine",
             )
         accepted[deposit.grant_id] = deposit

@@ -38,18 +38,12 @@ class Holder(NamedTuple):
     inode: int
 
 
-def user_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> int | None:
-    """The user of the socket bound to `local` and connected to `remote`; None: there is none. Pure.
+def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holder | None:
+    """The holder of the socket bound to `local` and connected to `remote`; None: none. Pure.
 
     `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
     too (::ffff:127.0.0.1): either side may use a dual-stack socket.
     """
-    found = holder_in(tables, local, remote)
-    return None if found is None else found.user
-
-
-def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holder | None:
-    """Like `user_in`, with the socket's inode. Pure."""
     wanted = {f"{_hex(local, mapped)} {_hex(remote, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
     found = [holder for row, holder in _rows(tables) if row in wanted]
     return found[0] if len({holder.user for holder in found}) == 1 else None
@@ -82,6 +76,28 @@ def tables() -> list[str]:
     return [path.read_text() for path in TABLES if path.exists()]
 
 
+class UnixPeer(NamedTuple):
+    """The other end of a unix socket: the process that connected it or listened, and its user.
+
+    The number of a process that has ended may be given to another one: it identifies nobody.
+    """
+
+    process: int
+    user: int
+
+
+def unix_peer(sock: socket.socket) -> UnixPeer:
+    """The other end of a connected unix socket (SO_PEERCRED, unix(7)).
+
+    Raises:
+        OSError: not connected.
+    """
+    size = struct.calcsize("3i")
+    credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    process, user, _ = struct.unpack("3i", credentials)
+    return UnixPeer(process, user)
+
+
 def user_of(sock: socket.socket) -> int:
     """The user id at the other end of a connected unix or TCP socket of this host.
 
@@ -90,9 +106,7 @@ def user_of(sock: socket.socket) -> int:
         OSError: not connected, or the kernel's tables cannot be read.
     """
     if sock.family == socket.AF_UNIX:
-        size = struct.calcsize("3i")
-        credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-        return int(struct.unpack("3i", credentials)[1])
+        return unix_peer(sock).user
     return holder_of(sock).user
 
 

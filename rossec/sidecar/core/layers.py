@@ -6,7 +6,7 @@ exception of a layer closes its connection; errors fail closed.
 
 from collections.abc import Generator
 from dataclasses import dataclass, field
-from typing import TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
@@ -26,12 +26,31 @@ class UnexpectedEvent(RossecError):
     """The shell answered a command with an event of the wrong type: a bug."""
 
 
+Calls: TypeAlias = dict[tuple[str, str], tuple[object, ...]]
+"""Registrations by method and name, with the parameters for the master."""
+MAX_REFUSED: Final = 256
+
+
 @dataclass
 class Program:
-    """A program's slave API: the name it registered under, and its registrations."""
+    """A program's slave API: the name it registered under, and its registrations.
+
+    `refused`: those the master refused, to be made again when this identity has new rights.
+    """
 
     name: str
-    registrations: dict[tuple[str, str], tuple[object, ...]] = field(default_factory=dict)
+    registrations: Calls = field(default_factory=dict)
+    refused: Calls = field(default_factory=dict)
+
+    def accept(self, method: str, key: str, params: tuple[object, ...]) -> None:
+        """The master has made a registration."""
+        self.registrations[method, key] = params
+        self.refused.pop((method, key), None)
+
+    def refuse(self, method: str, key: str, params: tuple[object, ...]) -> None:
+        """The master has refused a registration."""
+        if len(self.refused) < MAX_REFUSED:
+            self.refused[method, key] = params
 
 
 @dataclass

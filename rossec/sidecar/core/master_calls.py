@@ -71,6 +71,7 @@ class CallRule:
 
 
 SUBSCRIBE: Final = "registerSubscriber"
+REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
     SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
@@ -126,6 +127,10 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
         if method == SUBSCRIBE:
             answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
+    if rule.registers and str(answer[1]).startswith(REFUSED):
+        program, key = _registration(agent, method, rule, params, master_params)
+        if program is not None:
+            program.refuse(method, key, master_params)
     return answer
 
 
@@ -235,13 +240,27 @@ def _record_registration(
     params: tuple[object, ...],
     master_params: tuple[object, ...],
 ) -> None:
-    key = str(master_params[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
-    own_api = _own_api(rule, params)
-    if rule.registers and own_api is not None:
-        program = agent.programs.setdefault(own_api, Program(str(params[0])))
-        program.registrations[method, key] = master_params
+    program, key = _registration(agent, method, rule, params, master_params)
+    if program is not None:
+        program.accept(method, key, master_params)
     elif rule.unregisters is not None:
         _remove_registration(agent, rule, rule.unregisters, key, master_params)
+
+
+def _registration(
+    agent: AgentState,
+    method: str,
+    rule: CallRule,
+    params: tuple[object, ...],
+    master_params: tuple[object, ...],
+) -> tuple[Program | None, str]:
+    """The program that a call registers, None for another call, and the name it is about."""
+    index = RELATIVE_NAME.get(method, len(master_params))
+    key = str(master_params[index]) if index < len(master_params) else ""
+    own_api = _own_api(rule, params)
+    if not rule.registers or own_api is None:
+        return None, key
+    return agent.programs.setdefault(own_api, Program(str(params[0]))), key
 
 
 def _remove_registration(
@@ -254,13 +273,14 @@ def _remove_registration(
     """Remove the registration with this address; a new program of the same name keeps its own."""
     index, registered_index = rule.address_index, RULES[registering].address_index
     for program in agent.programs.values():
-        registration = program.registrations.get((registering, key))
-        if (
-            registration is not None
-            and len(master_params) > index
-            and registration[registered_index] == master_params[index]
-        ):
-            del program.registrations[registering, key]
+        for calls in (program.registrations, program.refused):
+            registration = calls.get((registering, key))
+            if (
+                registration is not None
+                and len(master_params) > index
+                and registration[registered_index] == master_params[index]
+            ):
+                del calls[registering, key]
 
 
 def _answer_for_program(

@@ -1,11 +1,13 @@
 """The stored registrations of programs, made again, and publisher updates for them. Pure layers.
 
-For a restarted master, for topics whose connection ended, and for publishers that the master did
-not name again within their grace period.
+For a restarted master, for topics whose connection ended, for rights that are new, and for
+publishers that the master did not name again within their grace period.
 """
 
+from collections.abc import Callable
 from typing import Final
 
+from grants.model import Right
 from rossec.errors import HangUp
 from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint
@@ -14,6 +16,9 @@ from rossec.sidecar.core.layers import AgentState, Layer
 from rossec.sidecar.core.master_calls import SUBSCRIBE
 
 _MASTER: Final = "/master"
+_RIGHTS: Final = {
+    "registerPublisher": Right.PUBLISH, SUBSCRIBE: Right.SUBSCRIBE, "registerService": Right.PROVIDE
+}  # fmt: skip
 
 
 def restore(agent: AgentState) -> Layer[None]:
@@ -36,10 +41,32 @@ def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
             yield from _register_again(agent, own_api, SUBSCRIBE, topic, params)
 
 
+def rights_changed(agent: AgentState, holds: Callable[[Right, str], bool]) -> Layer[None]:
+    """Make the registrations again that may have been refused or removed for lack of a right.
+
+    `holds`: whether this identity has a right now; without it the master would only refuse again.
+    """
+    for own_api, program in tuple(agent.programs.items()):
+        wanted = [
+            (method, key, params)
+            for (method, key), params in {**program.registrations, **program.refused}.items()
+            if method in _RIGHTS and holds(_RIGHTS[method], key)
+        ]
+        if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+            for method, key, params in wanted:
+                yield from _register_again(agent, own_api, method, key, params)
+
+
 def _register_again(
     agent: AgentState, own_api: Endpoint, method: str, key: str, params: tuple[object, ...]
 ) -> Layer[None]:
     event = yield CallMaster(method, params)
+    program = agent.programs.get(own_api)
+    match event:
+        case Answered(value=[1, _, _]) if program is not None:
+            program.accept(method, key, params)
+        case _:
+            pass
     match event:
         case Answered(value=[1, _, value]) if method == SUBSCRIBE:
             publishers = agent.followed_publishers(key, value)

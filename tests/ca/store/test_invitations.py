@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ca.errors import InvitationRefused, LogDamaged, StoreError
+from ca.store.invitations import InvitationRow, InvitationUse
 from ca.store.record import Store
-from ca.store.rows import InvitationRow, InvitationUse
 from tests.support.pki import new_signer
 
 NOW = 1_800_000_000

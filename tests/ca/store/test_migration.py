@@ -35,7 +35,7 @@ def shape(db: sqlite3.Connection) -> list[tuple[str, str]]:
 def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
     with closing(Store.open(old)) as store:
         count = len(oldstore.KEYS)
-        assert [row.thumbprint for row in store.certificates()] == oldstore.KEYS
+        assert [row.thumbprint for row in store.identities.all()] == oldstore.KEYS
         assert [row.id for row in store.grants()] == [key[:16] for key in oldstore.KEYS]
         assert store.revoked_entries() == {key[:16] for key in oldstore.KEYS}
         assert store.next_number() == (1, count + 1)
@@ -124,7 +124,7 @@ def check_grant_requests(path: Path) -> None:
     with closing(Store.open(path)) as store:
         assert store.requests.all() == []
         store.log.audit(new_signer().public_key)
-        store.check()
+        store.database.check()
         logged = [(e.what, e.subject, e.detail, e.at) for e in store.log.entries()[-4:]]
     assert logged == [
         ("grant request", "/b", "02", 2),

@@ -21,6 +21,8 @@ from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.lock import LOCK, service_lock
+from rossec.errors import ConfigurationError
 from tests.support.commands import PASSPHRASE, Shell, refused
 
 NOW = int(time.time())
@@ -42,7 +44,7 @@ def content(home: AuthorityHome) -> dict[str, bytes]:
     return {
         str(path.relative_to(home.path)): path.read_bytes()
         for path in home.path.rglob("*")
-        if path.is_file() and not path.name.startswith("ca.db")
+        if path.is_file() and not path.name.startswith("ca.db") and path.name != LOCK
     }
 
 
@@ -264,3 +266,23 @@ def test_no_revocation_goes_into_a_record_that_is_being_replaced(
     with pytest.raises(StoreError, match="was replaced by another command"):
         other.revoke(b"k" * 32, "afterwards", NOW)
     assert b"k" * 32 in home.unlock(PASSPHRASE).revoke(b"k" * 32, "again", NOW).entries
+
+
+def test_a_running_service_keeps_its_authority(home: AuthorityHome) -> None:
+    data = back_up(home, PASSPHRASE)
+    with service_lock(home.path):
+        with pytest.raises(ConfigurationError, match="service runs") as caught:
+            restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
+        assert "end it first" in caught.value.hint
+    restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
+
+
+def test_the_audit_of_the_service_is_not_in_a_backup(home: AuthorityHome, tmp_path: Path) -> None:
+    for name in ("audit.log", "audit.log.1"):
+        (home.path / name).write_text("a line")
+    with service_lock(home.path):
+        data = back_up(home, PASSPHRASE)
+    restored = restore(tmp_path / "elsewhere", data, PASSPHRASE, NOW).home
+    assert not {"audit.log", "audit.log.1", "service.lock"} & {
+        path.name for path in restored.path.iterdir()
+    }

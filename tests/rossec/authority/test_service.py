@@ -23,9 +23,10 @@ from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.policyfile import PolicyFile
 from rossec.authority.service import AuthorityService, MasterCall
-from rossec.errors import ConfigurationError, NotDelivered
+from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
+from tests.support.keyservice import running_service
 
 NOW, DAY = 1_800_000_000, 86_400
 SECRET = "four random words here"
@@ -122,6 +123,20 @@ def test_the_passphrase_is_asked_for_once(office: Office) -> None:
     office.service.close()
     office.service.unlock()
     assert office.asked == 3
+
+
+def test_a_running_service_is_asked_instead_of_the_operator(office: Office) -> None:
+    office.service.close()
+    with running_service(office.home) as running:
+        with pytest.raises(AuthorityLocked):
+            office.service.sign_head()
+        running.operations.unlock(SECRET, 60, "a test")
+        office.service.sign_head()
+        office.service.close()
+    assert office.asked == 1, "for /robot, before it ran"
+    assert [line.partition(",")[0] for line in running.audit[1:]] == ["signs a head of the log"]
+    office.service.sign_head()
+    assert office.asked == 2
 
 
 def test_without_an_authority_nobody_is_asked(tmp_path: Path) -> None:

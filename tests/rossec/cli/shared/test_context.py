@@ -40,3 +40,14 @@ def test_ctrl_c_at_a_question_is_raised(
     monkeypatch.setattr("click.termui.visible_prompt_func", ended)
     with pytest.raises(raised):
         context.confirm("really?", yes=False)
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("0", 0), ("15m", 900), ("7d", 7 * 86400)])
+def test_a_time_to_unlock_may_have_no_end(text: str, seconds: int) -> None:
+    assert context.UnlockTime(7 * 86400).convert(text, None, None) == seconds
+
+
+@pytest.mark.parametrize("text", ["8d", "0m", "00", "-1", ""])
+def test_a_time_to_unlock_is_bounded(text: str) -> None:
+    with pytest.raises(click.BadParameter):
+        context.UnlockTime(7 * 86400).convert(text, None, None)

@@ -1,9 +1,11 @@
 """Stored registrations: made again, removed, and updated."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.publisher_grace import GRACE
@@ -17,8 +19,14 @@ from rossec.sidecar.core.commands import (
 )
 from rossec.sidecar.core.endpoints import local_endpoint
 from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
+from rossec.sidecar.core.layers import MAX_REFUSED
 from rossec.sidecar.core.master_calls import handle_call
-from rossec.sidecar.core.registrations import drop_expired_publishers, restore, resubscribe
+from rossec.sidecar.core.registrations import (
+    drop_expired_publishers,
+    restore,
+    resubscribe,
+    rights_changed,
+)
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
 from tests.rossec.sidecar.core.registering import (
     INGRESS_URI,
@@ -165,3 +173,67 @@ def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
     setup.time += GRACE
     run_layer(drop_expired_publishers(setup.agent), publisher_update())
     assert run_layer(drop_expired_publishers(setup.agent)) is None
+
+
+def has(*rights: tuple[Right, str]) -> Callable[[Right, str], bool]:
+    return lambda right, name: (right, name) in rights
+
+
+PUBLISHER = ("/robot", "/pose", "pkg/Type", INGRESS_URI)
+REFUSED = Answered([-1, "rossec: /robot needs the right publish on /pose", []])
+
+
+def refuse(
+    setup: AgentSetup, params: tuple[str, ...] = PUBLISHER, answer: Answered = REFUSED
+) -> None:
+    run_layer(
+        handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (CallMaster("registerPublisher", params), answer),
+    )
+
+
+def test_a_refused_registration_is_made_again_with_the_right(setup: AgentSetup) -> None:
+    refuse(setup)
+    assert run_layer(restore(setup.agent), ALIVE) is None, "a restarted master would refuse it"
+    assert run_layer(rights_changed(setup.agent, has())) is None
+    may = has((Right.PUBLISH, "/pose"))
+    again = CallMaster("registerPublisher", PUBLISHER)
+    run_layer(rights_changed(setup.agent, may), ALIVE, (again, REFUSED))
+    run_layer(rights_changed(setup.agent, may), ALIVE, (again, Answered([1, "", []])))
+    assert setup.agent.programs[SLAVE].refused == {}
+    run_layer(restore(setup.agent), ALIVE, (again, Answered([1, "", []])))
+
+
+def test_a_registration_that_ended_with_its_right_is_made_again(setup: AgentSetup) -> None:
+    register(setup)
+    layer = rights_changed(setup.agent, has((Right.SUBSCRIBE, "/scan")))
+    params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
+    run_layer(layer, ALIVE, (CallMaster("registerSubscriber", params), Answered([-1, "", []])))
+
+
+def test_a_program_that_ended_is_not_registered_with_a_new_right(setup: AgentSetup) -> None:
+    refuse(setup)
+    layer = rights_changed(setup.agent, has((Right.PUBLISH, "/pose")))
+    run_layer(layer, (Probe(SLAVE), NoAnswer("gone", dead=True)), (Suspend(SLAVE), CommandDone()))
+    assert setup.agent.programs == {}
+
+
+def test_a_refused_registration_that_is_undone_is_not_made_again(setup: AgentSetup) -> None:
+    refuse(setup)
+    run_layer(
+        handle_call(setup.agent, "unregisterPublisher", ("/robot", "/pose", OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (CallMaster("unregisterPublisher", ("/robot", "/pose", INGRESS_URI)), OK),
+    )
+    assert setup.agent.programs[SLAVE].refused == {}
+
+
+def test_refusals_are_bounded_and_those_of_the_stock_master_are_not_stored(
+    setup: AgentSetup,
+) -> None:
+    refuse(setup, answer=Answered([-1, "ERROR: parameter [topic] contains illegal chars", 0]))
+    assert setup.agent.programs[SLAVE].refused == {}
+    for number in range(MAX_REFUSED + 1):
+        refuse(setup, ("/robot", f"/pose{number}", "pkg/Type", INGRESS_URI))
+    assert len(setup.agent.programs[SLAVE].refused) == MAX_REFUSED

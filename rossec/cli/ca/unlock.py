@@ -1,0 +1,71 @@
+"""`rossec ca unlock | lock | status`: the service that runs in the authority's directory."""
+
+from contextlib import closing
+from pathlib import Path
+
+import click
+
+from ca.encoding import Value
+from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.authority.keyservice.messages import MAX_UNLOCKED
+from rossec.cli.ca.serve import describe_remaining
+from rossec.cli.shared import passphrase
+from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
+from rossec.errors import ConfigurationError
+from rossec.terminal import say, say_json
+
+_START = "start it with: rossec ca serve"
+
+
+@click.command()
+@click.option(
+    "--for", "seconds", type=UnlockTime(MAX_UNLOCKED), default="15m", show_default=True,
+    help="how long the key is held; 0: while the service runs",
+)  # fmt: skip
+@passphrase.option
+@pass_environment
+def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
+    """Give the running service the passphrase: it holds the key from now on, for a time."""
+    with closing(_running(environment)) as client:
+        secret = passphrase.read(passphrase_file, environment.variables)
+        say(_describe(client.unlock(secret, seconds)))
+
+
+@click.command()
+@pass_environment
+def lock(environment: Environment) -> None:
+    """Let the running service drop the key at once."""
+    with closing(_running(environment)) as client:
+        say(_describe(client.lock()))
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Show whether the authority's service runs, and whether it holds the key."""
+    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
+    found = None
+    if client is not None:
+        with closing(client):
+            found = client.status()
+    if as_json:
+        say_json({"running": False} if found is None else {"running": True, **found})
+    elif found is None:
+        say(f"no service runs, each command asks for the passphrase; {_START}")
+    else:
+        say(_describe(found))
+
+
+def _running(environment: Environment) -> KeyServiceClient:
+    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
+    if client is None:
+        raise ConfigurationError("the authority's service does not run", _START)
+    return client
+
+
+def _describe(found: dict[str, Value]) -> str:
+    remaining = found.get("remaining")
+    state = describe_remaining(remaining if isinstance(remaining, int) else None)
+    return f"authority of {found.get('domain')!s}: {state}"

@@ -1,0 +1,109 @@
+"""`rossec ca serve` in this process, until a signal ends it."""
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from rossec.authority.home import AUDIT_FILE, AuthorityHome
+from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.authority.keyservice.lock import service_lock
+from rossec.cli.ca import serve as module
+from rossec.operation.audit import read_entries, verify
+from tests.support.commands import Said, Shell, refused
+
+
+@pytest.fixture(autouse=True)
+def _unprotected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process of the tests stays as it is (tests/integration runs the real one)."""
+    monkeypatch.setattr(module, "protect_memory", lambda: None)
+
+
+def serve(shell: Shell, *options: str, meanwhile: Callable[[], None] = lambda: None) -> Said:
+    """Run the service, `meanwhile` in a thread, and end it with SIGTERM."""
+
+    def end() -> None:
+        deadline = time.monotonic() + 20
+        while time.monotonic() < deadline:
+            client = KeyServiceClient.find(AuthorityHome.at(shell.root).path)
+            if client is not None:
+                client.close()
+                break
+            time.sleep(0.02)
+        try:
+            meanwhile()
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=end)
+    thread.start()
+    try:
+        return shell.unlocked("ca", "serve", *options)
+    finally:
+        thread.join()
+
+
+def audit(shell: Shell) -> list[str]:
+    text = (shell.root / "ca" / AUDIT_FILE).read_text()
+    entries, damaged = read_entries(text.splitlines())
+    assert damaged == []
+    verify(entries)
+    return [entry["text"] for entry in entries]
+
+
+def test_it_holds_the_key_until_it_is_ended(shell: Shell) -> None:
+    states = []
+
+    def meanwhile() -> None:
+        client = KeyServiceClient.find(shell.root / "ca")
+        assert client is not None
+        states.append(client.status()["remaining"])
+        client.close()
+
+    said = serve(shell, meanwhile=meanwhile)
+    assert said.code == 0, said.err
+    assert said.out == "authority of home: unlocked for 15m\n"
+    assert states[0] in range(880, 901)
+    assert audit(shell) == [
+        "the audit begins",
+        "unlocked for 900 s by the operator who started it",
+        "the service began",
+        "the service ended",
+    ]
+    assert not (shell.root / "ca" / "service.sock").exists()
+
+
+def test_it_says_for_programs_that_it_is_ready(shell: Shell) -> None:
+    said = serve(shell, "--json", "--unlock-for", "0")
+    path = str(shell.root / "ca" / "service.sock")
+    assert json.loads(said.out) == {"ready": path, "remaining": 0}
+
+
+def test_it_starts_locked_without_a_passphrase(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forms = list[str]()
+    monkeypatch.setattr(module, "log_as_json", lambda: forms.append("json"))
+    said = serve(shell, "--locked", "--log", "json")
+    assert "locked; unlock it with: rossec ca unlock" in said.out
+    assert "unlocked" not in " ".join(audit(shell))
+    assert forms == ["json"]
+
+
+def test_a_wrong_passphrase_ends_it(shell: Shell) -> None:
+    shell.secret.write_text("something else\n")
+    refused(shell.unlocked("ca", "serve"), "the passphrase does not open")
+    assert audit(shell)[-1].startswith("failed to unlock for the operator who started it")
+
+
+def test_two_services_are_one_too_many(shell: Shell) -> None:
+    with service_lock(shell.root / "ca"):
+        refused(shell.unlocked("ca", "serve"), "service runs from", "end it first")
+
+
+def test_without_an_authority_there_is_nothing_to_serve(empty: Shell) -> None:
+    refused(empty("ca", "serve"), "there is no authority", "rossec ca init")

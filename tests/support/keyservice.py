@@ -1,0 +1,50 @@
+"""The authority's service in a thread of this process: its audit is a list."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.operations import KeyOperations
+from rossec.authority.keyservice.process import KeyServiceProcess, operations_of
+from rossec.authority.keyservice.server import admit_all
+from rossec.net.host.peeruid import UnixPeer
+
+
+@dataclass
+class RunningService:
+    """What runs: its operations, and the lines of its audit."""
+
+    operations: KeyOperations
+    audit: list[str] = field(default_factory=list)
+
+
+@contextlib.contextmanager
+def running_service(
+    home: AuthorityHome, admit: Callable[[UnixPeer], None] = admit_all
+) -> Iterator[RunningService]:
+    """The service of the authority in `home`, locked."""
+    lines: list[str] = []
+    running = RunningService(operations_of(home, lines.append), lines)
+    process = KeyServiceProcess(home, running.operations, admit)
+    started, ended = threading.Event(), asyncio.Event()
+    loop = asyncio.new_event_loop()
+
+    async def main() -> None:
+        await process.start()
+        started.set()
+        await ended.wait()
+        await process.close()
+
+    thread = threading.Thread(target=lambda: loop.run_until_complete(main()))
+    thread.start()
+    try:
+        assert started.wait(10)
+        yield running
+    finally:
+        loop.call_soon_threadsafe(ended.set)
+        thread.join(10)
+        loop.run_until_complete(loop.shutdown_default_executor())
+        loop.close()
