@@ -211,6 +211,7 @@ class Membership:
             await renew(session.call, self._renewals, clock.now())
         await session.call(PRESENT, self._access.current(clock.now())[:MAX_PRESENTED])
         await self._hooks.restore()
+        await self._delivery.save()
 
     async def _maintain(self) -> None:
         while True:
@@ -219,6 +220,7 @@ class Membership:
             new = self._take_new()
             with contextlib.suppress(HintedError, OSError, Fault):  # else later, or on reconnection
                 await self._update(new)
+            await self._delivery.save()
 
     def _take_new(self) -> list[bytes]:
         """The grants that were delivered, or have appeared in the directory; they are held."""

@@ -53,10 +53,11 @@ def test_a_file_is_taken_once(robot: Robot, caplog: pytest.LogCaptureFixture) ->
 
 def test_a_delivered_grant_is_stored_and_held(robot: Robot) -> None:
     grant_id, data = robot.delivered()
-    assert robot.directory.store(grant_id, data)
+    assert robot.directory.hold(data)
+    robot.directory.save(grant_id, data)
     assert robot.home.grant_file(grant_id).read_bytes() == data
     assert robot.held() == [data]
-    assert not robot.directory.store(grant_id, data), "not new"
+    assert not robot.directory.hold(data), "not new"
     assert robot.directory.take_new() == [], "nor as a file"
 
 
@@ -70,7 +71,8 @@ def test_a_delivered_grant_is_used_even_if_the_disk_is_full(
 
     with monkeypatch.context() as patch:
         patch.setattr("rossec.files.replace", full)
-        assert robot.directory.store(grant_id, data)
+        assert robot.directory.hold(data)
+        robot.directory.save(grant_id, data)
     assert robot.held() == [data]
     assert "is used, but not saved: the disk is full" in caplog.text
 
