@@ -19,7 +19,7 @@ from ca.certificates import (
     from_pem,
     to_pem,
 )
-from ca.errors import HintedError
+from ca.errors import HintedError, RequestRefused
 from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.names import check_name
@@ -116,6 +116,26 @@ class NodeHome:
                 f"move {self.path} away and begin anew",
             )
         return request
+
+    def join_request(self, domain: str, *, wildcard: bool = False) -> bytes:
+        """The request (DER) on disk, to be sent until it has its identity; made if there is none.
+
+        With the key that is here: a crash may have lost the request, or it is for another domain.
+        """
+        if (self.path / "node.key").exists() and not self._is_open(domain, wildcard=wildcard):
+            made = build_request(self.signer(), domain, self.name, wildcard=wildcard)
+            files.replace(self.request_path, made, 0o644)
+        return self.label_request(domain, wildcard=wildcard)
+
+    def _is_open(self, domain: str, *, wildcard: bool) -> bool:
+        """Whether there is a request that fits, and no identity yet: one request gets one."""
+        if not self.request_path.exists() or (self.path / "node.pem").exists():
+            return False
+        try:
+            found = check_request(self.request(), domain, wildcard=wildcard)
+        except RequestRefused:
+            return False
+        return found.wildcard == wildcard
 
     def signer(self) -> KeySigner:
         """This node's key."""

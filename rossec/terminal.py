@@ -2,7 +2,8 @@
 
 Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
 3 done here but not delivered (the master or the node was out of reach), 4 done, but grants made by
-hand allow what the policy denies, 130 interrupted.
+hand allow what the policy denies, 5 waiting for the authority or for a person (run it again), 130
+interrupted.
 """
 
 import json
@@ -15,6 +16,7 @@ REFUSED = 1
 USAGE = 2
 UNDELIVERED = 3
 CONTRADICTED = 4
+WAITING = 5
 INTERRUPTED = 130
 
 

@@ -3,11 +3,22 @@
 from collections.abc import Iterator
 
 from grants.policy.model import Policy, PolicyRule, Subject
+from grants.policy.patterns import intersects
 
 
 def projected_grants(policy: Policy, subject: Subject) -> list[str]:
     """What is allowed, prompted or denied for `subject`, a line each, in the order of the rules."""
     return [line for rule in policy.rules if rule.applies_to(subject) for line in _lines(rule)]
+
+
+def projected_for_names(policy: Policy, pattern: str) -> list[str]:
+    """As `projected_grants`, for every name that `pattern` covers: with whom each rule is for."""
+    return [
+        f"{rule.subjects_text}: {line}"
+        for rule in policy.rules
+        if any(who.node is not None and intersects(who.node, pattern) for who in rule.who)
+        for line in _lines(rule)
+    ]
 
 
 def _lines(rule: PolicyRule) -> Iterator[str]:

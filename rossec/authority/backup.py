@@ -213,8 +213,12 @@ def _revoked_by(
 def _start_new_epoch(
     authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
-    """Start a new epoch and add missing revocations; an intermediate has neither."""
+    """Start a new epoch and add missing revocations; an intermediate has neither.
+
+    Invitations end: the backup does not know which of their uses were taken since.
+    """
     authority.store.log_event("restored", "record", f"from {entries} entries", now)
+    authority.store.invitations.end_all("restored from a backup", now)
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()

@@ -87,6 +87,11 @@ def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
     return Waiting(WaitReason.LOCKED)
 
 
+def source(invitation: InvitationRow) -> str:
+    """Where the requests of an invitation come from, for the approver."""
+    return f"invitation {invitation.id.hex()[:8]}"
+
+
 def _proved(store: Store, request: JoinRequest) -> InvitationRow | None:
     """The invitation whose secret the request proves; None if it does not."""
     try:
@@ -122,20 +127,20 @@ def _decide(
     now: int,
 ) -> JoinAnswer:
     """Inside the transaction: repeat an answer, wait for a person, or issue."""
-    store, source = authority.store, f"invitation {invitation.id.hex()[:8]}"
+    store, origin = authority.store, source(invitation)
     row = store.requests.find(asked.digest)
     if store.identities.issued_for(asked.digest) is None:
         if row is not None and row.state is not RequestState.APPROVED:
             return _repeated(row)
         if row is None and _needs_person(store, asked):
             store.invitations.check_open(invitation.id, now)
-            if sum(each.source == source for each in store.requests.open()) >= MAX_WAITING:
+            if sum(each.source == origin for each in store.requests.open()) >= MAX_WAITING:
                 return Refused(RefuseReason.BUSY)
-            return _repeated(store.requests.add(asked, csr, source, now))
+            return _repeated(store.requests.add(asked, csr, origin, now))
         if row is None:
             use = InvitationUse(invitation.id, asked.digest, asked.name, asked.thumbprint, now)
             store.invitations.take(use)
-    bundle = authority.issue(csr, now, wildcard=asked.wildcard, source=source)
+    bundle = authority.issue(csr, now, wildcard=asked.wildcard, source=origin)
     *chain, _ = from_pem(bundle)
     return Issued(tuple(chain))
 

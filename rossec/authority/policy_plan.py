@@ -125,7 +125,7 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
         PolicyRefused: a node would need more grants than it can present.
     """
     state = WantedState(policy.decider)
-    with store.read_transaction():
+    with store.database.read_transaction():
         recorded = _recorded(store, options.names, moment.now)
         getting = _subjects(store, options.names, moment.now)
         subjects = sorted(getting | recorded.keys(), key=lambda each: (each.name, each.key))

@@ -1,9 +1,14 @@
 """Invitations, nodes that join by them, and the authority's port, in memory or on loopback."""
 
+import asyncio
 import contextlib
 import itertools
+import threading
+import time
 from collections.abc import AsyncIterator, Callable
+from hashlib import sha256
 from pathlib import Path
+from typing import Self
 
 from ca.certificates import build_request
 from ca.enrollment.invitation import InvitationCode
@@ -14,6 +19,7 @@ from ca.enrollment.join_request import JoinRequest
 from ca.keys.signer import KeySigner
 from ca.names import AUTHORITY
 from ca.store.invitations import InvitationRow
+from rossec.authority.home import AuthorityHome
 from rossec.authority.joining import join
 from rossec.enrollment.join_server import JoinServer
 from tests.support.pki import NOW, new_signer
@@ -63,8 +69,6 @@ class JoinSite:
         return code
 
     def site_hash(self) -> bytes:
-        from hashlib import sha256
-
         return sha256(self.root).digest()
 
     def identity(self) -> LiveIdentity:
@@ -108,6 +112,53 @@ class JoinSite:
 
     async def admit(self, request: JoinRequest) -> JoinAnswer:
         return join(self.authority, JoinRequest.from_bytes(request.to_bytes()), self.now)
+
+
+class JoinPort:
+    """The join port of an authority's directory, in a thread: its key is unlocked in there.
+
+    `answers` are given first, before the authority decides; `requests` are those that came.
+    """
+
+    def __init__(self, root: Path, passphrase: str) -> None:
+        self.answers: list[JoinAnswer] = []
+        self.requests: list[JoinRequest] = []
+        self.port = 0
+        self._home, self._passphrase = AuthorityHome.at(root), passphrase
+        self._listening, self._stop = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        assert self._listening.wait(20)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    @property
+    def address(self) -> str:
+        return f"127.0.0.1:{self.port}"
+
+    async def _run(self) -> None:
+        authority = self._home.unlock(self._passphrase)
+        own = self._home.node().credentials()
+        identity = LiveIdentity(own.signer, own.chain, self._home.anchor().certificate)
+
+        async def admit(request: JoinRequest) -> JoinAnswer:
+            self.requests.append(request)
+            if self.answers:
+                return self.answers.pop(0)
+            return join(authority, request, int(time.time()))
+
+        server = JoinServer(lambda: identity, admit)
+        await server.listen("127.0.0.1", 0)
+        self.port = server.port
+        self._listening.set()
+        await asyncio.get_running_loop().run_in_executor(None, self._stop.wait)
+        await server.close()
+        authority.store.close()
 
 
 def asked(name: str, signer: KeySigner | None = None, *, wildcard: bool = False) -> bytes:

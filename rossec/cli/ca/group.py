@@ -1,4 +1,4 @@
-"""The groups `rossec ca`, `rossec ca intermediate` and `rossec ca log`."""
+"""The groups `rossec ca`, and `intermediate`, `invitations` and `log` in it."""
 
 from typing import Final
 
@@ -29,6 +29,14 @@ _CA: Final = {
     "intermediate": (
         "ca.group:intermediate",
         "Let a host sign nodes for a limited time, while the root stays offline.",
+    ),
+    "invitations": (
+        "ca.group:invitations",
+        "Show the invitations that can be used, and who joined by them.",
+    ),
+    "invite": (
+        "ca.invite:command",
+        "Let nodes whose names PATTERN covers join by a code, without a person for each of them.",
     ),
     "list": ("ca.identities:list_", "List the identities that are valid now."),
     "lock": ("ca.unlock:lock", "Let the running service drop the key at once."),
@@ -79,6 +87,13 @@ _INTERMEDIATE: Final = {
     ),
 }
 
+_INVITATIONS: Final = {
+    "revoke": (
+        "ca.invitations:revoke",
+        "End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.",
+    ),
+}
+
 _LOG: Final = {
     "head": ("ca.log:head", "Sign the state of the log, to be kept elsewhere."),
     "prove": ("ca.log:prove", "Print a proof, as JSON, against the newest signed head (RFC 6962)."),
@@ -110,3 +125,16 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
     from rossec.cli.ca.log import show  # noqa: PLC0415 - imported when it runs
 
     show(context.ensure_object(Environment), last, in_json=in_json)
+
+
+@click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
+@click.option("--all", "everything", is_flag=True, help="also those that have ended")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def invitations(context: click.Context, everything: bool, in_json: bool) -> None:
+    """Show the invitations that can be used, and who joined by them."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.ca.invitations import show  # noqa: PLC0415 - imported when it runs
+
+    show(context.ensure_object(Environment), everything=everything, in_json=in_json)

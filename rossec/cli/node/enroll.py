@@ -16,11 +16,11 @@ from rossec.authority.home import format_fingerprint
 from rossec.cli.node.enroll_screen import EnrollmentScreen, authority_lines
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.context import confirm as ask_confirmation
+from rossec.cli.shared.own_address import own_address
 from rossec.enrollment import address, control
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.ros import settings
-from rossec.terminal import note, say
+from rossec.terminal import say
 
 _DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
 
@@ -70,7 +70,7 @@ def enroll(
         expires=now() + (window or (3 * WINDOW if label else WINDOW)),
         wildcard=anonymous,
     )
-    where = host or _own_address(environment)
+    where = host or own_address(environment)
     listen = port if port is not None else address.DEFAULT_PORT * label
     asyncio.run(EnrollmentScreen(home, core, label=label, png=png, svg=svg).run(where, listen))
 
@@ -120,14 +120,3 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
         made.append(Label(name, format_fingerprint(key), qr.label_code(csr)))
     files.replace(out, sheet(made).encode(), 0o644)
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
-
-
-def _own_address(environment: Environment) -> str:
-    """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
-    configured = settings.read((), environment.variables, default_name="/rossec").address
-    if configured is not None:
-        return configured
-    first, *others = address.own_addresses()
-    if others:
-        note(f"other addresses of this host, for --address: {', '.join(others)}")
-    return first

@@ -26,6 +26,10 @@ _NODE: Final = {
         "node.identity:install",
         "Install the signed identity in BUNDLE, and trust the authority that signed it.",
     ),
+    "join": (
+        "node.join:command",
+        "Join a site by an invitation: make the key, prove the code, install the identity.",
+    ),
     "labels": (
         "node.enroll:labels",
         "Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.",

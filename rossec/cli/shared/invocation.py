@@ -5,14 +5,15 @@ from typing import Final
 
 import click
 
-from ca.errors import HintedError
+from ca.errors import HintedError, JoinWaiting
 from rossec.cli.shared.context import Environment
 from rossec.errors import NotDelivered, PolicyContradicted
-from rossec.terminal import CONTRADICTED, INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+from rossec.terminal import CONTRADICTED, INTERRUPTED, REFUSED, UNDELIVERED, USAGE, WAITING, fail
 
 _EXIT_CODES: Final[dict[type[HintedError], int]] = {
     NotDelivered: UNDELIVERED,
     PolicyContradicted: CONTRADICTED,
+    JoinWaiting: WAITING,
 }
 
 

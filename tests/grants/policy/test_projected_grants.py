@@ -1,5 +1,5 @@
 from grants.policy.model import Subject
-from grants.policy.projected_grants import projected_grants
+from grants.policy.projected_grants import projected_for_names, projected_grants
 from tests.grants.policy.policies import HEATING, OTHER_KEY, policy
 
 
@@ -17,3 +17,14 @@ def test_rules_for_a_name_are_listed() -> None:
 def test_a_pinned_rule_is_not_for_another_key() -> None:
     found = projected_grants(policy(), Subject("/heating", OTHER_KEY))
     assert found == ["deny subscribe /camera/** (rule no-camera: no)"]
+
+
+def test_rules_for_the_names_of_a_pattern_are_listed_with_whom_they_are_for() -> None:
+    found = projected_for_names(policy(), "/nav/*")
+    assert found == [
+        "navigation: allow publish /cmd_vel (rule nav-full)",
+        "navigation: allow subscribe /robot/pose (rule nav-full)",
+        "* except navigation: deny subscribe /camera/** (rule no-camera: no)",
+    ]
+    assert "heating: " in projected_for_names(policy(), "/**")[0]
+    assert projected_for_names(policy(), "/other") == found[-1:]

@@ -1,10 +1,12 @@
 import click
 import pytest
 
-from rossec.cli.ca.group import ca, intermediate, log
+from rossec.cli.ca.group import ca, intermediate, invitations, log
 from tests.rossec.cli.tables import check_table
 
 
-@pytest.mark.parametrize("group", [ca, intermediate, log], ids=lambda group: group.name)
+@pytest.mark.parametrize(
+    "group", [ca, intermediate, invitations, log], ids=lambda group: group.name
+)
 def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
     check_table(group)

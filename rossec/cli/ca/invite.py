@@ -1,0 +1,105 @@
+"""`rossec ca invite`: print the code by which nodes join, and say what it gives away."""
+
+import sys
+from pathlib import Path
+from typing import Final
+
+import click
+
+from ca.enrollment import ndef, qr
+from ca.enrollment.invitation import InvitationCode
+from grants.names import check_pattern
+from grants.policy.projected_grants import projected_for_names
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.authority.invitations import MAX_USES, invite
+from rossec.authority.policyfile import PolicyFile, place
+from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.own_address import own_address
+from rossec.clock import format_time
+from rossec.enrollment import address
+from rossec.errors import ConfigurationError
+from rossec.terminal import note, printable, say
+
+_MAX_DAYS: Final = 30
+
+
+@click.command("invite")
+@click.argument("pattern")
+@click.option(
+    "--uses", type=click.IntRange(1, MAX_USES), default=1, show_default=True,
+    help="so many nodes may join, each with a new name",
+)  # fmt: skip
+@click.option(
+    "--for", "lasts", type=Duration(_MAX_DAYS), default="1h", show_default=True,
+    help="how long it can be used",
+)  # fmt: skip
+@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
+@click.option("--qr", "picture", is_flag=True, help="also show it as a picture, on stderr")
+@click.option(
+    "--ndef", "tag", type=click.Path(path_type=Path, dir_okay=False),
+    help="also write it to this new file, for an NFC tag (NDEF)",
+)  # fmt: skip
+@click.option(
+    "--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found"
+)
+@pass_environment
+def command(
+    environment: Environment,
+    pattern: str,
+    uses: int,
+    lasts: int,
+    anonymous: bool,
+    picture: bool,
+    tag: Path | None,
+    given: str | None,
+) -> None:
+    """Let nodes whose names PATTERN covers join by a code, without a person for each of them.
+
+    Prints one line, the code, to be given to `rossec node join` on the robot: whoever has it can
+    join, so show it to nobody else. Shows what the policy gives the names first, on stderr. A node
+    whose name is known with another key waits for a person: rossec ca requests.
+    """
+    home, at = AuthorityHome.at(environment.home), now()
+    where = _address(environment, given)
+    if tag is not None and tag.exists():
+        raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
+    policy = _policy_lines(place(environment.home, None), check_pattern(pattern))
+    code = invite(home, pattern, uses, at + lasts, where, at, wildcard=anonymous)
+    _describe(code, uses, policy)
+    if tag is not None:
+        files.create(tag, ndef.write(code))
+        note(f"written for an NFC tag: {tag}")
+    if picture:
+        sys.stderr.write(f"{qr.terminal(code.text())}\n")
+    say(code.text())
+
+
+def _address(environment: Environment, given: str | None) -> str:
+    """`host:port` of the join port.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+    host, port = address.split(given or own_address(environment), address.JOIN_PORT)
+    return address.join(host, port)
+
+
+def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:
+    nodes = f"{uses} nodes" if uses > 1 else "one node"
+    anonymous = ", for anonymous nodes too" if code.wildcard else ""
+    until = format_time(code.expires)
+    note(f"invitation {code.id.hex()[:8]}: {nodes} named {code.pattern}{anonymous}, until {until}")
+    for line in policy:
+        note(f"  {printable(line)}")
+    note(f"nodes join at {code.address}: rossec node join, and paste the line there")
+
+
+def _policy_lines(path: Path, pattern: str) -> list[str]:
+    if not path.exists():
+        return ["there is no policy: they are granted nothing"]
+    policy = PolicyFile.read(path, own=True).policy
+    lines = projected_for_names(policy, pattern)
+    if not lines:
+        return [f"the policy has no rule for them: {policy.defaults.decision}"]
+    return ["the policy for these names:", *(f"  {line}" for line in lines)]

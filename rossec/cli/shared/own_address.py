@@ -1,0 +1,17 @@
+"""The address of this host as others can reach it, for a code that they read."""
+
+from rossec.cli.shared.context import Environment
+from rossec.enrollment import address
+from rossec.ros import settings
+from rossec.terminal import note
+
+
+def own_address(environment: Environment) -> str:
+    """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
+    configured = settings.read((), environment.variables, default_name="/rossec").address
+    if configured is not None:
+        return configured
+    first, *others = address.own_addresses()
+    if others:
+        note(f"other addresses of this host, for --address: {', '.join(others)}")
+    return first
