@@ -1,6 +1,6 @@
 """Delivery: from the authority's deposit until a running node may publish by the new grant.
 
-One hundred built-in nodes without rights wait at `rossec master`, in one process beside it. A node is
+A hundred built-in nodes without rights wait at `rossec master`, in one process beside it. A node is
 done when its registration, which was refused before, is accepted. A deposit is for one of them, as
 after `rossec grant sign`, or for all (two calls), as after `rossec policy apply`: then the nodes
 share the time of one processor, which nodes on robots of their own do not.
