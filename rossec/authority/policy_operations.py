@@ -6,11 +6,10 @@ imported when it is called: most operations of an authority need no policy.
 
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from grants.document import grant_id
 from grants.model import Draft, Grant
 from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SKEW, SigningAuthority
@@ -19,6 +18,7 @@ from rossec.home import NodeHome
 
 if TYPE_CHECKING:
     from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
+    from rossec.authority.grant_delivery import RefusedDeposit
     from rossec.authority.opt_out import OptOut
     from rossec.authority.policy_plan import PolicyPlan
     from rossec.authority.policyfile import PolicyFile
@@ -56,6 +56,14 @@ class PolicyOperations(ABC):
     @abstractmethod
     def publish(self) -> None:
         """Deliver the newest list to the master."""
+
+    @abstractmethod
+    def deposit(self, grants: Iterable[bytes]) -> "list[RefusedDeposit]":
+        """Deliver grants to their nodes, by the master."""
+
+    @abstractmethod
+    def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
+        """Deliver the grants in force that the master does not have."""
 
     def collect_grant_requests(
         self, policy: "PolicyFile", given: Iterable[bytes] = ()
@@ -136,7 +144,7 @@ class PolicyOperations(ABC):
         with contextlib.closing(self.home.store()) as store:
             at = self._now()
             moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
-            return make_plan(store, policy, PlanOptions(names, renew_due, prune), moment)
+            return make_plan(store, policy, PlanOptions(names, prune), moment)
 
     def grant_outright(self, name: str) -> list[SignedGrant]:
         """Sign what the policy in force gives the node `name` outright, if there is a policy.
@@ -151,13 +159,14 @@ class PolicyOperations(ABC):
         if self.home.is_intermediate or not policyfile.place(self.rossec_home, None).exists():
             return []
         policy = policyfile.read_policy(self.rossec_home, None, signs=True)
-        plan = self.plan_policy(policy, [name])
-        return policy_apply.sign_planned(self.unlock(), plan, self._now()) if plan.signs else []
+        at = self._now()
+        renews = self.home.has_delegated(at)
+        return policy_apply.grant_outright(self.unlock(), policy, name, at, renews=renews)
 
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
     ) -> list[SignedGrant]:
-        """Carry out a plan: sign and deliver what is new, then revoke what goes, and publish that.
+        """Carry out a plan: sign and deposit what is new, then revoke what goes, and publish that.
 
         `report` is called with each step that was done. Returns the new grants.
 
@@ -170,11 +179,7 @@ class PolicyOperations(ABC):
         signed = policy_apply.sign_planned(self.unlock(), plan, self._now())
         if signed:
             report(f"signed: {len(signed)}")
-        failed: NotDelivered | None = None
-        try:
-            self._deliver_all(signed)
-        except NotDelivered as error:  # what is not allowed any more is revoked all the same
-            failed = error
+        failed = self._deliver_new(signed, plan, report)
         listed = policy_apply.revoke_planned(self.unlock(), plan, self._now())
         if listed is not None:
             report(f"revoked: {len(plan.revoke)} (list {listed.seq})")
@@ -184,9 +189,48 @@ class PolicyOperations(ABC):
             raise failed
         return signed
 
-    def _deliver_all(self, signed: Sequence[SignedGrant]) -> None:
-        """Give grants to their nodes: those of this ROSSEC_HOME, and all others by the master."""
-        for draft, data in signed:
-            home = NodeHome.of(self.rossec_home, draft.subject)
-            if home.path.is_dir():
-                home.add_grant(grant_id(data), data)
+    def complete_policy(self) -> None:
+        """Deliver what an interrupted `apply_policy` may have left: grants, and revocations.
+
+        Raises:
+            NotDelivered: the master is out of reach.
+        """
+        with contextlib.closing(self.home.store()) as store:
+            ours, revoked = store.policy_grants().keys(), store.revoked_entries()
+        if ours:
+            self._store_missing()
+            self.deposit_missing()
+        if not revoked.isdisjoint(ours):
+            self.publish()
+
+    def _deliver_new(
+        self, signed: list[SignedGrant], plan: "PolicyPlan", report: Callable[[str], None]
+    ) -> NotDelivered | None:
+        """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
+
+        Before a revocation, also those that an interrupted command signed. A node of this
+        ROSSEC_HOME has its grants as files, also while no master runs.
+        """
+        self._store_missing()
+        try:
+            refused = (
+                self.deposit_missing()[1]
+                if plan.revoke
+                else self.deposit([data for _, data in signed])
+            )
+        except NotDelivered as error:
+            homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
+            return None if all(home.path.is_dir() for home in homes) else error
+        for each in refused:
+            report(f"the master refuses a grant of {each.node}: {each.reason}")
+        return None
+
+    def _store_missing(self) -> None:
+        """Store the grants of the policy that nodes of this ROSSEC_HOME lack."""
+        with contextlib.closing(self.home.store()) as store:
+            rules, rows = store.policy_grants(), store.unrevoked_grants()
+        for row in rows:
+            home = NodeHome.of(self.rossec_home, row.name)
+            lacks = home.path.is_dir() and not home.grant_file(row.id).exists()
+            if lacks and row.id in rules and self._now() < row.expires:
+                home.add_grant(row.id, row.data)

@@ -5,14 +5,14 @@ publishers that the master did not name again within their grace period.
 """
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, TypeAlias
 
 from grants.model import Right
 from rossec.errors import HangUp
 from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.core.events import Answered, Event, NoAnswer
-from rossec.sidecar.core.layers import AgentState, Layer
+from rossec.sidecar.core.layers import AgentState, Calls, Layer
 from rossec.sidecar.core.master_calls import SUBSCRIBE
 
 _MASTER: Final = "/master"
@@ -21,15 +21,21 @@ _RIGHTS: Final = {
 }  # fmt: skip
 
 
-def restore(agent: AgentState) -> Layer[None]:
+Holds: TypeAlias = Callable[[Right, str], bool]
+"""Whether this identity has a right on a name now; without it the master would only refuse."""
+
+
+def restore(agent: AgentState, holds: Holds) -> Layer[None]:
     """Make every registration again with a restarted master, except those of dead programs.
 
-    A dead program could replace a new one of the same name, which the master would shut down.
+    A dead program could replace a new one of the same name, which the master would shut down. One
+    that was refused before is made if this identity `holds` the right now.
     """
     for own_api, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             continue
-        for (method, key), params in tuple(program.registrations.items()):
+        calls = {**program.registrations, **_allowed(program.refused, holds)}
+        for (method, key), params in calls.items():
             yield from _register_again(agent, own_api, method, key, params)
 
 
@@ -41,20 +47,21 @@ def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
             yield from _register_again(agent, own_api, SUBSCRIBE, topic, params)
 
 
-def rights_changed(agent: AgentState, holds: Callable[[Right, str], bool]) -> Layer[None]:
-    """Make the registrations again that may have been refused or removed for lack of a right.
-
-    `holds`: whether this identity has a right now; without it the master would only refuse again.
-    """
+def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
+    """Make the registrations again that may have been refused or removed for lack of a right."""
     for own_api, program in tuple(agent.programs.items()):
-        wanted = [
-            (method, key, params)
-            for (method, key), params in {**program.registrations, **program.refused}.items()
-            if method in _RIGHTS and holds(_RIGHTS[method], key)
-        ]
+        wanted = _allowed({**program.registrations, **program.refused}, holds)
         if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
-            for method, key, params in wanted:
+            for (method, key), params in wanted.items():
                 yield from _register_again(agent, own_api, method, key, params)
+
+
+def _allowed(calls: Calls, holds: Holds) -> Calls:
+    return {
+        (method, key): params
+        for (method, key), params in calls.items()
+        if method in _RIGHTS and holds(_RIGHTS[method], key)
+    }
 
 
 def _register_again(
