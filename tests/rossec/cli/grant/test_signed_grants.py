@@ -39,3 +39,27 @@ def test_a_filter_that_is_not_text_is_refused(
     signer = KeySigner(ec.generate_private_key(ec.SECP256R1()))
     (tmp_path / "odd.grant").write_bytes(GRANT.sign(signer, claims))
     refused(robot("grant", "show", str(tmp_path / "odd.grant")), "in a grant: ")
+
+
+def test_a_grant_in_a_file_is_shown_and_installed(robot: Shell, tmp_path: Path) -> None:
+    out = tmp_path / "p.grant"
+    types = ("--type", "geometry_msgs/PoseStamped", "--rate", "2")
+    robot.unlocked("grant", "sign", "/robot", "--subscribe", "/pose", *types, "--out", str(out))
+    shown = robot("grant", "show", str(out)).out.splitlines()
+    assert shown[0].endswith("of home for /robot")
+    assert shown[1].startswith("holds from ")
+    assert shown[2] == "may subscribe /pose"
+    assert len(shown) > 3, "and how it is restricted"
+    for file in (robot.node("/robot") / "grants").iterdir():
+        file.unlink()
+    installed = robot("grant", "install", str(out))
+    assert "/robot holds grant" in installed.out
+    assert len(list((robot.node("/robot") / "grants").iterdir())) == 1
+
+
+def test_a_revoked_grant_is_published(robot: Shell) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    grant_id = robot("grant", "list", "--master", "http://127.0.0.1:1").out.split()[0]
+    said = robot.unlocked("grant", "revoke", grant_id[:8], "--master", "http://127.0.0.1:1")
+    assert f"revoked {grant_id}" in said.out
+    refused(said, "did not take the list", "rossec ca publish", code=3)
