@@ -6,11 +6,10 @@ imported when it is called: most operations of an authority need no policy.
 
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from grants.document import grant_id
 from grants.model import Draft, Grant
 from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SKEW, SigningAuthority
@@ -19,6 +18,7 @@ from rossec.home import NodeHome
 
 if TYPE_CHECKING:
     from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
+    from rossec.authority.grant_delivery import RefusedDeposit
     from rossec.authority.opt_out import OptOut
     from rossec.authority.policy_plan import PolicyPlan
     from rossec.authority.policyfile import PolicyFile
@@ -56,6 +56,14 @@ class PolicyOperations(ABC):
     @abstractmethod
     def publish(self) -> None:
         """Deliver the newest list to the master."""
+
+    @abstractmethod
+    def deposit(self, grants: Iterable[bytes]) -> "list[RefusedDeposit]":
+        """Deliver grants to their nodes, by the master."""
+
+    @abstractmethod
+    def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
+        """Deliver the grants in force that the master does not have."""
 
     def collect_grant_requests(
         self, policy: "PolicyFile", given: Iterable[bytes] = ()
@@ -157,7 +165,7 @@ class PolicyOperations(ABC):
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
     ) -> list[SignedGrant]:
-        """Carry out a plan: sign and deliver what is new, then revoke what goes, and publish that.
+        """Carry out a plan: sign and deposit what is new, then revoke what goes, and publish that.
 
         `report` is called with each step that was done. Returns the new grants.
 
@@ -170,11 +178,7 @@ class PolicyOperations(ABC):
         signed = policy_apply.sign_planned(self.unlock(), plan, self._now())
         if signed:
             report(f"signed: {len(signed)}")
-        failed: NotDelivered | None = None
-        try:
-            self._deliver_all(signed)
-        except NotDelivered as error:  # what is not allowed any more is revoked all the same
-            failed = error
+        failed = self._deposit_new(signed, report)
         listed = policy_apply.revoke_planned(self.unlock(), plan, self._now())
         if listed is not None:
             report(f"revoked: {len(plan.revoke)} (list {listed.seq})")
@@ -184,9 +188,30 @@ class PolicyOperations(ABC):
             raise failed
         return signed
 
-    def _deliver_all(self, signed: Sequence[SignedGrant]) -> None:
-        """Give grants to their nodes: those of this ROSSEC_HOME, and all others by the master."""
-        for draft, data in signed:
-            home = NodeHome.of(self.rossec_home, draft.subject)
-            if home.path.is_dir():
-                home.add_grant(grant_id(data), data)
+    def _deposit_new(
+        self, signed: list[SignedGrant], report: Callable[[str], None]
+    ) -> NotDelivered | None:
+        """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
+
+        A node of this ROSSEC_HOME has its grants as files, also while no master runs.
+        """
+        try:
+            for refused in self.deposit([data for _, data in signed]):
+                report(f"the master refuses a grant of {refused.node}: {refused.reason}")
+        except NotDelivered as error:
+            homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
+            return None if all(home.path.is_dir() for home in homes) else error
+        return None
+
+    def complete_policy(self) -> None:
+        """Deliver what an interrupted `apply_policy` may have left: grants, and revocations.
+
+        Raises:
+            NotDelivered: the master is out of reach.
+        """
+        with contextlib.closing(self.home.store()) as store:
+            ours, revoked = store.policy_grants().keys(), store.revoked_entries()
+        if ours:
+            self.deposit_missing()
+        if not revoked.isdisjoint(ours):
+            self.publish()

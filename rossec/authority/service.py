@@ -46,7 +46,7 @@ _DELEGATE: Final = "it is signed and stored in {}; start the master and run this
 __all__ = ["AuthorityService", "Decided", "MasterCall", "SignedGrant"]
 
 
-class AuthorityService(PolicyOperations, GrantDelivery):
+class AuthorityService(GrantDelivery, PolicyOperations):
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     Args:

@@ -1,13 +1,18 @@
 """`rossec ca init`: create the authority of a trust domain."""
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 
 from ca.keys.hsm import KeyUri
 from rossec.authority.home import AuthorityHome, fingerprint
+from rossec.authority.local_node import check_new, enroll_here
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.clock import format_time
+from rossec.home import NodeHome
+from rossec.ros.names import MASTER
 from rossec.terminal import say
 
 
@@ -16,16 +21,25 @@ from rossec.terminal import say
 @click.option(
     "--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O"
 )
+@click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
 @passphrase.option
 @pass_environment
 def init(
-    environment: Environment, domain: str, uri: str | None, passphrase_file: Path | None
+    environment: Environment,
+    domain: str,
+    uri: str | None,
+    with_master: bool,
+    passphrase_file: Path | None,
 ) -> None:
     """Create the authority of the trust domain DOMAIN, for example home.
 
-    With --key its key is made in a PKCS#11 token and never leaves it; the passphrase is its PIN.
+    With --master this host can run its master at once. With --key its key is made in a PKCS#11
+    token and never leaves it; the passphrase is its PIN.
     """
     token = None if uri is None else KeyUri.parse(uri)
+    master = NodeHome.of(environment.home, MASTER)
+    if with_master:
+        check_new(master)
     if token is None:
         secret = passphrase.choose(passphrase_file, environment.variables)
     else:
@@ -33,3 +47,8 @@ def init(
     home = AuthorityHome.create(environment.home, domain, secret, now(), token)
     say(f"authority of {domain} in {home.path}")
     say(f"fingerprint {fingerprint(home.anchor())}")
+    if with_master:
+        authority = home.unlock(secret)
+        with closing(authority.store):
+            expires = enroll_here(authority, master, now())
+        say(f"/master in {master.path}, until {format_time(expires)}; start it with: rossec master")

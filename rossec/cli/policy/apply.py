@@ -1,5 +1,6 @@
 """`rossec policy apply`: make the grants in force what the policy allows outright."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -11,7 +12,7 @@ from rossec.cli.policy import apply_report
 from rossec.cli.shared import options
 from rossec.cli.shared.context import confirm
 from rossec.cli.shared.service import pass_service, remind_to_publish
-from rossec.errors import PolicyContradicted
+from rossec.errors import NotDelivered, PolicyContradicted
 from rossec.terminal import note, say, say_json
 
 
@@ -52,11 +53,24 @@ def apply(
     else:
         for line in apply_report.lines(plan):
             say(line)
-    if not dry_run and not plan.is_empty:
-        confirm(f"{apply_report.summary(plan)}?", yes=yes)
-        service.apply_policy(plan, note if as_json else say)
-        remind_to_publish(service)
+    if not dry_run:
+        _carry_out(service, plan, yes=yes, report=note if as_json else say)
     _check_contradictions(plan)
+
+
+def _carry_out(
+    service: AuthorityService, plan: PolicyPlan, *, yes: bool, report: Callable[[str], None]
+) -> None:
+    if not plan.is_empty:
+        confirm(f"{apply_report.summary(plan)}?", yes=yes)
+        service.apply_policy(plan, report)
+        if not plan.revoke:  # else the list was published
+            remind_to_publish(service)
+        return
+    try:
+        service.complete_policy()
+    except NotDelivered as error:  # nothing was signed now, so nothing is undelivered for certain
+        note(str(error))
 
 
 def _check_contradictions(plan: PolicyPlan) -> None:

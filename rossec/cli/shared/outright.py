@@ -25,7 +25,7 @@ def give_outright(service: AuthorityService, name: str) -> None:
         return
     if signed:
         say(f"the policy gives {name}: {_rights(signed)}")
-    deliver_grants(service, [data for _, data in signed])
+        deliver_grants(service, [data for _, data in signed])
 
 
 def _rights(signed: list[SignedGrant]) -> str:
