@@ -1,4 +1,5 @@
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -6,7 +7,13 @@ from typing import Any
 import pytest
 
 from ca.revocation.state import Revocations, Timestamp, digest
-from rossec.participant.connections import STALE_GRACE, termination_reason
+from rossec.net.aio.server import Handler
+from rossec.participant import connections
+from rossec.participant.connections import (
+    STALE_GRACE,
+    AcceptedConnections,
+    termination_reason,
+)
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -91,3 +98,72 @@ def test_a_revoked_grant_closes_the_connection_during_the_grace_period(site: Sit
         termination_reason(FakeConnection(), held, held.fresh_until + 1)
         == f"{GRANT.hex()} is revoked"
     )
+
+
+class Stream:
+    """An accepted connection of the peer `name`, with the keys of its chain."""
+
+    def __init__(self, name: str, key: bytes = KEY) -> None:
+        self.peer = SimpleNamespace(name=name, thumbprint=key, keys=(key, ABOVE))
+        self.reasons: list[str] = []
+        self.on_closed: list[Callable[[], None]] = []
+
+    def abort(self, reason: str) -> None:
+        self.reasons.append(reason)
+
+    def when_closed(self, call: Callable[[], None]) -> None:
+        self.on_closed.append(call)
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "PEER_CONNECTIONS", 2)
+
+
+async def accept(handler: Handler[Any], *streams: Stream) -> None:
+    for stream in streams:
+        await handler(stream)  # type: ignore[arg-type]
+
+
+@pytest.mark.usefixtures("few")
+async def test_a_peer_has_so_many_connections_until_their_sockets_are_closed() -> None:
+    served: list[Stream] = []
+
+    async def serve(stream: Any) -> None:
+        served.append(stream)
+
+    handler = AcceptedConnections().bounded(serve)
+    first, second, third, other = (
+        Stream("/a"),
+        Stream("/b"),
+        Stream("/a"),
+        Stream("/c", b"c" * 32),
+    )
+    await accept(handler, first, second, third, other)
+    assert served == [first, second, other]
+    assert third.reasons == ["too many connections of one identity"]
+    for call in first.on_closed:
+        call()
+    await accept(handler, again := Stream("/a"))
+    assert served[-1] is again
+
+
+@pytest.mark.usefixtures("few")
+async def test_the_master_may_have_more_connections() -> None:
+    async def serve(_: object) -> None: ...
+
+    masters = [Stream("/master") for _ in range(4)]
+    await accept(AcceptedConnections().bounded(serve), *masters)
+    assert [stream.reasons for stream in masters] == [[]] * 4
+
+
+async def test_every_connection_of_a_revoked_key_is_closed() -> None:
+    async def serve(_: object) -> None: ...
+
+    accepted = AcceptedConnections()
+    gone, stays = Stream("/a"), Stream("/b", b"b" * 32)
+    await accept(accepted.bounded(serve), gone, stays)
+    accepted.abort_revoked(frozenset({KEY}))
+    assert (gone.reasons, stays.reasons) == (["the peer's identity is revoked"], [])
+    accepted.abort_revoked(frozenset({ABOVE}))
+    assert stays.reasons == ["the peer's identity is revoked"]
