@@ -40,6 +40,7 @@ cover: ros
 	$(BIN)/coverage run -m pytest -q -n 2 $(ARGS) tests/ca tests/grants tests/rossec
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report
+	$(BIN)/python tools/own_tests.py
 
 static: ros
 	@tools/venv.sh

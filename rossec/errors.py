@@ -170,10 +170,6 @@ class IdentityExpired(LimitExceeded):
     """The peer's certificate expired while the connection was open."""
 
 
-class SendQueueFull(LimitExceeded):
-    """The peer reads slower than this side queues; nothing was queued."""
-
-
 class AnnouncementRefused(RossecError):
     """A datagram that is not a valid announcement of this trust domain's master."""
 

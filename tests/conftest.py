@@ -4,6 +4,7 @@ import importlib.util
 import os
 import signal
 
+import coverage
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -27,6 +28,16 @@ _ROS = all(
 def _empty_rate_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that a process logs once a minute are logged in every test."""
     monkeypatch.setattr(withheld_log, "_RATE_LIMIT", LogRateLimit())
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Coverage is recorded for the file of the test, also what its processes run."""
+    measured = coverage.Coverage.current()
+    context = item.path.relative_to(item.config.rootpath).as_posix()
+    if measured is not None and measured.get_option("run:context") != context:
+        measured.switch_context(context)
+        measured.set_option("run:context", context)
+        os.environ["COVERAGE_PROCESS_CONFIG"] = measured.config.serialize()
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

@@ -63,7 +63,7 @@ async def test_f9_data_before_the_handshake_is_not_a_call(site: Site, data: byte
                 while await loop.sock_recv(sock, 4096):
                     pass
     assert site.master.status()["calls"] == 0
-    assert not list(site.master._registry.nodes())
+    assert not list(site.master.state.registry.nodes())
 
 
 @pytest.mark.attack("plain-peer")

@@ -229,7 +229,7 @@ async def test_a_wrong_clock_may_be_corrected_with_the_master(
     """The node's host was an hour ahead; the master's was not."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     assert site.master is not None
-    site.master._clock = time.time
+    site.master.state.clock = time.time
     site.enroll("/robot")
     async with site.node("/robot") as robot:
         hand.set = HOUR

@@ -109,11 +109,11 @@ async def met(
 
 async def begin(link: SubscriberConnection, size: int) -> None:
     """Send a part of a unit, without its last record."""
-    driver = link.stream._driver
-    whole = driver.connection.seal_unit(bytes(size + 300_000))
+    stream = link.stream
+    whole = stream.connection.seal_unit(bytes(size + 300_000))
     for record in itertools.islice(whole, size // (256 * 1024)):
-        driver.write(record)
-        await driver.drain()
+        stream.write(record)
+        await stream.drain()
 
 
 @forms

@@ -56,8 +56,8 @@ async def full(site: Site) -> Site:
             tree = {f"p{number}": 1 for number in range(each)}
             assert (await filler("setParam", f"/robot/n{space}", tree))[0] == 1
     assert site.master is not None
-    assert site.master._parameter_file is not None
-    site.master._parameter_file.sync()  # rewrites its file, else at the next beat
+    assert site.master.state.parameter_file is not None
+    site.master.state.parameter_file.sync()  # rewrites its file, else at the next beat
     return site
 
 

@@ -97,7 +97,7 @@ async def test_its_open_connections_are_closed(site: Site, witness: Witness) -> 
         await until(lambda: set(witness.publisher.links) == before)
         assert site.master is not None
         master = site.master
-        await until(lambda: EVE not in {stream.peer.name for stream in master._streams})
+        await until(lambda: EVE not in {stream.peer.name for stream in master.state.streams})
 
 
 WITHIN: Final = STALE_GRACE / 2  # seconds: an update, and not its absence, must end it

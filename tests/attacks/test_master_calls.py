@@ -105,7 +105,7 @@ async def test_m2_m3_another_name_is_refused_and_its_owner_stays_registered(
             refusal(await eve.lie(method, trick, TOPIC, kind, eve.uri))
     assert f"/eve may not {method}" in caplog.text
     assert not witness.robot._ended.done()
-    assert [node.name for node in site.master._registry.nodes()] == ["/robot", "/viewer"]  # type: ignore[union-attr]
+    assert [node.name for node in site.master.state.registry.nodes()] == ["/robot", "/viewer"]  # type: ignore[union-attr]
 
 
 @pytest.mark.attack("another-name")
@@ -202,7 +202,7 @@ async def test_m7_ros_time_does_not_extend_a_right(tmp_path: Path) -> None:
     site = Site(tmp_path / "site", clock=lambda: time.time() + ahead)
     async with site.running():
         assert site.master is not None
-        site.master._clock = site._clock
+        site.master.state.clock = site._clock
         site.grant(EVE, PARAMS, "/eve/p", lifetime=60)
         site.grant(EVE, Right.PUBLISH, "/clock", lifetime=60)
         async with caller(site, EVE, {"/use_sim_time": PARAMS}) as eve:
@@ -215,8 +215,8 @@ async def test_m7_ros_time_does_not_extend_a_right(tmp_path: Path) -> None:
             assert "param-set" in await eve.refused("setParam", "/eve/p", 2)
             await eve.refused("getParam", "/eve/p")
             await eve.refused("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri)
-            site.master._maintenance._changed.set()
-            registry = site.master._registry
+            site.master._effects.list_changed.set()
+            registry = site.master.state.registry
             await until(lambda: not list(registry.nodes()))
             assert (await eve("getParam", "/use_sim_time"))[2] is True
 
@@ -258,7 +258,7 @@ async def test_m8_calls_of_the_master_are_limited(site: Site, witness: Witness) 
             for number in range(300):
                 where = f"http://127.{2 + number // 200}.1.{number % 200}:{port}/"
                 assert (await eve("registerSubscriber", "/t", T, where))[0] == 1
-            clients = site.master._updates.nodes
+            clients = site.master._effects.updates.nodes
             assert 0 < len(clients) <= site.limits.nodes_per_identity + MAX_CLOSING
             await asyncio.sleep(0)
             with contextlib.suppress(BlockingIOError):

@@ -113,7 +113,7 @@ async def test_m9_dead_and_slow_nodes_delay_no_other(site: Site) -> None:
             await talker("unregisterPublisher", "/t", talker.uri)
             await until(lambda: ("publisherUpdate", "/t", []) in live.told)
         assert site.master is not None
-        for client, _ in site.master._updates._clients.values():
+        for client, _ in site.master._effects.updates._clients.values():
             assert len(client._pending) <= 2, "not coalesced"
 
 
@@ -334,6 +334,6 @@ async def test_m11_connections_the_peer_closed_are_released(narrow: Site) -> Non
             sock.sendall(HEAD[: number % 5])
     for _ in range(3):
         stream = await dial(narrow.master.uri, credentials(narrow))
-        stream._driver.transport.abort()  # as if the process had died
+        stream.transport.abort()  # as if the process had died
     await until(lambda: connections(narrow) == 0)
     assert close_wait(port(narrow)) == []

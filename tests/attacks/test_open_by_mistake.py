@@ -45,7 +45,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
         **{f"register{kind}": (TOPIC, POSE, "http://h:1/") for kind in ("Publisher", "Subscriber")},
         **{f"unregister{kind}": (TOPIC, "http://h:1/") for kind in ("Publisher", "Subscriber")},
     }  # fmt: skip
-    before = site.master._registry.version
+    before = site.master.state.registry.version
     told = {
         "getUri", "getPid", "rossec.revocations", "rossec.revocationsSince", "rossec.trl",
         "unsubscribeParam",
@@ -56,7 +56,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
             assert status.find("arity") < 0, method
             nothing = value in ("", 0, [], [[], [], []], b"", [b""], {}) or value is False
             assert method in told or code == -1 or nothing, (method, value)
-    assert site.master._registry.version == before
+    assert site.master.state.registry.version == before
     assert not site.master._effects.stopping.is_set()
 
 

@@ -34,17 +34,6 @@ class EnrolledNode:
     def thumbprint(self) -> bytes:
         return self.identity.thumbprint
 
-    @property
-    def keys(self) -> tuple[bytes, ...]:
-        return self.identity.keys
-
-    @property
-    def wildcard(self) -> bool:
-        return self.identity.wildcard
-
-    def covers(self, name: str) -> bool:
-        return self.identity.covers(name)
-
 
 @dataclass
 class Site:

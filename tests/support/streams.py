@@ -20,7 +20,7 @@ class MemoryStream:
     inbox: "asyncio.Queue[bytes | None]" = field(default_factory=asyncio.Queue)
     other: "MemoryStream | None" = None
     closed: bool = False
-    lagging: bool = False
+    lags: bool = False
     callback: Callable[[], None] | None = None
     take: Callable[[bytes], bool] | None = None
 
@@ -41,10 +41,9 @@ class MemoryStream:
             raise MemoryClosed("closed")
         return unit
 
-    def try_send(self, unit: bytes) -> bool:
-        if not self.lagging:
-            self.put(unit)
-        return not self.lagging
+    def write_nowait(self, data: bytes) -> bool:
+        self.put(data)
+        return not self.lags
 
     def put(self, unit: bytes) -> None:
         assert self.other is not None

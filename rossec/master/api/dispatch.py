@@ -16,20 +16,18 @@ from rossec.master.api.methods import (
     CallDenied,
     CallRequest,
     Denied,
-    MasterEvent,
     Method,
     Methods,
     Reply,
     Steps,
     StopMaster,
 )
-from rossec.master.api.multicall import Multicall
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
-from rossec.master.api.turns import CallOutcome, TurnExpired, Work
+from rossec.master.api.turns import CallOutcome, Work
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
 
@@ -51,7 +49,7 @@ class MasterApi:
     def __init__(
         self,
         registry: Registry,
-        statements: Statements,
+        statements: TrustState,
         *,
         name: str,
         uri: str,
@@ -102,21 +100,6 @@ class MasterApi:
         if isinstance(reply, Reply):
             return _answered(reply, method, request, caller)
         return _in_steps(reply, method, entry, request, caller)
-
-    def run_multicall(
-        self,
-        multicall: Multicall,
-        caller: Caller,
-        now: int,
-        *,
-        is_local: bool = True,
-        expired: TurnExpired,
-    ) -> tuple[MasterEvent, ...]:
-        """Process elements of a multicall for one turn; returns the events to deliver."""
-        return multicall.step(
-            lambda method, params: self.begin(method, params, caller, now, is_local=is_local),
-            expired,
-        )
 
     def _request(
         self,

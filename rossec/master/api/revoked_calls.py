@@ -12,7 +12,7 @@ from typing import Final
 
 from rossec.errors import HangUp
 from rossec.master.api.statement_calls import PROOF_LIMIT
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 
 CONNECTION_SECONDS: Final = 5.0  # seconds that a connection of a revoked identity may last
 MAX_CONNECTIONS: Final = 4  # such connections of one identity
@@ -50,7 +50,7 @@ class RevokedCalls:
         now: seconds since the epoch.
     """
 
-    def __init__(self, statements: Statements, now: Callable[[], int]) -> None:
+    def __init__(self, statements: TrustState, now: Callable[[], int]) -> None:
         self._statements = statements
         self._now = now
         self._calls_left = MAX_CALLS
@@ -64,7 +64,7 @@ class RevokedCalls:
 
 
 def answer_revoked(
-    statements: Statements, now: int, method: str, params: tuple[object, ...]
+    statements: TrustState, now: int, method: str, params: tuple[object, ...]
 ) -> list[object]:
     """Answer a call of a revoked identity.
 

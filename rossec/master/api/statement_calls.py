@@ -21,7 +21,7 @@ from rossec.master.api.methods import (
     Steps,
 )
 from rossec.master.rights.access_rules import Refused
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.master.rights.trl import RevocationQueries
 from rossec.master.state.registry import Kind, Registry
 
@@ -31,7 +31,7 @@ PROOF_LIMIT: Final = 64
 
 
 class StatementCalls:
-    """Handlers over one `Statements`.
+    """Handlers over one `TrustState`.
 
     Args:
         registry: to find the names that a caller is registered for.
@@ -40,7 +40,7 @@ class StatementCalls:
     """
 
     def __init__(
-        self, statements: Statements, registry: Registry, master: str, started: int
+        self, statements: TrustState, registry: Registry, master: str, started: int
     ) -> None:
         self._statements = statements
         self._registry = registry

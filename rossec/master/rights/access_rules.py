@@ -1,12 +1,12 @@
 """Which right each master call needs, and what a caller may see. Pure, default deny.
 
 The table is the whole policy of the master: a method that is not in it is refused. Rights come from
-grants; whether a grant is valid now is decided behind `CallerAccess`. A refusal names the missing
-right and does not reveal whether the name exists: for a caller that may not see a name, the answer
-is the same as if it did not exist.
+grants; which of them are valid now is decided before (`presented_grants`). A refusal names the
+missing right and does not reveal whether the name exists: for a caller that may not see a name, the
+answer is the same as if it did not exist.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Protocol
@@ -14,6 +14,7 @@ from typing import Final, Protocol
 from ca import names
 from ca.errors import HintedError
 from grants.model import Right
+from grants.reach import Reach
 from rossec.master.state.addresses import endpoint, is_loopback_host
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
 
@@ -43,28 +44,6 @@ class AddressTaken(Refused):
         self.owner = owner
 
 
-class CallerAccess(Protocol):
-    """The rights of one identity at one time, from the grants it presented."""
-
-    def require(self, right: Right, name: str) -> None:
-        """Raise a `HintedError` unless a valid grant covers `right` on `name`."""
-
-    def covers(self, right: Right, name: str) -> bool:
-        """Whether `require` would return."""
-
-    def covers_any(self, rights: Right, name: str) -> bool:
-        """Whether `require` would return for one of `rights`."""
-
-    def covers_below(self, right: Right, namespace: str) -> bool:
-        """Whether `right`, one of parameters, covers every name below `namespace` (`/`: all)."""
-
-    def touches(self, right: Right, namespace: str) -> bool:
-        """Whether `right`, one of parameters, covers `namespace` or any name below it."""
-
-    def patterns(self, right: Right) -> int:
-        """How many patterns must be matched one by one for `right`."""
-
-
 class Peer(Protocol):
     """A certified name and its key: a `ca.certificates.Identity` or a `NodeRef`."""
 
@@ -77,35 +56,27 @@ class Peer(Protocol):
         """The certified key's thumbprint."""
 
 
-class Certified(Peer, Protocol):
-    """A peer with its certificate: `ca.certificates.Identity` is one."""
-
-    @property
-    def wildcard(self) -> bool:
-        """Whether the name has a wildcard tail."""
-
-    @property
-    def keys(self) -> tuple[bytes, ...]:
-        """Thumbprints of every key whose revocation revokes this identity, its own first."""
-
-    def covers(self, name: str) -> bool:
-        """Whether the certificate covers `name`."""
+Authorize = Callable[[Right, str], object]
+"""Raises the `HintedError` that says why no valid grant covers a right on a name."""
 
 
 @dataclass(frozen=True)
 class Caller:
-    """A caller and its rights.
+    """A caller and its rights at one time, from the grants it presented.
 
     Attributes:
         name: the certified name; within a call the name of the node, see `acting_as`.
         thumbprint: of the certified key, to which grants are bound.
+        reach: what its valid grants cover.
+        authorize: called for a right on a name that `reach` does not cover.
         wildcard: the certified name has a wildcard tail.
         certified: the certified name where `name` is another one.
     """
 
     name: str
     thumbprint: bytes
-    access: CallerAccess
+    reach: Reach
+    authorize: Authorize
     wildcard: bool = False
     certified: str = ""
 
@@ -133,28 +104,28 @@ class Caller:
 
     def may(self, right: Right, name: str) -> bool:
         """Whether a grant covers `right` on `name`."""
-        return self.access.covers(right, name)
+        return self.reach.covers(right, name)
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
         """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
-        return self.access.covers_below(right, namespace)
+        return self.reach.covers_below(right, namespace)
 
     def may_some_below(self, right: Right, namespace: str) -> bool:
         """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
-        return self.access.touches(right, namespace)
+        return self.reach.touches(right, namespace)
 
     def patterns(self, right: Right) -> int:
         """How many patterns must be matched one by one against each name."""
-        return self.access.patterns(right)
+        return self.reach.patterns(right)
 
     @property
     def names_per_yield(self) -> int:
         """How many names a query checks between two yields: fewer where each costs more."""
-        return max(1, NAMES_PER_YIELD // (1 + sum(map(self.access.patterns, Right)) // 8))
+        return max(1, NAMES_PER_YIELD // (1 + sum(map(self.reach.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
         """Whether a topic, service or node name may appear in an answer to this caller."""
-        return self.access.covers_any(VISIBILITY_RIGHTS, name)
+        return self.reach.covers_any(VISIBILITY_RIGHTS, name)
 
 
 class Scope(Enum):
@@ -301,8 +272,10 @@ class AccessControl:
 
 def require(caller: Caller, right: Right, name: str) -> None:
     """Raise `Refused`, which names the missing right, unless `caller` has `right` on `name`."""
+    if caller.may(right, name):
+        return
     try:
-        caller.access.require(right, name)
+        caller.authorize(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
         needs = f"{caller.display_name} needs the right {right.label} on {name}"

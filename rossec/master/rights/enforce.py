@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from grants.model import Right
 from rossec.master.rights.access_rules import Caller
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 _REQUIRED_RIGHTS: Final = {
@@ -41,14 +41,14 @@ def steps(registry: Registry) -> list[EnforcementStep]:
 
 def enforce(
     registry: Registry,
-    statements: Statements,
+    trust: TrustState,
     step: EnforcementStep,
     now: int,
 ) -> list[Event]:
     """Remove the registrations of `step` that no right covers; returns the events to deliver."""
     if not registry.is_current(step.node):
         return []
-    caller = statements.caller_of(step.node, now)
+    caller = trust.caller_of(step.node, now)
     if caller is None:
         return [*registry.remove_node(step.node.name)]
     uncovered = [key for key in step.keys if not _is_authorized(caller, step.kind, key)]

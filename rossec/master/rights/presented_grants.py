@@ -5,14 +5,14 @@ again when the second, the revocations or the grants change.
 """
 
 import hashlib
-from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, NamedTuple
 
 from ca.errors import HintedError
 from ca.revocation.state import Revocations
-from grants.decision import RevocationCheck, authorize
-from grants.model import Grant, Right
+from grants.decision import authorize
+from grants.model import Grant
 from grants.reach import Reach
 from grants.validity import check_time
 from rossec.master.rights.access_rules import Caller, Peer
@@ -21,7 +21,7 @@ MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURE_WINDOW; each costs a verification
 FAILURE_WINDOW: Final = 60  # seconds
-EMPTY_REACH: Final = Reach(())
+_NOTHING: Final = Reach(())
 
 
 class EvaluationContext(NamedTuple):
@@ -35,40 +35,18 @@ class EvaluationContext(NamedTuple):
 NOT_EVALUATED: Final = EvaluationContext(-1, b"", 0)
 
 
-@dataclass(frozen=True)
-class GrantAccess:
-    """The rights of one key: `reach` is that of the `grants` that are valid at `now`."""
+class Presented(NamedTuple):
+    """How many grants of the caller are held now, and why the others were refused."""
 
-    grants: Collection[Grant]
-    reach: Reach
-    holder: bytes
-    now: int
-    check: RevocationCheck
+    held: int
+    refused: tuple[str, ...]
 
-    def covers(self, right: Right, name: str) -> bool:
-        """Whether a valid grant covers `right` on `name`."""
-        return self.reach.covers(right, name)
 
-    def covers_any(self, rights: Right, name: str) -> bool:
-        """Whether a valid grant covers one of `rights` on `name`."""
-        return self.reach.covers_any(rights, name)
+class Renewed(NamedTuple):
+    """Renewed tokens, empty where one was refused, and the reasons."""
 
-    def covers_below(self, right: Right, namespace: str) -> bool:
-        """Whether valid grants cover `right` on every parameter below `namespace`."""
-        return self.reach.covers_below(right, namespace)
-
-    def touches(self, right: Right, namespace: str) -> bool:
-        """Whether a valid grant covers `right` on any parameter at or below `namespace`."""
-        return self.reach.touches(right, namespace)
-
-    def patterns(self, right: Right) -> int:
-        """As of `Reach`."""
-        return self.reach.patterns(right)
-
-    def require(self, right: Right, name: str) -> None:
-        """Raise a `GrantError` that names what is missing, unless a grant covers it."""
-        if not self.reach.covers(right, name):
-            authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
+    tokens: tuple[bytes, ...]
+    refused: tuple[str, ...]
 
 
 @dataclass(slots=True)
@@ -80,7 +58,7 @@ class PresentedGrants:
     failures: int = 0
     failing_since: int = 0
     version: int = 0
-    _reach: Reach = EMPTY_REACH
+    _reach: Reach = _NOTHING
     _evaluated_for: tuple[EvaluationContext, int] | None = None
     _valid_ids: tuple[bytes, ...] = ()
     _caller: Caller | None = None
@@ -94,10 +72,12 @@ class PresentedGrants:
             self._evaluate(context, revocations)
             caller = None
         if caller is None or caller.name != peer.name or caller.wildcard is not wildcard:
-            access = GrantAccess(
-                self.grants.values(), self._reach, peer.thumbprint, context.now, revocations.check
-            )
-            caller = self._caller = Caller(peer.name, peer.thumbprint, access, wildcard)
+            refusal = partial(
+                authorize, self.grants.values(),
+                holder=peer.thumbprint, now=context.now, check=revocations.check,
+            )  # fmt: skip
+            caller = Caller(peer.name, peer.thumbprint, self._reach, refusal, wildcard)
+            self._caller = caller
         return caller
 
     def _evaluate(self, context: EvaluationContext, revocations: Revocations) -> None:

@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Final
 
-from ca.certificates import TrustAnchor
+from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.keys.signer import Signer
 from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
@@ -19,17 +19,16 @@ from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
-from rossec.master.rights.access_rules import Caller, Certified, Peer
+from rossec.master.rights.access_rules import Caller, Peer
 from rossec.master.rights.delegation import Delegate, discard
-from rossec.master.rights.interfaces import Presented, Renewed
 from rossec.master.rights.presented_grants import (
-    EMPTY_REACH,
     FAILURE_WINDOW,
     MAX_HELD,
     NOT_EVALUATED,
     EvaluationContext,
-    GrantAccess,
+    Presented,
     PresentedGrants,
+    Renewed,
 )
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
@@ -41,7 +40,7 @@ Renewer = Callable[[bytes, int, RevocationCheck], bytes]
 
 
 class TrustState:
-    """The master's `TrustView`.
+    """Revocations and presented grants: who is still trusted, and for what.
 
     Args:
         anchor: the authority, and the domain that grants must be for.
@@ -78,7 +77,7 @@ class TrustState:
         self._timestamp_cache: tuple[int, bytes] = (-1, b"")
         self._context = NOT_EVALUATED
 
-    def caller(self, peer: Certified, now: int) -> Caller:
+    def caller(self, peer: Identity, now: int) -> Caller:
         """The caller with its rights now.
 
         Raises:
@@ -101,7 +100,7 @@ class TrustState:
         A grant bound to another key is refused.
         """
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, PresentedGrants())
+        held = self._held_by(caller)
         held.drop_expired(now)
         refused: list[str] = []
         for token in tokens:
@@ -138,7 +137,7 @@ class TrustState:
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Renewed tokens, in the same order, empty where one is refused."""
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, PresentedGrants())
+        held = self._held_by(caller)
         held.drop_expired(now)
         renewed: list[bytes] = []
         refused: list[str] = []
@@ -160,7 +159,7 @@ class TrustState:
         if self._renewer is None:
             raise RenewalRefused("this master renews no identities", "ask the authority's operator")
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, PresentedGrants())
+        held = self._held_by(caller)
         self._check_failures(held, now)
         try:
             return self._renewer(request, now, self._revocations.check)
@@ -268,11 +267,14 @@ class TrustState:
 
     def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
+        return self._held_by(peer).caller(peer, self._context, self._revocations, wildcard=wildcard)
+
+    def _held_by(self, peer: Peer) -> PresentedGrants:
+        """The grants of a key, until `keep_only` discards them."""
         held = self._held.get(peer.thumbprint)
-        if held is not None:
-            return held.caller(peer, self._context, self._revocations, wildcard=wildcard)
-        access = GrantAccess((), EMPTY_REACH, peer.thumbprint, now, self._revocations.check)
-        return Caller(peer.name, peer.thumbprint, access, wildcard)
+        if held is None:
+            held = self._held[peer.thumbprint] = PresentedGrants()
+        return held
 
     def _known_grants(self) -> Iterator[Grant]:
         """The grants held, and those that the list in force has revoked."""

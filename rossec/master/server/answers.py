@@ -6,8 +6,10 @@ and the caller's rights are evaluated again: results from before a revocation ar
 """
 
 import asyncio
+from functools import partial
 from typing import NamedTuple
 
+from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
@@ -15,8 +17,6 @@ from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
-from rossec.master.rights.interfaces import ChannelPeer
-from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
 from rossec.master.state.registry import NodeRef
@@ -29,7 +29,7 @@ class PendingCall(NamedTuple):
     is_local: bool
     method: str
     params: tuple[object, ...]
-    peer: ChannelPeer
+    peer: Identity
 
 
 class CallAnswers:
@@ -40,17 +40,15 @@ class CallAnswers:
         api: MasterApi,
         state: MasterState,
         effects: Effects,
-        dialer: SlaveDialer,
         turns: Turns,
     ) -> None:
         self._api = api
         self._state = state
         self._effects = effects
-        self._dialer = dialer
         self._turns = turns
 
     def dispatch(
-        self, is_local: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+        self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
         """The value to answer with, or an awaitable of it.
 
@@ -66,7 +64,9 @@ class CallAnswers:
         if not isinstance(begun, CallOutcome):
             return self._query(call, begun)
         match begun.events:
-            case [CallDenied(taken_by=NodeRef() as owner)] if owner not in self._dialer.probed:
+            case [CallDenied(taken_by=NodeRef() as owner)] if (
+                owner not in self._effects.dialer.probed
+            ):
                 return self._probe_owner(owner, call)
         return self._effects.apply(begun)
 
@@ -88,7 +88,7 @@ class CallAnswers:
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:
         """Probe `owner`, whose address another node registers, and answer again."""
-        await self._dialer.probe(owner)
+        await self._effects.dialer.probe(owner)
         return await self._finish(call, self._begin(call))
 
     async def _finish(self, call: PendingCall, work: CallOutcome | Work) -> object:
@@ -114,17 +114,15 @@ class CallAnswers:
 
     def _step(self, call: PendingCall, multicall: Multicall) -> None:
         caller, now = self._caller_now(call.peer)
-        expired = self._turns.begin()
-        events = self._api.run_multicall(
-            multicall, caller, now, is_local=call.is_local, expired=expired
-        )
+        begin = partial(self._api.begin, caller=caller, now=now, is_local=call.is_local)
+        events = multicall.step(begin, self._turns.begin())
         self._effects.apply(CallOutcome(None, events))
 
     def _begin(self, call: PendingCall) -> CallOutcome | Work:
         caller, now = self._caller_now(call.peer)
         return self._api.begin(call.method, call.params, caller, now, is_local=call.is_local)
 
-    def _caller_now(self, peer: ChannelPeer) -> tuple[Caller, int]:
+    def _caller_now(self, peer: Identity) -> tuple[Caller, int]:
         """The caller with its rights now, and the time."""
         now = self._state.now()
         try:

@@ -9,8 +9,8 @@ import contextlib
 from collections.abc import Callable
 from typing import Final
 
+from ca.certificates import Identity
 from rossec.errors import CallerMismatch, RossecError
-from rossec.master.rights.interfaces import ChannelPeer
 from rossec.master.server.updates import CALL_DEADLINE
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureContext, WireProtocol, connect
@@ -28,8 +28,8 @@ class SlaveDialer:
 
     def __init__(
         self,
-        context: SecureContext[ChannelPeer],
-        on_mismatch: Callable[[NodeRef, ChannelPeer], None],
+        context: SecureContext[Identity],
+        on_mismatch: Callable[[NodeRef, Identity], None],
     ) -> None:
         self._context = context
         self._on_mismatch = on_mismatch

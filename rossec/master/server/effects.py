@@ -1,16 +1,19 @@
 """The effects of a call: updates to nodes, journal records, lines of the audit. A shell.
 
 The cores return events; `deliver` maps each to its effect. Nothing is authorized here and nothing
-waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A revocation has further
-effects: `rossec.master.server.maintenance`.
+waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A new revocation list is
+enforced before the call that delivered it is answered, except for what would take too long.
 """
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Final
 
+from ca.certificates import Identity
+from ca.errors import HintedError
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
@@ -26,54 +29,72 @@ from rossec.master.api.turns import CallOutcome
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.access_rules import Peer
-from rossec.master.rights.interfaces import ChannelPeer, TrustView
+from rossec.master.rights.enforce import enforce, steps
+from rossec.master.rights.statements import TrustState
+from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
-from rossec.net.aio import SecureStream
+from rossec.net.aio import SecureContext, SecureStream
 from rossec.ros.text import printable
 
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
+STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
 
-@dataclass(frozen=True)
+
+@dataclass
 class MasterState:
     """The state of one master, used in its event loop only.
 
     Args:
         name: the master's certified name.
-        now: seconds since the epoch.
+        clock: seconds since the epoch.
         parameter_file: the journal of parameters; None: they do not survive a restart.
         streams: accepted connections.
     """
 
     name: str
-    now: Callable[[], int]
+    clock: Callable[[], float]
     registry: Registry
-    trust: TrustView
-    updates: Updates
+    trust: TrustState
     parameter_file: ParameterFile | None
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
-    streams: set[SecureStream[ChannelPeer]] = field(default_factory=set)
+    streams: set[SecureStream[Identity]] = field(default_factory=set)
+
+    def now(self) -> int:
+        """The time, in whole seconds."""
+        return int(self.clock())
 
 
 class Effects:
-    """Delivers events; `calls` and `denials` are counters, `StopMaster` sets `stopping`.
+    """Delivers events; `calls` and `denials` are counters.
 
     Args:
+        context: the master's own identity, to connect to nodes with.
         on_denial: called for every right that a caller lacks.
-        on_revocations: called when there is a newer revocation list.
+        max_clients: as of `Updates`.
+
+    Attributes:
+        stopping: set by `StopMaster`.
+        list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
     """
 
     def __init__(
-        self, state: MasterState, on_denial: OnDenial, on_revocations: Callable[[], None]
+        self,
+        state: MasterState,
+        context: SecureContext[Identity],
+        on_denial: OnDenial,
+        max_clients: int,
     ) -> None:
         self._state = state
         self._on_denial = on_denial
-        self._on_revocations = on_revocations
+        self.dialer: Final = SlaveDialer(context, self.evict)
+        self.updates: Final = Updates(self.dialer.dial, max_clients)
         self.stopping: Final = asyncio.Event()
+        self.list_changed: Final = asyncio.Event()
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
@@ -89,7 +110,7 @@ class Effects:
 
         Otherwise a node could keep another out by registering its address first.
         """
-        self._state.updates.drop(node)
+        self.updates.drop(node)
         if self._state.registry.is_current(node):
             _denials.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
             for event in self._state.registry.remove_node(node.name):
@@ -108,7 +129,7 @@ class Effects:
                 self._notify(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged(by):
                 _audit.info("%s delivered revocation list %d", by, self._state.trust.number)
-                self._on_revocations()
+                self._enforce_list()
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
             case PersistParameter() | Denied() | GrantsPresented() | CallDenied():
@@ -135,4 +156,41 @@ class Effects:
 
     def _notify(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""
-        self._state.updates.post(node, (method, about), self._state.name, subject, *rest)
+        self.updates.post(node, (method, about), self._state.name, subject, *rest)
+
+    def _enforce_list(self) -> None:
+        """Enforce a new list: as much as possible now, the rest in the next round."""
+        for _ in islice(self.enforcement(), STEPS_AT_ONCE):
+            pass
+        self.close_revoked()  # also their pending updates
+        self.send_revocations()
+        self.list_changed.set()
+
+    def enforcement(self) -> Iterator[None]:
+        """Remove what is no longer authorized, some registrations in each step."""
+        for step in steps(self._state.registry):
+            for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
+                self.deliver(event)
+            yield
+
+    def close_revoked(self) -> None:
+        """Close the connections of revoked identities, and drop their updates."""
+        now = self._state.now()
+        for stream in tuple(self._state.streams):
+            try:
+                self._state.trust.caller(stream.peer, now)
+            except HintedError as error:
+                _audit.warning("%s is disconnected: %s", stream.peer.name, printable(error))
+                self._state.streams.discard(stream)  # its handler ends in a later iteration
+                stream.abort(str(error))
+        for node in self.updates.nodes:
+            if self._state.trust.caller_of(node, now) is None:
+                self.updates.drop(node)
+
+    def send_revocations(self) -> None:
+        """Send every node a timestamp of the list, and the list to nodes that do not hold it."""
+        now, key = self._state.now(), ("rossec.revocationUpdate", "")
+        for node in self._state.registry.nodes():
+            revocations, timestamp = self._state.trust.revocations_for(node, now)
+            if timestamp and self._state.trust.caller_of(node, now) is not None:
+                self.updates.post(node, key, self._state.name, revocations, timestamp)

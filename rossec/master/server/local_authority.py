@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from ca.revocation.tree import is_tree
-from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.statements import TrustState
 from rossec.ros.text import printable
 
 SOURCE: Final = "the authority on this host"
@@ -31,29 +31,24 @@ class LocalAuthority:
 
     Args:
         find: reads the directory of the authority. Raises `HintedError` or `OSError`.
-        statements: accepts the lists.
-        on_changed: called when a newer list is in force.
+        trust: accepts the lists.
     """
 
-    def __init__(
-        self, find: FindRevocations, statements: Statements, on_changed: Callable[[], None]
-    ) -> None:
+    def __init__(self, find: FindRevocations, trust: TrustState) -> None:
         self._find = find
-        self._statements = statements
-        self._on_changed = on_changed
+        self._trust = trust
         self._last_warning: str | None = None
 
-    def check(self, now: int) -> None:
-        """Accept the list of the authority, if it is newer."""
+    def has_newer_list(self, now: int) -> bool:
+        """Accept the list of the authority, if it is newer; returns whether it was."""
         try:
             found = self._find()
             newer = found is not None and self._accept(*found, now)
         except (HintedError, OSError) as error:
             self._warn_once(printable(error))
-        else:
-            self._last_warning = None
-            if newer:
-                self._on_changed()
+            return False
+        self._last_warning = None
+        return newer
 
     def _warn_once(self, reason: str) -> None:
         """Log each reason once, although every round checks again."""
@@ -63,5 +58,5 @@ class LocalAuthority:
 
     def _accept(self, data: bytes, entries: bytes, now: int) -> bool:
         if is_tree(data):
-            return self._statements.update_tree(data, entries, now)
-        return self._statements.update(data, now)
+            return self._trust.update_tree(data, entries, now)
+        return self._trust.update(data, now)

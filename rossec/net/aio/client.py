@@ -10,7 +10,6 @@ from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
 from rossec.errors import (
-    ChannelClosed,
     ChannelError,
     HandshakeFailed,
     HandshakeTimeout,
@@ -20,7 +19,6 @@ from rossec.errors import (
     PeerUnreachable,
 )
 from rossec.net.aio.dial import dial
-from rossec.net.aio.driver import Driver
 from rossec.net.aio.stream import SecureStream
 from rossec.net.context import SecureContext
 
@@ -71,16 +69,16 @@ async def _handshake(
 ) -> SecureStream[PeerT]:
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
-    def on_authenticated(driver: Driver[PeerT], peer: PeerT) -> None:
+    def on_authenticated(stream: SecureStream[PeerT]) -> None:
         if not ready.done():
-            ready.set_result(SecureStream(driver, peer))
+            ready.set_result(stream)
 
-    def on_end(_: Driver[PeerT], error: ChannelError) -> None:
+    def on_end(_: SecureStream[PeerT], error: ChannelError) -> None:
         if not ready.done():
             ready.set_exception(error)
 
     try:
-        driver = Driver(core(), sock, sock.getpeername()[0], on_authenticated, on_end)
+        stream = SecureStream(core(), sock, sock.getpeername()[0], on_authenticated, on_end)
     except OSError as error:
         sock.close()
         text = f"the connection was reset at once: {error}"
@@ -93,7 +91,7 @@ async def _handshake(
     try:
         return await ready
     except BaseException:
-        driver.abort(ChannelClosed("the caller no longer waits for the connection"))
+        stream.abort("the caller no longer waits for the connection")
         raise
 
 

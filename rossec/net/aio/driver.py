@@ -1,13 +1,13 @@
 """One `Connection` on an asyncio loop: its socket, timer and back-pressure, no decisions.
 
-The socket is read straight into the connection's receive buffer. Reading pauses while the consumer
-lags, writing waits while the peer does. `rossec.net.aio.stream.SecureStream` is what users hold.
+The socket is read straight into the connection's receive buffer. What is sent, and when, is in
+`rossec.net.aio.stream.SecureStream`, which users hold.
 """
 
 import asyncio
 import socket
 from collections.abc import Callable, Sequence
-from typing import Final, Generic
+from typing import Final, Generic, Self
 
 from rossec import clock
 from rossec.channel.connection import Connection
@@ -15,7 +15,7 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
-from rossec.net.aio.receive_queue import ReceiveQueue
+from rossec.net.aio.base import BaseStream
 from rossec.net.aio.transport import Transport
 from rossec.net.forks import forget_in_children
 
@@ -27,24 +27,30 @@ def wall_clock() -> int:
     return clock.now()
 
 
-class Driver(ReceiveQueue, Generic[PeerT]):
+class Driver(BaseStream, Generic[PeerT]):
     """One connection on a loop; it owns `sock` and starts at once.
+
+    `peer` is the identity of the peer's certificate, once it is authenticated.
 
     Args:
         connection: the core.
         sock: a connected TCP socket.
         address: the peer's IP address.
-        on_authenticated: called once, with the peer.
+        on_authenticated: called once.
         on_end: called once, when the handshake or the connection is over, with the reason.
     """
+
+    peer: PeerT
+    _on_authenticated: Callable[[Self], None]
+    _on_end: Callable[[Self, ChannelError], None]
 
     def __init__(
         self,
         connection: Connection[PeerT],
         sock: socket.socket,
         address: str,
-        on_authenticated: Callable[["Driver[PeerT]", PeerT], None],
-        on_end: Callable[["Driver[PeerT]", ChannelError], None],
+        on_authenticated: Callable[[Self], None],
+        on_end: Callable[[Self, ChannelError], None],
     ) -> None:
         super().__init__()
         self.connection = connection
@@ -53,8 +59,6 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._on_end = on_end
         self._timer: asyncio.TimerHandle | None = None
         self._abort_at = 0.0
-        self._when_writable: list[Callable[[], None]] = []
-        self.on_unit: Callable[[bytes], bool] | None = None
         self._socket_closed = False
         self._when_closed: list[Callable[[], None]] | None = None
         self.authenticated = False
@@ -76,9 +80,9 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             return
         if self.authenticated or not events:
             self.flush()
-        if len(events) == 1 and self.on_unit is not None and self._units is None:
+        if len(events) == 1 and self._take is not None and self._units is None:
             event = events[0]
-            if isinstance(event, UnitReceived) and self.on_unit(event.data):
+            if isinstance(event, UnitReceived) and self._take(event.data):
                 return
         self._handle_events(events)
         if self.connection.has_unfinished_unit:
@@ -97,10 +101,11 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         if self._units:
             self._notify()
 
-    def _handle_authenticated(self, peer: PeerT) -> None:
+    def _handle_authenticated(self: Self, peer: PeerT) -> None:
         """Report the peer; what is sent at once leaves with the last flight."""
+        self.peer = peer
         self.authenticated = True
-        self._on_authenticated(self, peer)
+        self._on_authenticated(self)
         self._loop.call_soon(self.flush)
         self._arm()
 
@@ -114,9 +119,6 @@ class Driver(ReceiveQueue, Generic[PeerT]):
     def resume_writing(self) -> None:
         """The peer caught up."""
         self._wake_waiters()
-        callbacks, self._when_writable = self._when_writable, []
-        for callback in callbacks:
-            callback()
 
     def connection_lost(self) -> None:
         """Wake all waiters, whatever the reason."""
@@ -131,24 +133,22 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             callback()
         del self._on_authenticated, self._on_end  # no reference cycle with the owner
 
-    # -- called by the stream
+    # -- for users
 
     @property
     def local_address(self) -> str:
-        """This side's IP address; empty when the connection is gone."""
+        """This side's IP address, as the peer sees it unless there is NAT between.
+
+        Empty when the connection is gone.
+        """
         try:
             host: str = self.transport.socket.getsockname()[0]
         except OSError:
             return ""
         return host
 
-    @property
-    def writable(self) -> bool:
-        """Whether a writer need not wait."""
-        return self.transport.writable
-
     def when_closed(self, callback: Callable[[], None]) -> None:
-        """Call back, once, when the socket is closed."""
+        """Call back, once, when the socket is closed: some time after the connection ended."""
         if self._socket_closed:
             callback()
             return
@@ -156,9 +156,14 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             self._when_closed = []
         self._when_closed.append(callback)
 
-    def when_writable(self, callback: Callable[[], None]) -> None:
-        """Call back, once, when the peer caught up."""
-        self._when_writable.append(callback)
+    def raise_unit_limit(self, limit: int | None = None) -> None:
+        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
+
+        Raises:
+            ChannelError: the connection has ended.
+        """
+        self.check()
+        self.connection.raise_unit_limit(limit)
 
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
@@ -175,7 +180,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         if data:
             self.transport.write(data)
 
-    async def close(self) -> None:
+    async def _close(self) -> None:
         """Close in order; wait for the peer's, but not for long."""
         if self.error is None:
             self.connection.close()
@@ -184,9 +189,12 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         while not self._socket_closed:
             await self._changed()
 
-    def abort(self, error: ChannelError) -> None:
-        """Abort the connection; the peer sees a truncation."""
-        self._end(error)
+    def abort(self, reason: str) -> None:
+        """Abort the connection at once, for example because the peer's grant was revoked.
+
+        The peer sees a truncation.
+        """
+        self._end(ChannelClosed(reason))
         self.transport.abort()
 
     def fail(self, error: ChannelError) -> None:
@@ -194,7 +202,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self.flush()
         self._end(error, linger=True)
 
-    def _end(self, error: ChannelError, *, linger: bool = False) -> None:
+    def _end(self: Self, error: ChannelError, *, linger: bool = False) -> None:
         """End the connection for its users: every end passes here."""
         if self.error is not None:
             return

@@ -16,8 +16,7 @@ from typing import Final, Generic, Self, TypeAlias
 
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
-from rossec.errors import ChannelClosed, ChannelError, PlainPeer
-from rossec.net.aio.driver import Driver
+from rossec.errors import ChannelError, PlainPeer
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.context import SecureContext
@@ -44,8 +43,8 @@ class SecureServer(Generic[PeerT]):
         self._handler = handler
         self._context = context
         self._protocol = protocol
-        self._drivers: set[Driver[PeerT]] = set()
-        self._slots: dict[Driver[PeerT], HalfOpenSlot] = {}  # of the unauthenticated ones
+        self._streams: set[SecureStream[PeerT]] = set()
+        self._slots: dict[SecureStream[PeerT], HalfOpenSlot] = {}  # of the unauthenticated ones
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
@@ -62,7 +61,7 @@ class SecureServer(Generic[PeerT]):
     @property
     def connections(self) -> int:
         """How many connections are open or half open."""
-        return len(self._drivers)
+        return len(self._streams)
 
     def listen(self, host: str | None, port: int) -> None:
         """Bind and start to accept."""
@@ -110,38 +109,37 @@ class SecureServer(Generic[PeerT]):
     def _begin(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
         try:
             core = self._context.responder(self._protocol)
-            driver = Driver(core, sock, address, self.on_authenticated, self.on_end)
+            stream = SecureStream(core, sock, address, self._on_authenticated, self._on_end)
         except BaseException:
             sock.close()
             slot.release()
             raise
-        self._drivers.add(driver)
-        self._slots[driver] = slot
-        slot.close = partial(driver.abort, ChannelClosed("evicted: too many unfinished handshakes"))
-        driver.when_closed(partial(self._release_slot, driver))
+        self._streams.add(stream)
+        self._slots[stream] = slot
+        slot.close = partial(stream.abort, "evicted: too many unfinished handshakes")
+        stream.when_closed(partial(self._release_slot, stream))
 
-    def _release_slot(self, driver: Driver[PeerT]) -> None:
+    def _release_slot(self, stream: SecureStream[PeerT]) -> None:
         """The peer is authenticated, or the socket is closed."""
-        slot = self._slots.pop(driver, None)
+        slot = self._slots.pop(stream, None)
         if slot is not None:
             slot.release()
 
-    def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
+    def _on_authenticated(self, stream: SecureStream[PeerT]) -> None:
         """Start the handler."""
-        self._release_slot(driver)
-        stream = SecureStream(driver, peer)
-        self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
+        self._release_slot(stream)
+        self._tasks.spawn(self._handle(stream), name=f"rossec connection from {stream.address}")
 
-    def on_end(self, driver: Driver[PeerT], error: ChannelError) -> None:
+    def _on_end(self, stream: SecureStream[PeerT], error: ChannelError) -> None:
         """Forget the connection; log a failed handshake."""
-        if driver not in self._drivers:
+        if stream not in self._streams:
             return
-        self._drivers.discard(driver)
-        if not driver.authenticated:
-            if driver in self._slots:
-                self._slots[driver].linger()  # until it is closed
+        self._streams.discard(stream)
+        if not stream.authenticated:
+            if stream in self._slots:
+                self._slots[stream].linger()  # until it is closed
             level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
-            _log.log(level, "connection from %s refused: %s", driver.address, error)
+            _log.log(level, "connection from %s refused: %s", stream.address, error)
 
     async def _handle(self, stream: SecureStream[PeerT]) -> None:
         try:
@@ -184,8 +182,8 @@ class SecureServer(Generic[PeerT]):
             listener.close()
         self._listeners.clear()
         await self._tasks.close()
-        for driver in [*self._drivers, *self._slots]:
-            driver.abort(ChannelClosed("the server was closed"))
+        for stream in [*self._streams, *self._slots]:
+            stream.abort("the server was closed")
 
     async def __aenter__(self) -> Self:
         return self

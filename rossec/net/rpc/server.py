@@ -47,8 +47,12 @@ class ServedStream(Protocol[PeerT_co]):
     def next_unit(self) -> bytes | None:
         """The next unit, if it has arrived. Raises a `RossecError` after the end."""
 
-    def try_send(self, unit: bytes) -> bool:
-        """Send, if that needs no waiting; whether it did."""
+    @property
+    def lags(self) -> bool:
+        """Whether the peer does not read what was sent."""
+
+    def write_nowait(self, data: bytes) -> bool:
+        """Send one unit at once."""
 
     async def send(self, *pieces: bytes) -> None:
         """Send one unit."""
@@ -221,12 +225,13 @@ class CallLoop(Generic[PeerT]):
 
     def _respond(self, response: bytes) -> None:
         message = self._http.respond(response)
-        if self._stream.try_send(message):
-            self._answered()
-            if self._http.pending or self._stream.has_unit:
-                self._loop.call_soon(self._ready)
-        else:
+        if self._stream.lags:
             self._wait_for(self._stream.send(message))
+            return
+        self._stream.write_nowait(message)
+        self._answered()
+        if self._http.pending or self._stream.has_unit:
+            self._loop.call_soon(self._ready)
 
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:

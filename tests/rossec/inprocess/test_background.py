@@ -186,7 +186,7 @@ async def test_a_publisher_that_is_not_registered_again_yet_is_reconnected(
             absent.names = {"/robot"}
             await site.restart_master()
             assert site.master is not None
-            registry = site.master._registry
+            registry = site.master.state.registry
             await until(lambda: registry.registered_nodes(Kind.SUBSCRIBER, WORDS))
             for link in tuple(publisher.links):
                 link.stream.abort("a test")

@@ -2,65 +2,48 @@
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from grants.errors import GrantError
-from grants.model import Right
+from grants.model import Permission, Right
+from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent
 from rossec.master.api.multicall import MULTICALL, Multicall
-from rossec.master.api.turns import CallOutcome, Work, advance
+from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
 from rossec.master.rights.access_rules import Caller, Peer
-from rossec.master.rights.interfaces import Presented, Renewed
+from rossec.master.rights.presented_grants import Presented, Renewed
+from rossec.master.rights.statements import TrustState
 
 ALL = Right(255)
 
 
-@dataclass
-class FakeAccess:
-    """Rights by exact name, by `/ns/**`, or `**` for everything."""
+def caller(
+    name: str, rights: Mapping[str, Right] | None = None, *, wildcard: bool = False
+) -> Caller:
+    """A caller with rights on exact names and below `/ns/**`."""
+    held = Reach(Permission(pattern, right) for pattern, right in (rights or {}).items())
+    return Caller(name, name.encode(), held, refuse, wildcard)
 
-    rights: Mapping[str, Right] = field(default_factory=dict)
 
-    def require(self, right: Right, name: str) -> None:
-        if not self.covers(right, name):
-            raise GrantError("no grant covers it", "ask the authority for one")
+def refuse(_right: Right, _name: str) -> None:
+    raise GrantError("no grant covers it", "ask the authority for one")
+
+
+class Everything(Reach):
+    """Covers every name, also the root, which no pattern covers."""
 
     def covers(self, right: Right, name: str) -> bool:
-        for pattern, rights in self.rights.items():
-            prefix = pattern.removesuffix("**")
-            covered = name == pattern or (prefix != pattern and name.startswith(prefix))
-            if covered and right in rights:
-                return True
-        return False
-
-    def covers_below(self, right: Right, namespace: str) -> bool:
-        return self.covers(right, f"{namespace.removesuffix('/')}/below")
-
-    def touches(self, right: Right, namespace: str) -> bool:
-        below = f"{namespace.removesuffix('/')}/"
-        names = (pattern.removesuffix("**") for pattern in self.rights)
-        return any(self.covers(right, name) for name in names if name.startswith(below)) or (
-            self.covers(right, namespace) or self.covers_below(right, namespace)
-        )
-
-    def patterns(self, right: Right) -> int:
-        return 0
-
-    def covers_any(self, rights: Right, name: str) -> bool:
-        return any(self.covers(right, name) for right in Right if right in rights)
-
-
-def caller(name: str, rights: Mapping[str, Right] | None = None) -> Caller:
-    return Caller(name, name.encode(), FakeAccess(rights or {}))
+        return True
 
 
 def everything(name: str) -> Caller:
-    return caller(name, {"**": ALL})
+    return Caller(name, name.encode(), Everything([Permission("/**", ALL)]), refuse)
 
 
 def anonymous(name: str, rights: Mapping[str, Right] | None = None) -> Caller:
     """A caller with a wildcard tail."""
-    return Caller(name, name.encode(), FakeAccess(rights or {"**": ALL}), wildcard=True)
+    return caller(name, rights or {"/**": ALL}, wildcard=True)
 
 
 def never_expires() -> bool:
@@ -88,13 +71,26 @@ def call_api(
         return begun if isinstance(begun, CallOutcome) else run_to_end(begun)
     multicall, events = Multicall(params), list[MasterEvent]()
     while not multicall.done:
-        events += api.run_multicall(multicall, who, now, is_local=is_local, expired=never_expires)
+        events += step(api, multicall, who, now, is_local=is_local)
     return CallOutcome(multicall.answer, tuple(events))
 
 
+def step(
+    api: MasterApi,
+    multicall: Multicall,
+    who: Caller,
+    now: int = 0,
+    *,
+    is_local: bool = True,
+    expired: TurnExpired = never_expires,
+) -> tuple[MasterEvent, ...]:
+    """Process elements of a multicall for one turn."""
+    return multicall.step(partial(api.begin, caller=who, now=now, is_local=is_local), expired)
+
+
 @dataclass
-class FakeStatements:
-    """A fake of `Statements`."""
+class FakeStatements(TrustState):
+    """A `TrustState` that verifies nothing: b"forged" is refused, everything else accepted."""
 
     callers: dict[str, Caller] = field(default_factory=dict)
     lists: list[bytes] = field(default_factory=list)
@@ -142,8 +138,8 @@ class FakeStatements:
     def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
         return [b"proof of " + entry for entry in entries]
 
-    def record_held_list(self, peer: Peer, held: bytes) -> None:
-        self.held[peer.name] = held
+    def record_held_list(self, peer: Peer, digest: bytes) -> None:
+        self.held[peer.name] = digest
 
     def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)

@@ -125,7 +125,7 @@ async def test_a_child_cannot_use_streams_of_the_parents_loop() -> None:
     stream = await connect("127.0.0.1", server.port, context(ALICE))
     try:
         await stream.send(b"one")
-        assert in_child(lambda: stream.send_nowait(b"child")).startswith(ChannelClosed.__name__)
+        assert in_child(lambda: stream.write_nowait(b"child")).startswith(ChannelClosed.__name__)
         await stream.send(b"two")
         async with asyncio.timeout(10):
             assert [await heard.get(), await heard.get()] == [b"one", b"two"]

@@ -19,7 +19,7 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
 
 def registered(site: Site, kind: Kind) -> list[str]:
     assert site.master is not None
-    return [node.name for node in site.master._registry.registered_nodes(kind, TOPIC)]
+    return [node.name for node in site.master.state.registry.registered_nodes(kind, TOPIC)]
 
 
 async def test_a_subscriber_that_reconnects_first_keeps_its_connections(

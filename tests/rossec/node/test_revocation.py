@@ -22,7 +22,7 @@ async def test_a_parameter_subscription_ends_with_its_grant(site: Site) -> None:
     right = site.grant("/reader", Right.PARAM_GET, "/speed")
     site.grant("/writer", Right.PARAM_SET, "/speed")
     assert site.master is not None
-    registry = site.master._registry
+    registry = site.master.state.registry
     async with site.node("/reader") as reader, site.node("/writer") as writer:
         await reader._membership.session.call("subscribeParam", reader.uri, "/speed")
         assert registry.registered_nodes(Kind.PARAMETER, "/speed/") != ()

@@ -5,6 +5,7 @@ import socket
 
 import pytest
 
+from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed
 from rossec.sidecar.plain_stream import PlainStream
 from tests.support.witness import until
@@ -19,7 +20,7 @@ class Sink:
         self.free = asyncio.Event()
         self.arrived = asyncio.Event()
 
-    def write_nowait(self, data: memoryview) -> bool:
+    def write_nowait(self, data: Bytes) -> bool:
         self.got += data
         self.arrived.set()
         return not self.lags
@@ -66,7 +67,7 @@ async def test_forwarding_keeps_the_order(lags: bool) -> None:
 async def test_an_error_while_forwarding_is_raised_by_forward() -> None:
     left, right = pair()
 
-    def fail(_: memoryview) -> bool:
+    def fail(_: Bytes) -> bool:
         raise ArithmeticError
 
     forwarding = asyncio.ensure_future(right.forward(fail, Sink().drain))
@@ -98,15 +99,15 @@ async def test_units_are_read_and_sent_without_waiting() -> None:
     await received.wait()
     there = stream.has_unit, stream.next_unit(), stream.has_unit
     assert there == (True, b"ping", False)
-    assert stream.try_send(b"pong")
+    assert stream.write_nowait(b"pong")
     assert right.recv(4) == b"pong"
-    assert stream.try_send(b"x" * 50_000_000)
-    assert not stream.try_send(b"more")  # the program lags
+    assert not stream.write_nowait(b"x" * 50_000_000)
+    assert stream.lags
     right.close()
     stream.abort()
     await until(lambda: _ended(stream))
     with pytest.raises(ChannelClosed):
-        stream.try_send(b"late")
+        stream.write_nowait(b"late")
 
 
 def _ended(stream: PlainStream) -> bool:

@@ -20,7 +20,7 @@ from rossec.master.api.watch_calls import WATCH
 from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, never_expires
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, step
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_each_turn_uses_the_rights_of_that_time(api: MasterApi) -> None:
     multicall, outcome = Multicall([calls]), []
     # Its grant was revoked during the query.
     for who, done in ((everything, False), (caller, False), (everything, True), (everything, True)):
-        outcome.append(len(api.run_multicall(multicall, who("/a"), 0, expired=after(3))))
+        outcome.append(len(step(api, multicall, who("/a"), expired=after(3))))
         assert multicall.done == done
     answers: Any = multicall.answer
     assert [answer[0][0] for answer in answers] == [1] * 3 + [-1] * 3 + [1]
@@ -147,7 +147,7 @@ def test_a_query_in_a_multicall_takes_as_many_turns_as_it_needs(api: MasterApi) 
     calls = [element("getPid", "/a"), element("getTopicTypes", "/a"), element("getPid", "/a")]
     multicall, turns = Multicall([calls]), 0
     while not multicall.done:
-        api.run_multicall(multicall, everything("/a"), 0, expired=lambda: True)
+        step(api, multicall, everything("/a"), expired=lambda: True)
         turns += 1
     answers: Any = multicall.answer
     assert [len(answers), len(answers[1][0][2])] == [3, 5 * NAMES_PER_YIELD]
@@ -159,9 +159,9 @@ def test_a_query_restarts_when_rights_change(api: MasterApi) -> None:
     for number in range(2 * NAMES_PER_YIELD):
         ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
     multicall = Multicall([[element(WATCH, "/b", "", 0), element("getPublishedTopics", "/b", "")]])
-    api.run_multicall(multicall, everything("/b"), 0, expired=lambda: True)
+    step(api, multicall, everything("/b"), expired=lambda: True)
     multicall.restart_element()
-    api.run_multicall(multicall, caller("/b", {"/master": Right.GRAPH}), 0, expired=never_expires)
+    step(api, multicall, caller("/b", {"/master": Right.GRAPH}))
     answers: Any = multicall.answer
     assert answers[0][0][:1] == [1]
     assert answers[0][0][2]["added"] == []
@@ -180,10 +180,10 @@ def after(times: int) -> Callable[[], bool]:
 )
 def test_an_element_that_changes_rights_ends_the_step(api: MasterApi, changes: Any) -> None:
     multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])
-    api.run_multicall(multicall, caller("/a"), 0, expired=never_expires)
+    step(api, multicall, caller("/a"))
     outcome: Any = multicall.answer
     assert (len(outcome), multicall.done) == (2, False)
-    api.run_multicall(multicall, caller("/a"), 0, expired=never_expires)
+    step(api, multicall, caller("/a"))
     assert multicall.done
 
 

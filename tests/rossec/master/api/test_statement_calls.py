@@ -100,7 +100,8 @@ def test_a_node_receives_the_entries_that_pertain_to_it(api: MasterApi) -> None:
     ask(api, node, "registerPublisher", "/a", "/t", "*", "http://a:1/")
     answer = ask(api, node, "rossec.trl", "/a", query)
     assert (answer[0], full_set(answer)) == (1, [b"one"])
-    reader = caller("/r", {"/**": Right.PARAM_GET, "/t": Right.PARAM_GET, "/": Right.PARAM_GET})
+    reader = caller("/r", {"/**": Right.PARAM_GET})
+    ask(api, everything("/w"), "setParam", "/w", "/p", 1)
     for key in ("/t", "/"):
         ask(api, reader, "subscribeParam", "/r", "http://r:1/", key)
     assert full_set(ask(api, reader, "rossec.trl", "/r", query)) == [b"one"]

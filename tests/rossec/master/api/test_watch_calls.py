@@ -14,7 +14,7 @@ from rossec.participant.graph_view import GraphView
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T = "std_msgs/String"
-ALL_GRAPH = {"/master": Right.GRAPH, "**": Right.GRAPH}
+ALL_GRAPH = {"/master": Right.GRAPH, "/**": Right.GRAPH}
 
 
 def master(instance: str = "first") -> MasterApi:

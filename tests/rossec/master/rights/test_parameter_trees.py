@@ -17,8 +17,7 @@ from rossec.master.rights.parameter_trees import (
     parameter_names,
     require_tree,
 )
-from rossec.master.rights.presented_grants import GrantAccess
-from tests.rossec.master.fakes import FakeAccess, caller, everything
+from tests.rossec.master.fakes import caller, everything, refuse
 
 GET = Right.PARAM_GET
 segments = st.sampled_from(["a", "b", "c"])
@@ -29,8 +28,7 @@ values = st.recursive(st.integers(0, 1), lambda t: st.dictionaries(segments, t, 
 
 
 def holder(*held: str) -> Caller:
-    reach = Reach(Permission(pattern, GET) for pattern in held)
-    return Caller("/n", b"n", GrantAccess((), reach, b"n", 0, lambda _entry, _now: None))
+    return Caller("/n", b"n", Reach(Permission(pattern, GET) for pattern in held), refuse)
 
 
 def leaves(key: str, value: object) -> Iterator[str]:
@@ -71,7 +69,7 @@ def test_no_items_are_not_covered() -> None:
     assert refused.value.missing == (GET, "/k")
 
 
-class Counted(FakeAccess):
+class Counted(Reach):
     checks = 0
 
     def covers(self, right: Right, name: str) -> bool:
@@ -81,9 +79,10 @@ class Counted(FakeAccess):
 
 def test_the_check_ends_at_the_first_uncovered_name() -> None:
     many = {f"p{number}": 1 for number in range(1000)}
-    for held in ({}, {"/p1": GET}, {"/far/away": GET}):
+    for held in ([], [Permission("/p1", GET)], [Permission("/far/away", GET)]):
         Counted.checks = 0
-        assert not has_right_on_all(Caller("/a", b"a", Counted(held)), GET, [("/", many)])
+        who = Caller("/a", b"a", Counted(held), refuse)
+        assert not has_right_on_all(who, GET, [("/", many)])
         assert Counted.checks < 10
     opened, *one = [decision.covered for decision in decisions(holder("/p7"), GET, ("/", many))]
     assert (opened, len(one), one.count(True), one.count(False)) == (None, 1000, 1, 999)

@@ -10,7 +10,7 @@ from tests.support.authority import DAY
 
 
 def renew(world: World, *tokens: bytes) -> tuple[tuple[bytes, ...], tuple[str, ...]]:
-    return world.trust.renew(world.trust.caller(world.node, world.now), tokens, world.now)
+    return world.trust.renew(world.trust.caller(world.node.identity, world.now), tokens, world.now)
 
 
 def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -> None:

@@ -10,10 +10,9 @@ from ca.keys.signer import KeySigner
 from ca.revocation.state import RevocationList, digest, open_timestamp, sign_list
 from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, open_tree, sign_tree
 from grants.document import grant_id
-from grants.errors import GrantError
 from grants.model import Right
 from rossec.master.rights import statements as module
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.access_rules import Caller, Refused, require
 from rossec.master.rights.presented_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import NodeRef
@@ -43,8 +42,8 @@ def test_a_grant_is_valid_for_its_rights_and_its_time(world: World) -> None:
 
 
 def test_a_refusal_names_what_is_missing(world: World) -> None:
-    with pytest.raises(GrantError, match="no grant for publish on /t"):
-        world.trust.caller(world.node, world.now).access.require(Right.PUBLISH, "/t")
+    with pytest.raises(Refused, match="no grant for publish on /t"):
+        require(world.trust.caller(world.node.identity, world.now), Right.PUBLISH, "/t")
 
 
 def test_refused_grants_do_not_affect_valid_ones(world: World) -> None:
@@ -102,13 +101,13 @@ def test_a_list_updated_elsewhere_takes_effect_at_once() -> None:
     )
     token = site.grant(node, {"/t": Right.PUBLISH})
     revocations.update(site.revoke(), site.now)
-    trust.present(trust.caller(node, site.now), [token], site.now)
-    before = trust.caller(node, site.now)
+    trust.present(trust.caller(node.identity, site.now), [token], site.now)
+    before = trust.caller(node.identity, site.now)
     assert before.may(Right.PUBLISH, "/t")
-    assert trust.caller(node, site.now) is before
+    assert trust.caller(node.identity, site.now) is before
     revocations.update(site.revoke(token), site.now)
-    assert not trust.caller(node, site.now).may(Right.PUBLISH, "/t")
-    assert not trust.caller(node, site.now + 1).may(Right.PUBLISH, "/t")
+    assert not trust.caller(node.identity, site.now).may(Right.PUBLISH, "/t")
+    assert not trust.caller(node.identity, site.now + 1).may(Right.PUBLISH, "/t")
 
 
 def test_a_revoked_key_has_no_caller(world: World) -> None:
@@ -116,7 +115,7 @@ def test_a_revoked_key_has_no_caller(world: World) -> None:
     assert world.trust.caller_of(world.node, world.now) is not None
     world.trust.update(world.site.revoke(world.node), world.now)
     with pytest.raises(Revoked, match="the key of /node is revoked"):
-        world.trust.caller(world.node, world.now)
+        world.trust.caller(world.node.identity, world.now)
     assert world.trust.caller_of(world.node, world.now) is None
 
 
@@ -125,12 +124,12 @@ def test_a_key_below_a_revoked_intermediate_is_revoked(world: World) -> None:
     member = dataclasses.replace(
         world.node, identity=dataclasses.replace(world.node.identity, issuers=(above,))
     )
-    assert world.trust.caller(member, world.now).name == "/node"
+    assert world.trust.caller(member.identity, world.now).name == "/node"
     assert world.trust.caller_of(member, world.now) is not None
     listed = RevocationList(1, 7, world.now, world.now + 1000, frozenset({above}))
     world.trust.update(sign_list(world.site.signer, listed), world.now)
     with pytest.raises(Revoked, match="the key of /node is revoked"):
-        world.trust.caller(member, world.now)
+        world.trust.caller(member.identity, world.now)
     assert world.trust.caller_of(member, world.now) is None
     world.trust.keep_only(frozenset(), world.now)
     assert world.trust._identity_keys == {}
@@ -139,7 +138,7 @@ def test_a_key_below_a_revoked_intermediate_is_revoked(world: World) -> None:
 def test_two_keys_of_one_name_are_two_callers(world: World) -> None:
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
     older = world.site.enroll("/node")
-    assert not world.trust.caller(older, world.now).may(Right.PUBLISH, "/t")
+    assert not world.trust.caller(older.identity, world.now).may(Right.PUBLISH, "/t")
     node = world.trust.caller_of(world.node, world.now)
     assert node is not None
     assert node.may(Right.PUBLISH, "/t")
@@ -163,7 +162,7 @@ def test_a_list_that_cannot_be_persisted_is_not_used(world: World) -> None:
     world.trust._persist = full
     with pytest.raises(OSError, match="disk full"):
         world.trust.update(world.site.revoke(world.node), world.now)
-    assert world.trust.caller(world.node, world.now).name == "/node"
+    assert world.trust.caller(world.node.identity, world.now).name == "/node"
 
 
 def test_the_timestamp_is_the_masters_and_of_now(world: World) -> None:
@@ -208,9 +207,12 @@ def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
 
 
 def test_a_caller_has_the_names_of_its_certificate(world: World) -> None:
-    assert not world.trust.caller(world.node, world.now).wildcard
+    assert not world.trust.caller(world.node.identity, world.now).wildcard
     rviz = world.site.enroll("/rviz", wildcard=True)
-    assert world.trust.caller(rviz, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
+    assert (
+        world.trust.caller(rviz.identity, world.now).acting_as("/rviz_1").thumbprint
+        == rviz.thumbprint
+    )
     registered = world.trust.caller_of(rviz, world.now)
     assert registered is not None
     assert not registered.wildcard  # a name in the registry has no wildcard
@@ -237,10 +239,10 @@ def test_entries_that_pertain_to_a_node(world: World) -> None:
     id_ = world.trust._delegate.id
     assert id_ is not None
     for who, token in ((world.node, own), (other, is_local), (third, far)):
-        world.trust.present(world.trust.caller(who, world.now), [token], world.now)
+        world.trust.present(world.trust.caller(who.identity, world.now), [token], world.now)
     world.trust.update(world.site.revoke(own, is_local, far, unseen, other, id_), world.now)
     world.trust.keep_only(frozenset(), world.now)
-    caller = world.trust.caller(world.node, world.now)
+    caller = world.trust.caller(world.node.identity, world.now)
     mine = {grant_id(own), id_}
     assert pertaining(world, caller) == mine
     assert pertaining(world, caller, "/t") == mine | {grant_id(is_local), other.thumbprint}

@@ -20,10 +20,10 @@ class World:
         )
 
     def may(self, right: Right, name: str, later: int = 0) -> bool:
-        return self.trust.caller(self.node, self.now + later).may(right, name)
+        return self.trust.caller(self.node.identity, self.now + later).may(right, name)
 
     def present(self, *tokens: bytes) -> tuple[int, tuple[str, ...]]:
-        return self.trust.present(self.trust.caller(self.node, self.now), tokens, self.now)
+        return self.trust.present(self.trust.caller(self.node.identity, self.now), tokens, self.now)
 
 
 def update_delegation(world: World) -> World:

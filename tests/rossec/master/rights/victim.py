@@ -7,7 +7,7 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.access_rules import Caller
 from tests.rossec.master.fakes import ALL, call_api
 
-BUT_ADMIN = {"**": ALL & ~Right.ADMIN}
+BUT_ADMIN = {"/**": ALL & ~Right.ADMIN}
 T = "std_msgs/String"
 VICTIM_API, EVIL_API = "http://victim:1/", "http://evil:1/"
 

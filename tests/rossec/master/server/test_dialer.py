@@ -33,7 +33,7 @@ async def test_a_node_that_registers_the_address_of_another_is_removed(
     await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is notified
     await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
     assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
-    assert world.server._updates.nodes == (
+    assert world.server._effects.updates.nodes == (
         NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),
     )
     assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
@@ -74,7 +74,7 @@ async def test_a_node_is_probed_once_at_a_time(
             assert not pending.done()
             with pytest.raises(AnswerRefused, match="registered by another node"):
                 await pending
-        assert world.server._dialer.probed == set()
+        assert world.server._effects.dialer.probed == set()
         assert await bob.ask("lookupNode", "/slow") == uri
 
 

@@ -12,33 +12,29 @@ class Found:
     def __init__(self) -> None:
         self.there: tuple[bytes, bytes] | Exception | None = None
         self.statements = FakeStatements()
-        self.changes = 0
-        self.local_authority = LocalAuthority(self.find, self.statements, self.changed)
+        self.local_authority = LocalAuthority(self.find, self.statements)
 
     def find(self) -> tuple[bytes, bytes] | None:
         if isinstance(self.there, Exception):
             raise self.there
         return self.there
 
-    def changed(self) -> None:
-        self.changes += 1
-
 
 def test_a_newer_list_is_accepted() -> None:
     found = Found()
-    for there, changes in (
-        (None, 0), ((b"list 1", b""), 1), ((b"list 1", b""), 1), ((b"list 2", b""), 2),
+    for there, newer in (
+        (None, False), ((b"list 1", b""), True), ((b"list 1", b""), False),
+        ((b"list 2", b""), True),
     ):  # fmt: skip
         found.there = there
-        found.local_authority.check(7)
-        assert found.changes == changes
+        assert found.local_authority.has_newer_list(7) is newer
     assert found.statements.lists == [b"list 1", b"list 2"]
 
 
 def test_without_an_authority_nothing_is_accepted() -> None:
     found = Found()
-    LocalAuthority(no_authority, found.statements, found.changed).check(7)
-    assert (found.changes, found.statements.lists) == (0, [])
+    assert not LocalAuthority(no_authority, found.statements).has_newer_list(7)
+    assert found.statements.lists == []
 
 
 def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,7 +43,7 @@ def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) ->
     )
     found = Found()
     found.there = b"tree", b" and entries"
-    found.local_authority.check(7)
+    found.local_authority.has_newer_list(7)
     assert found.statements.lists == [b"tree and entries"]
 
 
@@ -60,8 +56,8 @@ def test_a_failure_is_logged(
 ) -> None:
     found = Found()
     found.there = wrong
-    found.local_authority.check(7)
-    assert (found.changes, found.statements.lists) == (0, [])
+    assert not found.local_authority.has_newer_list(7)
+    assert found.statements.lists == []
     assert "the list of the authority on this host is not accepted" in caplog.text
 
 
@@ -70,10 +66,10 @@ def test_each_reason_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     for there in (ConfigurationError("one", ""), ConfigurationError("another", "")):
         found.there = there
         for _ in range(3):
-            found.local_authority.check(7)
+            found.local_authority.has_newer_list(7)
     assert caplog.text.count("is not accepted") == 2
     found.there = None
-    found.local_authority.check(7)
+    found.local_authority.has_newer_list(7)
     found.there = ConfigurationError("another", "")
-    found.local_authority.check(7)
+    found.local_authority.has_newer_list(7)
     assert caplog.text.count("is not accepted: another") == 2

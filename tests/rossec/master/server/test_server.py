@@ -55,7 +55,8 @@ async def test_m8_a_node_on_another_host_cannot_register_loopback(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, far = await world.node("/near"), world.site.enroll("/far")
-    monkeypatch.setattr(SecureStream, "address", "192.0.2.7")
+    remote = property(lambda _: "192.0.2.7", lambda _, address: None)
+    monkeypatch.setattr(SecureStream, "address", remote, raising=False)
     client = await world.call_as(far)
     await client.ask("rossec.presentGrants", "/far", [world.site.grant(far, EVERYTHING)])
     with pytest.raises(AnswerRefused, match="on the master's host, and the caller is not"):

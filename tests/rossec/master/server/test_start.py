@@ -33,10 +33,10 @@ async def test_a_restarted_master_loads_the_revocations(tmp_path: Path) -> None:
     newest = site.revoke(eve)
     for expected in (b"", newest):
         server = make(home, "127.0.0.1", site.now)
-        assert server._trust.current(site.now)[0] == expected
-        server._trust.update(newest, site.now)
+        assert server.state.trust.current(site.now)[0] == expected
+        server.state.trust.update(newest, site.now)
         with pytest.raises(RollbackRefused):
-            server._trust.update(old, site.now)
+            server.state.trust.update(old, site.now)
     assert home.load_revocations() == newest
 
 
@@ -65,7 +65,7 @@ async def test_a_newer_list_of_a_local_authority_is_accepted_and_saved(tmp_path:
     old, newest = site.revoke(), site.revoke()
     home.save_revocations(old)
     server = make(home, None, site.now, newest)
-    assert server._trust.current(site.now)[0] == newest
+    assert server.state.trust.current(site.now)[0] == newest
     assert home.load_revocations() == newest
 
 
@@ -80,9 +80,9 @@ async def test_the_master_renews_itself_with_the_intermediate(tmp_path: Path) ->
         raise RenewalRefused("seen")
 
     server = master_of(home, host=None, port=0, newest=site.revoke(), now=site.now, renewer=renewer)
-    server._maintenance._checks[0](site.now)
+    server._maintenance._check_own_identity(site.now)
     assert renewals == []
-    server._maintenance._checks[0](site.now + 29 * 86400)
+    server._maintenance._check_own_identity(site.now + 29 * 86400)
     [(_, now)] = renewals
     assert now == site.now + 29 * 86400
 

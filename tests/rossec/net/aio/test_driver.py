@@ -8,8 +8,8 @@ import pytest
 from rossec.errors import LimitExceeded
 from rossec.net.aio import driver as driver_module
 from rossec.net.aio import serve
-from rossec.net.aio.driver import Driver
 from rossec.net.aio.server import SecureServer
+from rossec.net.aio.stream import SecureStream
 from rossec.progress import MIN_BYTES, STEP, WINDOW
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo
@@ -18,13 +18,13 @@ from tests.support.wire import BOB, FakeIdentity
 WHOLE = bytes(4 * MIN_BYTES)
 
 
-async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[FakeIdentity]:
+async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> SecureStream[FakeIdentity]:
     """Send the first record of a unit; the driver at the other end, which has it."""
     await stream.send(b"x")
     assert await stream.receive() == b"x"
-    (driver,) = server._drivers
-    for record in itertools.islice(stream._driver.connection.seal_unit(WHOLE), 1):
-        stream._driver.write(record)
+    (driver,) = server._streams
+    for record in itertools.islice(stream.connection.seal_unit(WHOLE), 1):
+        stream.write(record)
     async with asyncio.timeout(30):
         while not driver.connection.has_unfinished_unit:  # noqa: ASYNC110 - no event to wait for
             await asyncio.sleep(0.001)

@@ -95,7 +95,7 @@ async def test_the_second_connection_names_certificates() -> None:
             await stream.send(b"x")
             assert await stream.receive() == b"x"
             await stream.close()
-            assert stream._driver.connection._negotiation._edhoc.send_x5t == (count == 1)
+            assert stream.connection._negotiation._edhoc.send_x5t == (count == 1)
         theirs._chains.clear()  # forgotten: refused with error 3, called again by value
         async with await connect("127.0.0.1", server.port, context(ALICE, known=ours)) as stream:
             await stream.send(b"x")
@@ -136,5 +136,5 @@ async def test_keys_are_renewed_by_the_clock() -> None:
             await stream.send(b"x")
             assert await stream.receive() == b"x"
             await asyncio.sleep(1.2)
-        assert stream._driver.connection._open_session().receive_epoch >= 1
+        assert stream.connection._open_session().receive_epoch >= 1
         await stream.close()

@@ -167,7 +167,7 @@ async def test_a_caller_that_closes_at_once_releases_its_slot(
             raise OSError(errno.EINVAL, "reset")
 
         with monkeypatch.context() as patch:
-            patch.setattr(server_module, "Driver", broken)
+            patch.setattr(server_module, "SecureStream", broken)
             with contextlib.suppress(OSError):
                 assert await raw(server, b"") == b""
         assert gone

@@ -9,11 +9,10 @@ import weakref
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.channel.records import ChannelLimits
+from rossec.channel.records import Bytes, ChannelLimits
 from rossec.errors import (
     ChannelClosed,
     LimitExceeded,
-    SendQueueFull,
 )
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import driver as driver_module
@@ -31,7 +30,6 @@ async def test_units_there_and_back(protocol: WireProtocol, size: int) -> None:
         await call(server, protocol) as stream,
     ):
         assert stream.peer.name == "/bob"
-        assert stream.opening is protocol
         assert stream.address == "127.0.0.1"
         await stream.send(b"x" * size, b"tail")
         assert await stream.receive() == b"x" * size + b"tail"
@@ -39,36 +37,20 @@ async def test_units_there_and_back(protocol: WireProtocol, size: int) -> None:
         await stream.receive()
     with pytest.raises(ChannelClosed):
         await stream.send(b"late")
-    with pytest.raises(ChannelClosed):
-        stream.send_nowait(b"late")
 
 
 async def test_nothing_waits_for_nagle(server: SecureServer[FakeIdentity]) -> None:
     async with await call(server) as stream:
-        for driver in (stream._driver, *server._drivers):
-            sock = driver.transport.socket
+        for each in (stream, *server._streams):
+            sock = each.transport.socket
             assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-async def test_small_units_queued_together_arrive_together(
-    server: SecureServer[FakeIdentity],
-) -> None:
-    async with await call(server) as stream:
-        for count in range(100):
-            stream.send_nowait(b"%02d" % count, b";")
-        assert stream.backlog == 300
-        unit = await stream.receive()
-        assert unit == b"".join(b"%02d;" % count for count in range(100))
-        stream.send_nowait(b"first ")
-        await stream.send(b"second")
-        assert await stream.receive() == b"first second"
 
 
 async def test_a_connection_that_ended_holds_nothing() -> None:
     ended: list[weakref.ref[object]] = []
 
     async def serving(stream: Stream) -> None:
-        ended.append(weakref.ref(stream._driver))
+        ended.append(weakref.ref(stream))
         await echo(stream)
 
     async with serve(serving, "127.0.0.1", 0, context(BOB)) as server:
@@ -76,7 +58,7 @@ async def test_a_connection_that_ended_holds_nothing() -> None:
         gc.disable()  # or it might do the work
         try:
             stream = await call(server)
-            ended.append(weakref.ref(stream._driver))
+            ended.append(weakref.ref(stream))
             await stream.send(b"x")
             await stream.receive()
             await stream.close()
@@ -96,14 +78,12 @@ async def test_a_burst_is_joined_after_its_first_unit(
     now = 1000.0
     monkeypatch.setattr(secure_module, "monotonic", lambda: now)
     async with await call(server) as stream:
-        for unit in (b"alone", b"and ", b"the ", b"others"):
-            await stream.send(unit)
-        assert stream.backlog == len(b"and the others")
+        for pieces in ((b"alone",), (b"and ",), (b"the ",), (), (b"oth", b"ers")):
+            await stream.send(*pieces)
         assert await stream.receive() == b"alone"
         assert await stream.receive() == b"and the others"
         now += 1
         await stream.send(b"later")
-        assert stream.backlog == 0
         assert await stream.receive() == b"later"
 
 
@@ -149,15 +129,11 @@ async def test_a_slow_reader_stops_the_writer() -> None:
                     sent += 500_000
         assert sent < 64_000_000
         assert [*lags, stream.lags] == [False, True]
-        with pytest.raises(SendQueueFull):  # noqa: PT012 - fills whatever is left
-            while True:
-                stream.send_nowait(b"y" * 10_000)
-        backlog = stream.backlog
         go.set()
         await stream.send(b"z")
         await stream.close()
         await asyncio.sleep(0.1)
-        assert got == sent + 500_000 + backlog + 1
+        assert got == sent + 500_000 + 1
 
 
 async def test_a_send_given_up_half_way_ends_the_connection() -> None:
@@ -204,18 +180,18 @@ async def test_a_peer_that_does_not_answer_the_close_is_aborted(
     stream = await call(server)
     await stream.send(b"x")
     await stream.receive()
-    (there,) = server._drivers
+    (there,) = server._streams
     there.transport.pause_reading()
     closing = asyncio.get_running_loop().create_task(stream.close())
     await asyncio.sleep(0)
-    stream._driver._on_timer()  # a timer that was set for something earlier
-    assert not stream._driver.transport.closed
+    stream._on_timer()  # a timer that was set for something earlier
+    assert not stream.transport.closed
     async with asyncio.timeout(30):
         await closing
-    assert stream._driver.transport.closed
+    assert stream.transport.closed
 
 
-async def test_units_queued_behind_a_waiting_large_one() -> None:
+async def test_a_small_unit_waits_behind_a_large_one() -> None:
     async def count(stream: Stream) -> None:
         await asyncio.sleep(0.1)
         got = 0
@@ -227,28 +203,26 @@ async def test_units_queued_behind_a_waiting_large_one() -> None:
         stream = await call(server)
         large = asyncio.ensure_future(stream.send(bytes(20_000_000)))
         await asyncio.sleep(0.01)
-        stream.send_nowait(b"small")
-        await large
+        await stream.send(b"small")
+        assert large.done()
         assert await stream.receive() == b"all"
         stream.abort("done")
 
 
-async def test_a_unit_limit_below_what_is_joined() -> None:
+async def test_a_unit_limit_below_what_is_joined(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(secure_module, "monotonic", lambda: 0.0)  # all of it is one burst
     limits = ChannelLimits(unit=10)
     async with serve(echo, "127.0.0.1", 0, context(BOB, limits=limits)) as server:
         stream = await connect("127.0.0.1", server.port, context(ALICE, limits=limits))
         for _ in range(5):
-            stream.send_nowait(b"1234567")
+            await stream.send(b"1234567")
             await stream.send(memoryview(b"89"), b"")
-        with pytest.raises(LimitExceeded):
-            stream.send_nowait(b"x" * 11)
         with pytest.raises(LimitExceeded):
             await stream.send(b"x" * 11)
         got = b""
         while len(got) < 45:
             got += await stream.receive()
         assert got == b"123456789" * 5
-        stream.send_nowait()
         await stream.close()
 
 
@@ -256,7 +230,7 @@ async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
     limits = ChannelLimits(records=1)
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await connect("127.0.0.1", server.port, context(ALICE, limits=limits))
-        stream._driver.transport.pause_reading()
+        stream.transport.pause_reading()
         with pytest.raises(LimitExceeded, match="renewal"):  # noqa: PT012 - some sends
             for _ in range(9):
                 await stream.send(b"x")
@@ -272,36 +246,36 @@ async def test_addresses_are_those_of_the_connection(server: SecureServer[FakeId
     assert stream.local_address == ""
 
 
-async def test_small_units_wait_for_a_peer_that_lags() -> None:
-    go = asyncio.Event()
+async def test_a_burst_waits_for_a_peer_that_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(secure_module, "monotonic", lambda: 0.0)
+    go, sent = asyncio.Event(), 0
 
     async def late(stream: Stream) -> None:
         await go.wait()
-        got = b""
-        while not got.endswith(b"end"):
-            got = (got + await stream.receive())[-3:]
+        got = 0
+        while got < sent:
+            got += len(await stream.receive())
         await stream.send(b"all")
 
     async with serve(late, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
-        while stream._driver.writable:
+        while not stream.lags:
             await stream.send(b"x" * 1000)
-        stream.send_nowait(b"y")
-        await asyncio.sleep(0)
-        stream.send_nowait(b"end")
+            sent += 1000
+        await asyncio.sleep(0)  # the end of the burst cannot be flushed yet
         go.set()
         assert await stream.receive() == b"all"
         stream.abort("done")
 
 
-async def forwarded_from(server: SecureServer[FakeIdentity], sink: list[bytes]) -> None:
+async def forwarded_from(server: SecureServer[FakeIdentity], sink: list[Bytes]) -> None:
     """Everything that comes back, with a receiver that lags after each."""
     async with await call(server) as stream:
         await stream.drain()
         for number in range(20):
             assert stream.write_nowait(bytes([number]) * 1000)
 
-        def write_nowait(unit: bytes) -> bool:
+        def write_nowait(unit: Bytes) -> bool:
             sink.append(unit)
             return False
 
@@ -314,7 +288,7 @@ async def forwarded_from(server: SecureServer[FakeIdentity], sink: list[bytes]) 
 
 
 async def test_forwarded_units_arrive_in_order(server: SecureServer[FakeIdentity]) -> None:
-    sink: list[bytes] = []
+    sink: list[Bytes] = []
     with pytest.raises(ChannelClosed):
         await forwarded_from(server, sink)
     assert b"".join(sink) == b"".join(bytes([number]) * 1000 for number in range(20))
@@ -325,7 +299,7 @@ async def test_a_receiver_that_fails_ends_the_forwarding(
 ) -> None:
     async with await call(server) as stream:
 
-        def write_nowait(_: bytes) -> bool:
+        def write_nowait(_: Bytes) -> bool:
             raise ArithmeticError
 
         forwarding = asyncio.ensure_future(stream.forward(write_nowait, stream.drain))

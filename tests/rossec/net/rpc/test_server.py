@@ -119,7 +119,7 @@ async def test_a_longer_limit_holds_for_the_parser_too() -> None:
 
 async def test_a_peer_that_lags_is_waited_for() -> None:
     served = Served()
-    served.far.lagging = True
+    served.far.lags = True
     await served.near.send(call("now", 1) + call("now", 2))
     assert await served.answer() == ["/node", 1]
     assert await served.answer() == ["/node", 2]
@@ -141,7 +141,7 @@ async def test_a_crash_of_the_loop_itself_is_raised(monkeypatch: pytest.MonkeyPa
     def crash(unit: bytes) -> bool:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(served.far, "try_send", crash)
+    monkeypatch.setattr(served.far, "write_nowait", crash)
     await served.near.send(call("now"))
     with pytest.raises(ZeroDivisionError):
         await served.task

@@ -1,7 +1,8 @@
-"""The receiving half of a connection on a loop: its units, until they are taken or forwarded.
+"""What every stream on a loop has: received units, waiting for a change, back-pressure both ways.
 
-Reading pauses while the consumer lags. `Driver` adds the rest. It is a base class, since a second
-object would cost a call for each unit.
+Reading pauses while the consumer lags, writers wait while the peer does. A unit is whatever the
+stream delivers: `SecureStream` what was sent together, the sidecar's `PlainStream` what arrived. It
+is a base class, since a second object would cost a call for each unit.
 """
 
 import asyncio
@@ -10,14 +11,18 @@ from collections.abc import Awaitable, Callable
 from copy import copy
 from typing import Final, NoReturn
 
+from rossec.channel.records import Bytes
 from rossec.errors import ChannelError
 from rossec.net.aio.transport import Transport
 
 _PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
 
 
-class ReceiveQueue:
-    """Units received and not taken, and the waiters for a change of the connection."""
+class BaseStream:
+    """Units received and not taken, and the waiters for a change of the connection.
+
+    A subclass calls `_deliver` and then `_notify`, sets `error` at the end, and wakes the waiters.
+    """
 
     transport: Transport
 
@@ -25,10 +30,11 @@ class ReceiveQueue:
         self._loop = asyncio.get_running_loop()
         self._units: deque[bytes] | None = None  # None: an empty one costs memory
         self._unread = 0
-        self._write_nowait: Callable[[bytes], bool] | None = None
+        self._write_nowait: Callable[[Bytes], bool] | None = None
         self._forward_error: BaseException | None = None
         self._waiters: list[asyncio.Future[None]] = []
-        self.on_ready: Callable[[], None] | None = None
+        self._callback: Callable[[], None] | None = None
+        self._take: Callable[[bytes], bool] | None = None
         self.error: ChannelError | None = None
 
     def check(self) -> None:
@@ -39,13 +45,13 @@ class ReceiveQueue:
         if self.error is not None:
             raise copy(self.error)
 
-    def _deliver(self, unit: bytes) -> None:
-        """Pass the unit on at once while forwarding; queue it otherwise."""
+    def _deliver(self, unit: Bytes) -> None:
+        """Pass the unit on at once while forwarding; queue it otherwise, a copy of a view."""
         write_nowait = self._write_nowait
         if write_nowait is None:
             if self._units is None:
                 self._units = deque()
-            self._units.append(unit)
+            self._units.append(bytes(unit))
             self._unread += len(unit)
             return
         try:
@@ -57,26 +63,39 @@ class ReceiveQueue:
             self.transport.pause_reading()
             self._wake_waiters()
 
+    # -- receiving
+
     async def receive(self) -> bytes:
         """Return the next unit.
 
         Raises:
-            ChannelError: the connection has ended.
+            ChannelClosed: the connection was closed in order.
+            ChannelError: it ended in another way; the class says how.
         """
-        while (unit := self.take()) is None:
+        while (unit := self.next_unit()) is None:
             await self._changed()
         return unit
 
+    def on_ready(
+        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
+    ) -> None:
+        """Call back whenever `next_unit` has a new result: instead of `receive`.
+
+        A unit that arrived alone may be offered to `take` first; if it returns true, it is not
+        queued. Neither may raise.
+        """
+        self._callback, self._take = callback, take
+
     @property
     def has_unit(self) -> bool:
-        """Whether a unit is queued."""
+        """Whether `next_unit` would return a unit."""
         return self._units is not None
 
-    def take(self) -> bytes | None:
+    def next_unit(self) -> bytes | None:
         """Return the next unit if it has arrived.
 
         Raises:
-            ChannelError: the connection has ended.
+            ChannelError: as `receive`.
         """
         if self._units is None:
             self.check()
@@ -91,15 +110,15 @@ class ReceiveQueue:
 
     def _notify(self) -> None:
         """Units were queued or the connection ended; pause reading above the limit."""
-        if self.on_ready is not None:
-            self.on_ready()
+        if self._callback is not None:
+            self._callback()
         if self._waiters:
             self._wake_waiters()
         if self._unread > _PAUSE_ABOVE and self.error is None:
             self.transport.pause_reading()
 
     async def forward(
-        self, write_nowait: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+        self, write_nowait: Callable[[Bytes], bool], drain: Callable[[], Awaitable[None]]
     ) -> NoReturn:
         """Pass each unit to `write_nowait` as it arrives, without another turn of the loop.
 
@@ -139,6 +158,13 @@ class ReceiveQueue:
             if not waiter.done():
                 waiter.set_result(None)
 
+    # -- sending
+
+    @property
+    def lags(self) -> bool:
+        """Whether the peer does: further writes would be buffered here."""
+        return not self.transport.writable
+
     async def drain(self) -> None:
         """Wait until the peer caught up.
 
@@ -151,6 +177,6 @@ class ReceiveQueue:
         self.check()
 
     async def wait_ended(self) -> None:
-        """Return when the connection has ended."""
+        """Return when the connection has ended; takes no unit."""
         while self.error is None:
             await self._changed()
