@@ -75,7 +75,6 @@ MISSING: Final = frozenset(
         "rossec/net/threads/options.py",
         "rossec/node/__init__.py",
         "rossec/node/context.py",
-        "rossec/participant/connections.py",
         "rossec/participant/dialer.py",
         "rossec/participant/grant_directory.py",
         "rossec/participant/header_fields.py",

@@ -29,9 +29,9 @@ from rossec.inprocess.genpy_types import (
 )
 from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.plain_stream import plain_fields
-from rossec.inprocess.process import SecuredProcess
+from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
-from rossec.inprocess.sockets import RosConnection, RosSocket
+from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
 from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.definitions import (

@@ -7,8 +7,9 @@ one raises. A call before `rospy.init_node` uses the name the node will have, if
 import errno
 from collections.abc import Callable
 from threading import RLock
-from typing import Final
+from typing import Final, TypeAlias
 
+from grants.guard import Guard
 from rossec import clock
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
 from rossec.inprocess.allow_plain import PlainPeers
@@ -17,11 +18,12 @@ from rossec.inprocess.connector import Connector
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
-from rossec.inprocess.sockets import RosConnection, RosSocket
+from rossec.inprocess.sockets import RosSocket
 from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.membership import Membership
 from rossec.participant.own_addresses import OwnAddresses
 
+RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
     " rossec.secure('name'), or __name:=name on the command line"

@@ -20,8 +20,8 @@ from grants.guard import Guard
 from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.buffer_pool import BufferPool
 from rossec.inprocess.identity import now
+from rossec.inprocess.process import RosConnection
 from rossec.inprocess.send_queue import LENGTH, SEPARATE_UNIT, Pieces
-from rossec.inprocess.sockets import RosConnection
 from rossec.net import withheld_log
 from rossec.participant.latch import Latch, Sample
 

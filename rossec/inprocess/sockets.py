@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, Final, Protocol, TypeAlias, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -33,7 +33,6 @@ _PUMP_EVERY: Final = 1.0  # seconds
 _ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
 
 Received = TypeVar("Received")
-RosConnection: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None]"
 
 
 class SocketOwner(Protocol):
@@ -73,7 +72,9 @@ class RosSocket:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
-        self.connection: RosConnection | PlainConnection | None = None
+        self.connection: AuthorizedConnection[RosSocket, Guard | None] | PlainConnection | None = (
+            None
+        )
         self.aborted = False
         self.closed_locally = False
         self.service_filter: ServiceFilter | None = None
@@ -108,10 +109,9 @@ class RosSocket:
         Raises:
             ChannelError: it failed.
         """
-        stream = self.stream
-        if isinstance(stream, PlainStream):
+        if isinstance(self.stream, PlainStream):
             raise ChannelClosed("a plain connection is not authenticated")
-        return stream.do_handshake()
+        return self.stream.do_handshake()
 
     def raise_unit_limit(self, limit: int) -> None:
         """The peer is authorized: it may send units of up to `limit` bytes."""

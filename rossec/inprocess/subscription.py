@@ -11,8 +11,8 @@ from grants.errors import GrantError
 from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.genpy_types import max_message_size
 from rossec.inprocess.identity import now
-from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.sockets import RosConnection, RosSocket
+from rossec.inprocess.process import RosConnection, SecuredProcess
+from rossec.inprocess.sockets import RosSocket
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
 from rossec.ros.settings import parse_uri

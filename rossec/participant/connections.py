@@ -97,6 +97,7 @@ def _revocation_error(
 class _Accepted(NamedTuple):
     """A connection that a peer made, authorized or not; a plain peer is an address."""
 
+    source: bytes | str
     peer: Identity | str
     abort: Callable[[str], None]
 
@@ -118,7 +119,7 @@ class ConnectionTable(Generic[StreamT]):
     ) -> None:
         self._revocations = revocations
         self._revocations_lock = lock
-        self._most = PEER_CONNECTIONS if most is None else most
+        self._most = most
         self._lock = Lock()  # never held together with the other one
         self._accepted: dict[object, _Accepted] = {}
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
@@ -157,12 +158,12 @@ class ConnectionTable(Generic[StreamT]):
         Raises:
             LimitExceeded: it has too many already.
         """
-        source, name = _source(peer), peer if isinstance(peer, str) else peer.name
+        source, name = (peer, peer) if isinstance(peer, str) else (peer.thumbprint, peer.name)
+        most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
-            count = sum(_source(other.peer) == source for other in self._accepted.values())
-            if limited and count >= self._most:
-                raise LimitExceeded(f"{name} has {self._most} connections already")
-            self._accepted[key] = _Accepted(peer, abort)
+            if limited and sum(other.source == source for other in self._accepted.values()) >= most:
+                raise LimitExceeded(f"{name} has {most} connections already")
+            self._accepted[key] = _Accepted(source, peer, abort)
 
     def forget(self, key: object) -> None:
         """Stop counting a connection; one that is not counted is ignored."""
@@ -240,7 +241,7 @@ class ConnectionTable(Generic[StreamT]):
                 _log.warning("closed the connection with %s (%s): %s", name, right, reason)
         with self._lock:
             accepted = tuple(self._accepted.values())
-        for peer, abort in accepted:
+        for _, peer, abort in accepted:
             if not isinstance(peer, str) and not revoked.isdisjoint(peer.keys):
                 abort("the peer's identity is revoked")
 
@@ -250,7 +251,3 @@ class ConnectionTable(Generic[StreamT]):
         for connection in self:
             self.discard(connection)
             connection.stream.abort(reason)
-
-
-def _source(peer: Identity | str) -> bytes | str:
-    return peer if isinstance(peer, str) else peer.thumbprint
