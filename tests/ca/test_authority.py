@@ -1,3 +1,4 @@
+import dataclasses
 import secrets
 import subprocess
 from datetime import UTC, datetime
@@ -10,10 +11,14 @@ from cryptography.x509 import verification
 from ca.authority import LIFETIME, MAX_LIFETIME, ROOT_LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, build_request, to_pem
 from ca.errors import CertificateRefused, IssueRefused, KeyRefused, NameRefused, RequestRefused
+from ca.intermediates import build_intermediate_request
+from ca.keys.signer import KeySigner
+from ca.renewal import open_renewal, sign_renewal
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE = Site.create()
 CSR = build_request(new_signer(), "home", "/robot1/camera")
+SEASON, HOST = 90 * DAY, new_signer()
 
 
 def issue(now: int = NOW, serial: int = 5, lifetime: int = LIFETIME) -> x509.Certificate:
@@ -160,3 +165,62 @@ def test_no_wildcard_tail_for_those_whom_all_trust(name: str) -> None:
     csr = build_request(new_signer(), "home", name)
     with pytest.raises(NameRefused, match=f"{name} is a single node"):
         SITE.authority.issue(csr, now=NOW, serial=5, wildcard=True)
+
+
+def intermediate(*, may_enroll: bool = True) -> bytes:
+    request = build_intermediate_request(HOST, "home")
+    return SITE.authority.issue_intermediate(
+        request, now=NOW, serial=7, may_enroll=may_enroll, lifetime=SEASON
+    )
+
+
+def test_an_intermediate_enrolls_only_where_it_may() -> None:
+    below = Authority(HOST, SITE.root, intermediate())
+    may_renew = Authority(HOST, SITE.root, intermediate(may_enroll=False))
+    assert (below.may_enroll, may_renew.may_enroll) == (True, False)
+    assert (SITE.authority.is_root, below.is_root) == (True, False)
+    assert SITE.anchor.verify([below.issue(CSR, now=NOW, serial=4), *below.chain], NOW).serial == 4
+    with pytest.raises(IssueRefused, match="may renew identities, not enroll nodes"):
+        may_renew.issue(CSR, now=NOW, serial=4)
+
+
+def test_an_identity_is_reissued_for_another_key_at_an_intermediate_too() -> None:
+    may_renew = Authority(HOST, SITE.root, intermediate(may_enroll=False))
+    known, key = SITE.anchor.verify([SITE.leaf()], NOW), new_signer().public_key
+    der = may_renew.reissue(known, key, now=NOW, serial=9, lifetime=DAY)
+    again = SITE.anchor.verify([der, *may_renew.chain], NOW)
+    assert (again.name, again.public_key) == (known.name, key)
+
+
+def test_a_renewal_lasts_no_longer_than_what_it_renews() -> None:
+    signer, new, due = new_signer(), new_signer(), NOW + DAY * 3 // 4
+    old = SITE.authority.issue(build_request(signer, "home", "/a"), now=NOW, serial=3, lifetime=DAY)
+    text = sign_renewal(signer, (old,), build_request(new, "home", "/a"), due)
+    renewal = open_renewal(text, SITE.anchor, due, lambda _key, _now: None)
+    der = SITE.authority.renew(renewal, now=due, serial=4)
+    certificate = x509.load_der_x509_certificate(der)
+    assert seconds(certificate.not_valid_after_utc) == due + DAY
+
+
+def test_only_a_root_with_room_makes_intermediates() -> None:
+    request = build_intermediate_request(HOST, "home")
+    older = Authority(KeySigner(SITE.key), SITE.root)
+    older.anchor = dataclasses.replace(SITE.anchor, path_length=0)
+    older.issuer = older.anchor
+    for authority in (Authority(HOST, SITE.root, intermediate()), older):
+        with pytest.raises(IssueRefused, match="this authority may have no intermediates"):
+            authority.issue_intermediate(
+                request, now=NOW, serial=4, may_enroll=True, lifetime=SEASON
+            )
+
+
+def test_an_intermediate_needs_its_own_key_and_time() -> None:
+    with pytest.raises(IssueRefused, match="belongs to another key"):
+        Authority(new_signer(), SITE.root, intermediate())
+    with pytest.raises(IssueRefused, match="own certificate is not valid now"):
+        Authority(HOST, SITE.root, intermediate()).issue(CSR, now=NOW + SEASON + 1, serial=4)
+
+
+def test_a_node_cannot_become_an_intermediate_by_a_nodes_request() -> None:
+    with pytest.raises(RequestRefused):
+        SITE.authority.issue(build_intermediate_request(HOST, "home"), now=NOW, serial=4)

@@ -18,7 +18,6 @@ from ca.errors import (
     CertificateNotYetValid,
     CertificateRefused,
     ForeignCertificate,
-    IssueRefused,
     NameRefused,
     RequestRefused,
 )
@@ -171,33 +170,6 @@ def test_a_root_without_room_below_it() -> None:
     dataclasses.replace(SITE.anchor, path_length=None).verify([LEAF, DER], NOW)
 
 
-def test_what_it_may_do_is_said_at_its_making() -> None:
-    may_renew = Authority(HOST, SITE.root, intermediate(may_enroll=False))
-    assert (BELOW.may_enroll, may_renew.may_enroll) == (True, False)
-    assert (SITE.authority.is_root, BELOW.is_root) == (True, False)
-    with pytest.raises(IssueRefused, match="may renew identities, not enroll nodes"):
-        may_renew.issue(build_request(new_signer(), "home", "/new"), now=NOW, serial=4)
-
-
-def test_only_a_root_with_room_makes_them() -> None:
-    request = build_intermediate_request(HOST, "home")
-    older = Authority(KeySigner(SITE.key), SITE.root)
-    older.anchor = dataclasses.replace(SITE.anchor, path_length=0)
-    older.issuer = older.anchor
-    for authority in (BELOW, older):
-        with pytest.raises(IssueRefused, match="this authority may have no intermediates"):
-            authority.issue_intermediate(
-                request, now=NOW, serial=4, may_enroll=True, lifetime=SEASON
-            )
-
-
-def test_its_key_and_its_time() -> None:
-    with pytest.raises(IssueRefused, match="belongs to another key"):
-        Authority(new_signer(), SITE.root, DER)
-    with pytest.raises(IssueRefused, match="own certificate is not valid now"):
-        leaf(now=NOW + SEASON + 1)
-
-
 def test_requests_for_one() -> None:
     request = build_intermediate_request(HOST, "home")
     assert check_intermediate_request(request, "home") == HOST.public_key
@@ -218,11 +190,6 @@ def test_requests_for_one() -> None:
     twisted[-size - 1] = 1
     with pytest.raises(RequestRefused, match="signature is not in whole octets"):
         check_intermediate_request(bytes(twisted), "home")
-
-
-def test_a_node_cannot_become_one_by_a_nodes_request() -> None:
-    with pytest.raises(RequestRefused):
-        SITE.authority.issue(build_intermediate_request(HOST, "home"), now=NOW, serial=4)
 
 
 def test_openssl_and_cryptography_accept_the_chain(tmp_path: Path) -> None:

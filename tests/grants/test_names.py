@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from ca.errors import NameRefused
 from ca.names import MAX_NAME, check_name
 from grants.errors import PatternRefused
-from grants.names import check_pattern, covers, covers_tree
+from grants.names import check_pattern, covers, covers_below, covers_tree, touches
 
 COVERED = [
     ("/a", "/a"),
@@ -125,3 +125,31 @@ def test_covers_follows_the_definition(pattern: str, name: str) -> None:
 
 def test_many_wildcards_are_matched_fast() -> None:
     assert not covers("/**" * 80 + "/b", "/a" * 120)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "namespace", "everywhere", "somewhere"),
+    [
+        ("/**", "/", True, True),
+        ("/*", "/", True, True),
+        ("/a", "/", False, True),
+        ("/a", "/a", True, True),
+        ("/a/*", "/a", True, True),
+        ("/a/b", "/a", False, True),
+        ("/a", "/ab", False, False),
+        ("/*/b", "/a", False, True),
+        ("/*/b", "/a/c", False, False),
+        ("/**/z", "/a", False, True),
+    ],
+)
+def test_a_pattern_covers_all_or_some_names_below_a_namespace(
+    pattern: str, namespace: str, *, everywhere: bool, somewhere: bool
+) -> None:
+    assert covers_below(pattern, namespace) is everywhere
+    assert touches(pattern, namespace) is somewhere
+
+
+def test_an_invalid_pattern_covers_no_namespace() -> None:
+    for compare in (covers_below, touches):
+        with pytest.raises(PatternRefused):
+            compare("/a*", "/a")

@@ -1,25 +1,34 @@
 """What is decided by the record and what is recorded are one step, and nobody is in between."""
 
+import os
 import sqlite3
+import stat
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store import database as module
 from ca.store.database import Database
-from ca.store.log import append_entry
+from ca.store.schema import append_entry
 
 NOW = 1_800_000_000
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    Database.create(tmp_path / "ca.db").close()
+def new(tmp_path: Path) -> Path:
+    """Where no record is yet."""
     return tmp_path / "ca.db"
+
+
+@pytest.fixture
+def path(new: Path) -> Path:
+    Database.create(new).close()
+    return new
 
 
 @pytest.fixture
@@ -160,3 +169,98 @@ def test_a_record_that_cannot_be_made_is_refused(
     monkeypatch.setattr(module, "_configure", refuse)
     with pytest.raises(RecordUnusable, match="cannot be used: no, nothing was changed"):
         Database.create(tmp_path / "new.db")
+
+
+def test_existing_files_are_never_overwritten(new: Path) -> None:
+    new.write_bytes(b"precious")
+    with pytest.raises(StoreError, match=r"cannot create .*File exists"):
+        Database.create(new)
+    assert new.read_bytes() == b"precious"
+    with pytest.raises(StoreError, match=r"cannot create .*No such file"):
+        Database.create(new.parent / "missing" / "ca.db")
+
+
+def test_nothing_to_open(new: Path) -> None:
+    with pytest.raises(StoreError, match="there is no record at"):
+        Database.open(new)
+    new.mkdir()
+    with pytest.raises(StoreError, match="there is no record at"):
+        Database.open(new)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o622])
+def test_a_record_others_can_reach(new: Path, mode: int) -> None:
+    Database.create(new).close()
+    new.chmod(mode)
+    with pytest.raises(StoreError, match="can be read or written by others") as caught:
+        Database.open(new)
+    assert "chmod 600" in caught.value.hint
+
+
+def test_a_foreign_database_is_refused_and_left_as_it_is(new: Path) -> None:
+    foreign = sqlite3.connect(new)
+    foreign.execute("CREATE TABLE precious (id INTEGER)")
+    foreign.commit()
+    foreign.close()
+    new.chmod(0o600)
+    before = new.read_bytes()
+    with pytest.raises(StoreError, match="is not a record of this version of rossec"):
+        Database.open(new)
+    assert new.read_bytes() == before
+
+
+def test_a_record_from_the_future(new: Path) -> None:
+    made = Database.create(new)
+    made.connection.execute("PRAGMA user_version = 3")
+    made.close()
+    with pytest.raises(StoreError, match="not a record of this version") as caught:
+        Database.open(new)
+    assert "update rossec" in caught.value.hint
+
+
+@pytest.mark.parametrize("data", [b"", b"garbage" * 1000])
+def test_a_file_that_is_no_database_is_refused(new: Path, data: bytes) -> None:
+    new.write_bytes(data)
+    new.chmod(0o600)
+    with pytest.raises(StoreError, match=r"is damaged|is not a record") as caught:
+        Database.open(new)
+    assert "restore it" in caught.value.hint
+
+
+def test_a_file_that_goes_between_look_and_open(new: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SQLite is told never to create a file: a vanished record is not an empty one."""
+    regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o600)
+    monkeypatch.setattr(Path, "stat", lambda *_, **__: regular)
+    with pytest.raises(StoreError, match="cannot be used: unable to open database file"):
+        Database.open(new)
+    assert not os.path.lexists(new)
+
+
+def test_a_damaged_or_closed_record_gives_nothing(path: Path) -> None:
+    made = Database.open(path)
+    with made.transaction() as db:
+        for number in range(500):
+            note(db, f"{number}" * 200)
+    made.close()
+    data = bytearray(path.read_bytes())
+    data[40 * 4096 :] = b"\xff" * (len(data) - 40 * 4096)
+    path.write_bytes(data)
+    damaged = Database.open(path)
+    for read in (damaged.check, lambda: noted(damaged)):
+        with pytest.raises(StoreError, match="is damaged: "):
+            read()
+    damaged.close()
+    for use in (damaged.check, damaged.snapshot, lambda: noted(damaged), lambda: fail(damaged, "")):
+        with pytest.raises(RecordUnusable, match="closed"):
+            use()
+
+
+def test_a_snapshot_is_a_whole_record(path: Path, database: Database) -> None:
+    with database.transaction() as db:
+        note(db, "kept")
+    copy = path.with_name("copy.db")
+    copy.touch(0o600)
+    copy.write_bytes(database.snapshot())
+    copied = Database.open(copy)
+    assert noted(copied) == ["kept"]
+    copied.close()

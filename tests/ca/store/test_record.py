@@ -1,15 +1,14 @@
-import os
 import sqlite3
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
-from ca.store.record import CertificateRow, GrantRow, Store
+from ca.store.identities import CertificateRow
+from ca.store.record import GrantRow, Store
 from tests.support.pki import Site, new_signer
 
 NOW, DAY = 1_800_000_000, 86_400
@@ -63,7 +62,7 @@ def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
     store.save_list((1, 1), b"list", NOW)
     store.close()
     again = Store.open(path)
-    assert again.certificates() == [largest]
+    assert again.identities.all() == [largest]
     assert again.grants() == [grant()]
     assert again.revoked_entries() == {OTHER}
     assert again.newest_list() == b"list"
@@ -118,7 +117,7 @@ def test_a_name_keeps_its_key(store: Store) -> None:
     with pytest.raises(KeyChanged, match="/a has an identity with another key") as caught:
         store.add_certificate(certificate(4, key=OTHER), NOW + DAY)
     assert "--replace-key /a" in caught.value.hint
-    assert [row.serial for row in store.certificates()] == [1, 2, 3]
+    assert [row.serial for row in store.identities.all()] == [1, 2, 3]
     store.add_certificate(certificate(4, key=OTHER), NOW, replace_key="/a")
 
 
@@ -134,7 +133,7 @@ def test_a_revoked_key_is_not_certified_again(store: Store) -> None:
     with pytest.raises(StoreError, match="the key of /a is revoked") as caught:
         store.add_certificate(certificate(), NOW, replace_key="/a")
     assert "new key" in caught.value.hint
-    assert store.certificates() == []
+    assert store.identities.all() == []
 
 
 def test_the_newest_live_certificate(store: Store) -> None:
@@ -194,62 +193,6 @@ def test_types_are_strict(path: Path, store: Store) -> None:
     direct.close()
 
 
-def test_existing_files_are_never_overwritten(path: Path) -> None:
-    path.write_bytes(b"precious")
-    with pytest.raises(StoreError, match=r"cannot create .*File exists"):
-        Store.create(path)
-    assert path.read_bytes() == b"precious"
-    with pytest.raises(StoreError, match=r"cannot create .*No such file"):
-        Store.create(path.parent / "missing" / "ca.db")
-
-
-def test_nothing_to_open(path: Path) -> None:
-    with pytest.raises(StoreError, match="there is no record at"):
-        Store.open(path)
-    path.mkdir()
-    with pytest.raises(StoreError, match="there is no record at"):
-        Store.open(path)
-
-
-@pytest.mark.parametrize("mode", [0o640, 0o604, 0o622])
-def test_a_record_others_can_reach(path: Path, mode: int) -> None:
-    Store.create(path).close()
-    path.chmod(mode)
-    with pytest.raises(StoreError, match="can be read or written by others") as caught:
-        Store.open(path)
-    assert "chmod 600" in caught.value.hint
-
-
-def test_a_foreign_database_is_refused_and_left_as_it_is(path: Path) -> None:
-    foreign = sqlite3.connect(path)
-    foreign.execute("CREATE TABLE precious (id INTEGER)")
-    foreign.commit()
-    foreign.close()
-    path.chmod(0o600)
-    before = path.read_bytes()
-    with pytest.raises(StoreError, match="is not a record of this version of rossec"):
-        Store.open(path)
-    assert path.read_bytes() == before
-
-
-def test_a_record_from_the_future(path: Path) -> None:
-    store = Store.create(path)
-    store.database.connection.execute("PRAGMA user_version = 3")
-    store.close()
-    with pytest.raises(StoreError, match="not a record of this version") as caught:
-        Store.open(path)
-    assert "update rossec" in caught.value.hint
-
-
-@pytest.mark.parametrize("data", [b"", b"garbage" * 1000])
-def test_a_missing_database_is_refused(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-    path.chmod(0o600)
-    with pytest.raises(StoreError, match=r"is damaged|is not a record") as caught:
-        Store.open(path)
-    assert "restore it" in caught.value.hint
-
-
 def test_damage_inside_is_our_error(path: Path) -> None:
     store = Store.create(path)
     for number in range(500):
@@ -274,17 +217,6 @@ def test_a_closed_record_cannot_be_written(path: Path) -> None:
         store.revoke(KEY, "lost", NOW)
 
 
-def test_a_file_that_goes_between_look_and_open(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """SQLite is told never to create a file: a vanished record is not an empty one."""
-    regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o600)
-    monkeypatch.setattr(Path, "stat", lambda *_, **__: regular)
-    with pytest.raises(StoreError, match="cannot be used: unable to open database file"):
-        Store.open(path)
-    assert not os.path.lexists(path)
-
-
 SITE = Site.create()
 
 
@@ -292,13 +224,6 @@ def real(serial: int, name: str, key: bytes = KEY, *, wildcard: bool = False) ->
     csr = build_request(new_signer(), "home", name)
     der = SITE.authority.issue(csr, now=NOW, serial=serial, wildcard=wildcard)
     return CertificateRow(serial, name, key, der, NOW, NOW + DAY)
-
-
-def test_a_row_covers_what_its_certificate_does() -> None:
-    assert real(1, "/rviz", wildcard=True).covers("/rviz_1")
-    assert not real(1, "/rviz").covers("/rviz_1")
-    assert real(1, "/rviz").covers("/rviz")
-    assert not certificate().covers("/b")
 
 
 @pytest.mark.parametrize("wildcard", [False, True])
@@ -327,13 +252,13 @@ def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
     store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
     store.add_certificate(real(2, "/plain", OTHER), NOW)
     names = {"/rviz": "/rviz", "/rviz_1": "/rviz", "/plain_1": "/plain_1", "/new": "/new"}
-    assert {name: store.certified_name(name, NOW) for name in names} == names
+    assert {name: store.identities.certified_name(name, NOW) for name in names} == names
     with pytest.raises(StoreError, match="/rviz_1 has no valid identity") as caught:
         store.valid_certificate("/rviz_1", NOW)
     assert caught.value.hint == "it is one of the anonymous nodes of /rviz: name that"
-    assert store.certified_name("/rviz_1", NOW + DAY + 1) == "/rviz_1"
+    assert store.identities.certified_name("/rviz_1", NOW + DAY + 1) == "/rviz_1"
     store.revoke(KEY, "lost", NOW)
-    assert store.certified_name("/rviz_1", NOW) == "/rviz_1"
+    assert store.identities.certified_name("/rviz_1", NOW) == "/rviz_1"
 
 
 def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> None:

@@ -1,18 +1,17 @@
+import shutil
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
-from ca.errors import PassphraseRefused
+from ca.errors import PassphraseRefused, RevocationRefused
 from ca.names import RESERVED
-from ca.revocation.state import RevocationList, open_list, open_statement
-from ca.revocation.tree import TreeEntries, is_tree, open_tree
-from grants import document
-from grants.model import Draft, Permission, Right
-from grants.renewal import open_delegation
-from rossec.authority.home import AuthorityHome, fingerprint
+from ca.revocation.state import open_list
+from ca.revocation.tree import TreeEntries, open_tree
+from ca.store.record import Store
+from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
 from rossec.authority.signing import OWN_NODE
 from rossec.errors import ConfigurationError
-from rossec.home import NodeHome
 from rossec.participant.slave_api import MASTER
 
 NOW = 1_800_000_000
@@ -74,94 +73,54 @@ def test_the_passphrase_counts(home: AuthorityHome) -> None:
         home.unlock(PASSPHRASE + ".")
 
 
-def test_a_revocation_is_signed_and_numbered(home: AuthorityHome) -> None:
-    unlocked = home.unlock(PASSPHRASE)
-    listed = unlocked.revoke(b"g" * 16, "test", NOW)
-    assert open_list(home.revocation_list(), home.anchor().public_key) == listed
-    assert listed.entries == {b"g" * 16}
-    assert unlocked.revoke(b"g" * 16, "again", NOW).seq == listed.seq + 1
-
-
 def test_fingerprints_are_for_reading(home: AuthorityHome) -> None:
     text = fingerprint(home.anchor())
     assert text.replace(" ", "") == home.anchor().thumbprint.hex()[:32]
     assert len(text.split()) == 8
 
 
-def test_the_list_is_kept_young_while_the_key_is_at_hand(home: AuthorityHome) -> None:
-    unlocked = home.unlock(PASSPHRASE)
-    seq = unlocked.sign_list(NOW).seq
-    node = NodeHome.of(home.path.parent, "/robot")
-    node.create_request("home")
-    unlocked.issue(node.request(), NOW + 6 * 86400)
-    assert unlocked.store.next_number() == (1, seq + 1)
-    unlocked.issue(node.request(), NOW + 8 * 86400)
-    assert unlocked.store.next_number() == (1, seq + 2)
-
-
 def test_the_names_nobody_may_share_are_the_masters_and_its_own() -> None:
     assert {MASTER, OWN_NODE} == RESERVED
 
 
-def test_a_list_that_was_not_signed_for_a_revocation_is_signed_next(home: AuthorityHome) -> None:
-    unlocked = home.unlock(PASSPHRASE)
-    unlocked.store.revoke(b"d" * 32, "then it was killed", NOW)
-    with pytest.raises(ConfigurationError, match="no valid identity") as caught:
-        unlocked.revoke_identity("/robot7", "again", NOW)
-    assert "rossec ca publish" in caught.value.hint
-    assert b"d" * 32 in open_list(home.revocation_list(), home.own_key()).entries
-
-
-def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(
-    tmp_path: Path,
-) -> None:
-    opened = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW).unlock(PASSPHRASE)
-    draft = Draft(
-        "home", "/a", bytes(32), NOW, NOW + 10, NOW + 1000, bytes(16),
-        (Permission("/t", Right.PUBLISH),),
-    )  # fmt: skip
-    entry = document.grant_id(opened.issue_grant(draft, NOW))
-    opened.revoke(bytes(32), "", NOW)
-    assert opened.revoke(entry, "", NOW).entries == {entry, bytes(32)}
-    assert entry in opened.sign_list(NOW + 1000).entries
-    assert opened.sign_list(NOW + 1061).entries == {bytes(32)}
-    assert entry in opened.store.revoked_entries()
-
-
-def test_what_is_delegated_is_recorded_until_it_is_withdrawn(tmp_path: Path) -> None:
-    opened = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW).unlock(PASSPHRASE)
-    with pytest.raises(ConfigurationError, match="no delegation is in force"):
-        opened.revoke_delegations("", NOW)
-    living, expired = (
-        open_delegation(
-            opened.issue_delegation(bytes(32), days * 86400, 60, NOW), opened.signer.public_key
-        )
-        for days in (2, 1)
-    )
-    listed, count = opened.revoke_delegations("", NOW + 86400)
-    assert (listed.entries, count) == (frozenset({living.id}), 1)
-    assert expired.id not in listed.entries
-    with pytest.raises(ConfigurationError):
-        opened.revoke_delegations("", NOW + 86400)
-
-
-def test_too_many_revocations_become_a_tree(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    home = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
-    with pytest.raises(ConfigurationError, match="are not a tree"):
-        home.tree_entries()
+def test_what_is_recorded_and_not_listed_is_counted(home: AuthorityHome) -> None:
+    assert not home.is_intermediate
     opened = home.unlock(PASSPHRASE)
-    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 1)
-    assert not is_tree(opened_list(opened.revoke(bytes(32), "", NOW), home))
-    listed = opened.revoke(bytes(16), "", NOW)
-    tree = open_tree(opened_list(listed, home), home.anchor().public_key)
-    assert (tree.number, tree.size) == (listed.number, 2)
-    TreeEntries.read(home.tree_entries()).check(tree)
+    opened.store.revoke(b"u" * 32, "then it was killed", NOW)
+    assert home.count_unlisted(NOW) == 1
+    opened.refresh_list(NOW)
+    assert home.count_unlisted(NOW) == 0
 
 
-def opened_list(listed: RevocationList, home: AuthorityHome) -> bytes:
-    """The statement that was signed with the number of `listed`."""
-    data = home.revocation_list()
-    assert open_statement(data, home.anchor().public_key).number == listed.number
-    return data
+def test_before_a_list_is_signed_there_is_none(home: AuthorityHome, tmp_path: Path) -> None:
+    shutil.copytree(home.path, tmp_path / "ca")
+    (tmp_path / "ca" / "ca.db").unlink()
+    Store.create(tmp_path / "ca" / "ca.db").close()
+    with pytest.raises(ConfigurationError, match="no revocation list was signed yet") as caught:
+        AuthorityHome.at(tmp_path).revocation_list()
+    assert caught.value.hint == "next: rossec ca refresh"
+
+
+def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
+    home: AuthorityHome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(home.path, tmp_path / "ca")
+    copy = AuthorityHome.at(tmp_path)
+    with pytest.raises(ConfigurationError, match="are not a tree"):
+        copy.tree_entries()
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    listed = copy.unlock(PASSPHRASE).revoke(bytes(16), "", NOW)
+    tree = open_tree(copy.revocation_list(), copy.own_key())
+    entries = copy.tree_entries()
+    TreeEntries.read(entries).check(tree)
+    assert tree.number == listed.number
+
+    def older(*_: object) -> NoReturn:
+        raise RevocationRefused("written by an older version")
+
+    monkeypatch.setattr("rossec.authority.list_contents.tree_entries", older)
+    with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
+        copy.tree_entries()
+    (copy.path / ENTRIES).write_bytes(entries)
+    (copy.path / ENTRIES).chmod(0o600)
+    assert copy.tree_entries() == entries

@@ -5,7 +5,7 @@ import pytest
 
 from ca.authority import Authority
 from ca.certificates import build_request, check_request, from_pem, to_pem
-from ca.errors import RenewalRefused, RequestClosed, Revoked, StoreError
+from ca.errors import KeyChanged, RenewalRefused, RequestClosed, Revoked, StoreError
 from ca.intermediates import build_intermediate_request
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
@@ -14,6 +14,7 @@ from ca.store.record import Store
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.renewals import (
     INTERMEDIATE_LIFETIME,
+    import_identity,
     own_node_is_due,
     renew,
     renew_by_name,
@@ -111,22 +112,6 @@ def test_an_intermediate_renews_whom_it_never_saw(site: Site) -> None:
     assert host.verify(leaf, LATER) == identity
 
 
-def test_an_intermediate_cannot_revoke(site: Site) -> None:
-    _, host = below(site, may_enroll=True)
-    node = NodeHome.of(site.root / "elsewhere", "/new")
-    node.create_request("home")
-    assert node.install(host.issue(node.request(), NOW), NOW).name == "/new"
-    for attempt in (
-        lambda: host.sign_list(NOW),
-        lambda: host.revoke(b"k" * 32, "", NOW),
-        lambda: host.revoke_identity("/new", "", NOW),
-        lambda: host.issue(node.request(), NOW, replace_key="/new"),
-    ):
-        with pytest.raises(ConfigurationError, match="an intermediate cannot revoke"):
-            attempt()
-    assert host.store.revoked_entries() == frozenset()
-
-
 def test_an_intermediate_is_recorded_and_revoked_by_name(site: Site) -> None:
     name, host = below(site)
     assert (
@@ -186,3 +171,53 @@ def test_bundles_with_an_intermediate_install(site: Site) -> None:
     assert other.path == home.path
     with pytest.raises(ConfigurationError, match="a bundle of 4 certificates where two or three"):
         home.install(host.bundle(der) + to_pem(der), NOW)
+
+
+def imported(host: SigningAuthority, name: str = "/elsewhere") -> bytes:
+    """The bundle of a node that `host` enrolled."""
+    return host.issue(build_request(KeySigner(generate()), "home", name), NOW)
+
+
+def test_what_an_intermediate_enrolled_is_recorded_once(site: Site) -> None:
+    _, host = below(site, may_enroll=True)
+    bundle = imported(host)
+    identity, new = import_identity(site.authority, bundle, NOW)
+    assert (identity.name, new) == ("/elsewhere", True)
+    assert import_identity(site.authority, bundle, NOW) == (identity, False)
+    assert site.authority.store.valid_certificate("/elsewhere", NOW).serial == identity.serial
+    leaf, root = from_pem(renew_by_name(site.authority, "/elsewhere", NOW))
+    assert site.anchor.verify([leaf], NOW).public_key == identity.public_key
+    assert root == site.anchor.certificate
+
+
+def test_another_key_is_imported_only_by_name(site: Site) -> None:
+    _, host = below(site, may_enroll=True)
+    old = site.identity("/elsewhere").thumbprint
+    bundle = imported(host)
+    with pytest.raises(KeyChanged):
+        import_identity(site.authority, bundle, NOW)
+    assert import_identity(site.authority, bundle, NOW, {"/elsewhere"})[1]
+    assert old in site.authority.store.revoked_entries()
+
+
+def test_what_cannot_be_imported(site: Site) -> None:
+    name, host = below(site, may_enroll=True)
+    with pytest.raises(ConfigurationError, match="/ca cannot be imported here"):
+        import_identity(site.authority, imported(host, OWN_NODE), NOW)
+    bundle = imported(host)
+    with pytest.raises(ConfigurationError, match="/elsewhere cannot be imported here"):
+        import_identity(host, bundle, NOW)
+    site.authority.revoke_identity(name, "stolen", NOW)
+    with pytest.raises(StoreError, match="the intermediate of /elsewhere is revoked"):
+        import_identity(site.authority, bundle, NOW)
+
+
+def test_an_intermediate_that_is_not_in_the_record_vouches_for_nobody(
+    site: Site, tmp_path: Path
+) -> None:
+    _, host = below(site, may_enroll=True)
+    path = tmp_path / "older"
+    path.mkdir()
+    older = SigningAuthority(site.authority.authority, Store.create(path / "ca.db"), path)
+    with pytest.raises(StoreError, match="is not in this record"):
+        import_identity(older, imported(host), NOW)

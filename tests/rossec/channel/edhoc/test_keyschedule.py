@@ -1,9 +1,21 @@
+import hashlib
+
 import pytest
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF, HKDFExpand
 
 from ca.encoding import encode
-from rossec.channel.edhoc.keyschedule import EdhocExporter, Secret, bstr, extract, kdf
+from rossec.channel.edhoc.keyschedule import (
+    EdhocExporter,
+    KdfLabel,
+    Secret,
+    bstr,
+    extract,
+    kdf,
+    keystream_2,
+    transcript_2,
+    transcript_next,
+)
 
 
 @pytest.mark.parametrize("length", [0, 1, 23, 24, 255, 256, 65535, 65536])
@@ -36,3 +48,23 @@ def test_an_exporter_hides_its_secret_and_updates() -> None:
     assert exporter.update(b"a") != exporter.update(b"b")
     assert exporter.export(1, b"", 16) != exporter.export(2, b"", 16)
     assert exporter.export(1, b"a", 16) != exporter.export(1, b"b", 16)
+
+
+def test_transcripts_hash_the_bytes_as_they_travelled() -> None:
+    digest = hashlib.sha256(b"message_1").digest()
+    assert transcript_2(b"g" * 32, b"message_1") == sha256(encode(b"g" * 32), encode(digest))
+    following = transcript_next(b"t" * 32, b"plaintext", b"credential")
+    assert following == sha256(encode(b"t" * 32), b"plaintext", b"credential")
+
+
+def sha256(*parts: bytes) -> bytes:
+    return hashlib.sha256(b"".join(parts)).digest()
+
+
+def test_what_is_derived_for_one_purpose_is_not_that_of_another() -> None:
+    secret = Secret(b"k" * 32)
+    assert keystream_2(secret, b"th_2", 100) == kdf(secret, KdfLabel.KEYSTREAM_2, b"th_2", 100)
+    derived = EdhocExporter.derive(secret, b"th_4")
+    assert derived.prk_out == kdf(secret, KdfLabel.PRK_OUT, b"th_4", 32)
+    assert derived.bare() == derived
+    assert derived.export(1, b"", 16) == derived.bare().export(1, b"", 16)

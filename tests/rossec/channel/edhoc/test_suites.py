@@ -4,7 +4,9 @@ import hashlib
 from dataclasses import dataclass
 
 import pytest
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519
+from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
@@ -52,6 +54,35 @@ def test_the_hybrid_secret_needs_both_halves() -> None:
     g_y, shared = exchange.answer(dice("b"), g_x)
     assert other(g_y)[:32] != shared[:32]
     assert other(g_y)[32:] != shared[32:]
+
+
+def test_an_x25519_point_of_low_order() -> None:
+    with pytest.raises(HandshakeFailed, match="usable point"):
+        SUITES[4].exchange.answer(dice("a"), bytes(32))
+
+
+def test_a_signature_is_of_the_suites_kind_and_the_message() -> None:
+    p256, other = ec.generate_private_key(ec.SECP256R1()), ec.generate_private_key(ec.SECP384R1())
+    edwards = ed25519.Ed25519PrivateKey.generate()
+    es256 = es256_signature(p256, b"message")
+    eddsa = edwards.sign(b"message")
+    SUITES[6].verify(p256.public_key(), es256, b"message")
+    SUITES[4].verify(edwards.public_key(), eddsa, b"message")
+    for number, key, signature in (
+        (6, p256.public_key(), es256), (4, edwards.public_key(), eddsa),
+    ):  # fmt: skip
+        with pytest.raises(HandshakeFailed, match="signature does not verify"):
+            SUITES[number].verify(key, signature, b"another message")
+    for wrong in (edwards.public_key(), other.public_key()):
+        with pytest.raises(HandshakeFailed, match="not a P-256 key"):
+            SUITES[6].verify(wrong, es256, b"message")
+    with pytest.raises(HandshakeFailed, match="not an Ed25519 key"):
+        SUITES[4].verify(p256.public_key(), eddsa, b"message")
+
+
+def es256_signature(key: ec.EllipticCurvePrivateKey, message: bytes) -> bytes:
+    r, s = decode_dss_signature(key.sign(message, ec.ECDSA(hashes.SHA256())))
+    return r.to_bytes(32) + s.to_bytes(32)
 
 
 def test_the_policies() -> None:
