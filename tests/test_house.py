@@ -135,7 +135,7 @@ RETIRED: Final = {
     "own_dials_for": "is_own",
     "own_is_due": "own_node_is_due",
     "own_lifetime": "has_lifetime",
-    "owner_in": "user_in",
+    "owner_in": "holder_in",
     "OwnPlaces": "OwnAddresses",
     "ParameterKept": "PersistParameter",
     "Parts": "TokenParts",
