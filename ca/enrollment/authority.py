@@ -85,16 +85,6 @@ TABLE: Final[dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[Authori
     (AuthorityState.ENROLLED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ENROLLED,)),
     (AuthorityState.ENROLLED, Done): ("_done", (AuthorityState.ENROLLED,)),
 }
-WITHOUT_MESSAGE: Final = (
-    (AuthorityState.COMPARED, AuthorityState.APPROVED, "approve()"),
-    (AuthorityState.APPROVED, AuthorityState.OFFERED, "offer()"),
-    (AuthorityState.FETCHING, AuthorityState.OVER, "too late"),
-    (AuthorityState.COMPARED, AuthorityState.OVER, "too late, or denied"),
-    (AuthorityState.APPROVED, AuthorityState.OVER, "too late"),
-    (AuthorityState.OFFERED, AuthorityState.OVER, "too late"),
-    (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER, "too late"),
-)
-"""The transitions that no message causes."""
 
 
 class AuthorityEnrollment:

@@ -63,15 +63,6 @@ TABLE: Final[dict[tuple[NodeState, type[Message]], tuple[str, tuple[NodeState, .
     (NodeState.CONFIRMED, Offer): ("_compare", (NodeState.CONFIRMED, NodeState.OVER)),
     (NodeState.ENROLLED, Offer): ("_repeat_answers", (NodeState.ENROLLED,)),
 }
-WITHOUT_MESSAGE: Final = (
-    (NodeState.PENDING, NodeState.CONFIRMED, "confirm()"),
-    (NodeState.CONFIRMED, NodeState.ENROLLED, "activated()"),
-    (NodeState.PENDING, NodeState.OVER, "third wrong digits"),
-    (NodeState.SHOWING, NodeState.OVER, "stop(), or too late"),
-    (NodeState.PENDING, NodeState.OVER, "stop(), or too late"),
-    (NodeState.CONFIRMED, NodeState.OVER, "stop()"),
-)
-"""The transitions that no message causes."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@
 record with its log entry, replays the transitions of every request, and checks each signed head.
 """
 
-import sqlite3
 from itertools import zip_longest
 
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -133,10 +132,3 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
 
 
 _STATES = frozenset(RequestState)
-
-
-def append_entry(
-    db: sqlite3.Connection, now: int, what: str, subject: str, detail: str, digest: bytes
-) -> None:
-    """Append an entry, inside the transaction of the change it describes."""
-    schema.append(db, now, what, subject, detail, digest)

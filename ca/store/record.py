@@ -9,23 +9,39 @@ Callers that decide by the record and then change it do both inside `transaction
 import sqlite3
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from ca.errors import RequestClosed, StoreError
 from ca.store.database import Database
-from ca.store.identities import IdentityTable
-from ca.store.log import AuthorityLog, append_entry
+from ca.store.identities import CertificateRow, IdentityTable
+from ca.store.log import AuthorityLog
 from ca.store.log_entries import digest_of
 from ca.store.requests import RequestTable
-from ca.store.rows import CertificateRow, GrantRow, RevocationRow
+from ca.store.schema import append_entry
 
-__all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
+
+class GrantRow(NamedTuple):
+    """One signed grant."""
+
+    id: bytes
+    name: str
+    data: bytes
+    not_before: int
+    expires: int
+
+
+class RevocationRow(NamedTuple):
+    """One grant id or key thumbprint that was revoked, why and when."""
+
+    entry: bytes
+    reason: str
+    at: int
 
 
 class Store:
     """An open record. Create it with `create` or `open`.
 
-    `requests` are those for identities, `identities` what came of them, `journal` is the log.
+    `requests` are those for identities, `identities` what came of them, `log` what was done.
     """
 
     def __init__(self, database: Database) -> None:
@@ -56,14 +72,6 @@ class Store:
         """Close the file."""
         self.database.close()
 
-    def check(self) -> None:
-        """Check a file from another source: it must be undamaged and have only rossec's objects.
-
-        Raises:
-            StoreError: it is damaged, or holds a trigger or view that is not rossec's.
-        """
-        self.database.check()
-
     def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
         """A transaction: all steps or none, and no other command in between.
 
@@ -71,14 +79,6 @@ class Store:
             StoreError: as `ca.store.database.Database.transaction`.
         """
         return self.database.transaction()
-
-    def read_transaction(self) -> AbstractContextManager[None]:
-        """A read transaction: a consistent snapshot."""
-        return self.database.read_transaction()
-
-    def snapshot(self) -> bytes:
-        """The whole record at this moment, as the content of a file."""
-        return self.database.snapshot()
 
     def add_certificate(
         self,
@@ -119,23 +119,12 @@ class Store:
                 for key in sorted(self.unrevoked_keys(row.name, now) - {row.thumbprint}):
                     _revoke(db, key, f"{row.name} has a new key", now)
 
-    def certificates(self) -> list[CertificateRow]:
-        """Every identity signed, oldest first."""
-        return self.identities.all()
-
     def unrevoked_keys(self, name: str, now: int) -> frozenset[bytes]:
         """Thumbprints of the keys of `name` that are not revoked, and so can be.
 
         Also those certified only by a revoked intermediate: they may be certified again.
         """
         return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
-
-    def certified_name(self, name: str, now: int) -> str:
-        """The certified name that grants, rules and revocations of the node `name` refer to.
-
-        It is `name` itself or, for an anonymous node, that of the valid identity that covers it.
-        """
-        return self.identities.certified_name(name, now)
 
     def valid_certificate(self, name: str, now: int) -> CertificateRow:
         """The newest identity of `name` that is still valid and not revoked.
@@ -150,7 +139,7 @@ class Store:
                     f"the intermediate that signed the identity of {name} is revoked",
                     f"enroll it again: rossec node request {name}, then rossec ca sign",
                 )
-            certified = self.certified_name(name, now)
+            certified = self.identities.certified_name(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
                 f"first enroll it: rossec node request {name}, then rossec ca sign;"

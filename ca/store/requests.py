@@ -13,7 +13,8 @@ from ca.requests import IdentityRequest
 from ca.store.database import Database
 from ca.store.identities import IdentityTable
 from ca.store.lifecycle import MAX_OPEN, OPEN, RETENTION, RequestRow, RequestState, advance
-from ca.store.log import COLLECTED, append_entry
+from ca.store.log import COLLECTED
+from ca.store.schema import append_entry
 
 _COLUMNS = (
     "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"

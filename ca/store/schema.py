@@ -187,16 +187,16 @@ def migrate(db: sqlite3.Connection) -> None:
                 f"line {number} of the log is about a {what} that is not recorded",
                 "restore a backup, and find out who changed the record",
             )
-        append(db, at, what, subject, detail, digest_of(row))
+        append_entry(db, at, what, subject, detail, digest_of(row))
     (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
-    append(db, at, "migrated", "record", f"1 to {VERSION}", b"")
+    append_entry(db, at, "migrated", "record", f"1 to {VERSION}", b"")
     db.execute(f"PRAGMA user_version = {VERSION}")
 
 
-def append(
+def append_entry(
     db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
-    """Append an entry to the log."""
+    """Append an entry to the log, inside the transaction of the change it describes."""
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)

@@ -49,7 +49,7 @@ def back_up(home: AuthorityHome, passphrase: str) -> bytes:
         and not path.name.startswith(".") and "grants" not in path.parts
     }  # fmt: skip
     with contextlib.closing(home.store()) as store:
-        content["ca.db"] = store.snapshot()
+        content["ca.db"] = store.database.snapshot()
     salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
     return backup.seal(content, passphrase, salt=salt, nonce=nonce)
 
@@ -117,7 +117,7 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
     try:
         authority = staging.unlock(secret)
         authority.store.log.audit(authority.signer.public_key)
-        authority.store.check()
+        authority.store.database.check()
         newest = authority.store.newest_list()
         if newest is not None and authority.authority.is_root:
             key = authority.authority.anchor.public_key

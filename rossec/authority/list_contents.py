@@ -38,7 +38,7 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
     Raises:
         RevocationRefused: the list in the record is not signed by the authority.
     """
-    with store.read_transaction():
+    with store.database.read_transaction():
         data = store.newest_list()
         statement = None if data is None else open_statement(data, key)
         return required_entries(store, now) - _listed_entries(store, statement)

@@ -16,8 +16,8 @@ from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.renewal import open_renewal, renew_at
 from ca.requests import build_request
-from ca.store.record import CertificateRow, Store
-from ca.store.rows import INTERMEDIATE
+from ca.store.identities import INTERMEDIATE, CertificateRow
+from ca.store.record import Store
 from rossec.authority.home import OWN_LIFETIME
 from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError
@@ -172,7 +172,7 @@ def import_identity(
 
 def _check_issuers(store: Store, identity: Identity) -> None:
     """Check that its intermediate was signed by this root and is not revoked."""
-    made = {row.thumbprint for row in store.certificates() if row.name.startswith(INTERMEDIATE)}
+    made = {row.thumbprint for row in store.identities.all() if row.name.startswith(INTERMEDIATE)}
     for issuer in identity.issuers:
         store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
         if issuer not in made:

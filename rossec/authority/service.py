@@ -17,8 +17,8 @@ from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
 from ca.revocation.state import RevocationList, open_statement
 from ca.revocation.tree import is_tree
+from ca.store.identities import INTERMEDIATE
 from ca.store.lifecycle import RequestRow, RequestState
-from ca.store.rows import INTERMEDIATE
 from grants.model import Draft, Grant, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
@@ -279,7 +279,7 @@ class AuthorityService:
         from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - as above
 
         with contextlib.closing(self.home.store()) as store:
-            known = name in {row.name for row in store.certificates()}
+            known = name in {row.name for row in store.identities.all()}
         self.unlock()
         return add_denial(policy, name, self._now(), is_node=is_node or known)
 

@@ -49,17 +49,6 @@ TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
 }
 """Errors are unauthenticated, so they are not accepted once the handshake is done."""
 
-WITHOUT_FRAME: Final = (
-    (ConnectionState.OPENING, ConnectionState.DRAINING, "plain caller"),
-    (ConnectionState.OPENING, ConnectionState.WAIT_1, "opening (responder)"),
-    (ConnectionState.OPENING, ConnectionState.WAIT_2, "answer (initiator)"),
-    (ConnectionState.DRAINING, ConnectionState.CLOSED, "refusal sent"),
-    (ConnectionState.WAIT_4, ConnectionState.CLOSING, "close()"),
-    (ConnectionState.OPEN, ConnectionState.CLOSING, "close()"),
-    (ConnectionState.CLOSING, ConnectionState.CLOSED, "end of TCP"),
-)
-"""Transitions without a frame; and from every state, any error leads to CLOSED."""
-
 PREAMBLE: Final = frozenset({ConnectionState.OPENING, ConnectionState.DRAINING})
 UNAUTHENTICATED: Final = frozenset(
     {ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3}

@@ -59,7 +59,7 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
     """The datagram, signed with the master's key.
 
     Raises:
-        AnnouncementRefused: what `open_announcement` would refuse, or more than one datagram.
+        AnnouncementRefused: what `read_claim` would refuse, or more than one datagram.
     """
     _check(announcement)
     certificates: list[Value] = [*chain]
@@ -133,23 +133,6 @@ def read_claim(data: bytes, now: int) -> Claim:
     if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
         raise AnnouncementRefused("an announcement of another time", "check both clocks")
     return Claim(data, announcement, tuple(chain))
-
-
-def open_announcement(
-    data: bytes, anchor: TrustAnchor, revoked: frozenset[bytes], now: int
-) -> tuple[Announcement, Identity]:
-    """Verify an untrusted datagram.
-
-    Args:
-        revoked: thumbprints and grant ids known to be revoked, fresh or not: there is no
-            newer list before a master is reached.
-
-    Raises:
-        AnnouncementRefused: not the master of this trust domain, revoked, outdated, or malformed.
-    """
-    claim = read_claim(data, now)
-    identity = claim.verify_chain(anchor, revoked, now)
-    return claim.verify(identity), identity
 
 
 def _foreign(error: CAError) -> AnnouncementRefused:

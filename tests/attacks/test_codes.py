@@ -34,7 +34,7 @@ def enroll(shell: Shell, robot: WaitingRobot, *more: str) -> Said:
 
 
 def certificates(shell: Shell, name: str) -> list[bytes]:
-    rows = AuthorityHome.at(shell.root).store().certificates()
+    rows = AuthorityHome.at(shell.root).store().identities.all()
     return [row.der for row in rows if row.name == name]
 
 

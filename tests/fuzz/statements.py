@@ -237,7 +237,8 @@ ANNOUNCEMENT: Final = announcement.sign(
 
 def _announcement(body: bytes) -> None:
     signed = seal(announcement.PROFILE, MASTER, body)
-    announcement.open_announcement(signed, HOME.anchor, frozenset(), NOW)
+    claim = announcement.read_claim(signed, NOW)
+    claim.verify(claim.verify_chain(HOME.anchor, frozenset(), NOW))
 
 
 def _query(structure: bytes) -> None:

@@ -111,7 +111,7 @@ def check(directory: Path, before: int) -> None:
     """The invariants, however the previous process ended."""
     with closing(opened(directory).store) as store:
         store.log.audit(ROOT.public_key)
-        ders = [row.der for row in store.certificates()]
+        ders = [row.der for row in store.identities.all()]
         assert before <= len(ders) <= before + 1, "an identity was lost, or there are two"
         for out in directory.glob("*.pem"):
             data = out.read_bytes()

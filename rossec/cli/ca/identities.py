@@ -6,8 +6,8 @@ from typing import Any
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
+from ca.store.identities import CertificateRow
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
 from rossec import files
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
@@ -21,8 +21,8 @@ from rossec.terminal import say, say_json
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
     """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
-    with store.read_transaction():
-        rows, revoked = store.certificates(), store.revoked_entries()
+    with store.database.read_transaction():
+        rows, revoked = store.identities.all(), store.revoked_entries()
         in_force = store.identities.with_valid_issuer(rows)
     valid = {row.serial for row in in_force if row.thumbprint not in revoked}
     newest = {row.name: row.serial for row in rows if row.serial in valid}

@@ -83,8 +83,8 @@ def subject_of(environment: Environment, node: str) -> Subject:
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
         try:
-            name = store.certified_name(node, now())
-            rows = [row for row in store.certificates() if row.name == name]
+            name = store.identities.certified_name(node, now())
+            rows = [row for row in store.identities.all() if row.name == name]
         finally:
             store.close()
         if rows:

@@ -106,7 +106,9 @@ def _with_certified_names(environment: Environment, seen: list[Observation]) -> 
     if not (environment.home / "ca" / "ca.pem").exists():
         return seen
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        named = (replace(item, node=store.certified_name(item.node, now())) for item in seen)
+        named = (
+            replace(item, node=store.identities.certified_name(item.node, now())) for item in seen
+        )
         return list(dict.fromkeys(named))
 
 

@@ -38,18 +38,12 @@ class Holder(NamedTuple):
     inode: int
 
 
-def user_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> int | None:
-    """The user of the socket bound to `local` and connected to `remote`; None: there is none. Pure.
+def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holder | None:
+    """The holder of the socket bound to `local` and connected to `remote`; None: none. Pure.
 
     `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
     too (::ffff:127.0.0.1): either side may use a dual-stack socket.
     """
-    found = holder_in(tables, local, remote)
-    return None if found is None else found.user
-
-
-def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holder | None:
-    """Like `user_in`, with the socket's inode. Pure."""
     wanted = {f"{_hex(local, mapped)} {_hex(remote, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
     found = [holder for row, holder in _rows(tables) if row in wanted]
     return found[0] if len({holder.user for holder in found}) == 1 else None

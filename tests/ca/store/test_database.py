@@ -14,7 +14,7 @@ import pytest
 from ca.errors import RecordUnusable, StoreError
 from ca.store import database as module
 from ca.store.database import Database
-from ca.store.log import append_entry
+from ca.store.schema import append_entry
 
 NOW = 1_800_000_000
 

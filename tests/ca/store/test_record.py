@@ -7,7 +7,8 @@ import pytest
 
 from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
-from ca.store.record import CertificateRow, GrantRow, Store
+from ca.store.identities import CertificateRow
+from ca.store.record import GrantRow, Store
 from tests.support.pki import Site, new_signer
 
 NOW, DAY = 1_800_000_000, 86_400
@@ -61,7 +62,7 @@ def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
     store.save_list((1, 1), b"list", NOW)
     store.close()
     again = Store.open(path)
-    assert again.certificates() == [largest]
+    assert again.identities.all() == [largest]
     assert again.grants() == [grant()]
     assert again.revoked_entries() == {OTHER}
     assert again.newest_list() == b"list"
@@ -116,7 +117,7 @@ def test_a_name_keeps_its_key(store: Store) -> None:
     with pytest.raises(KeyChanged, match="/a has an identity with another key") as caught:
         store.add_certificate(certificate(4, key=OTHER), NOW + DAY)
     assert "--replace-key /a" in caught.value.hint
-    assert [row.serial for row in store.certificates()] == [1, 2, 3]
+    assert [row.serial for row in store.identities.all()] == [1, 2, 3]
     store.add_certificate(certificate(4, key=OTHER), NOW, replace_key="/a")
 
 
@@ -132,7 +133,7 @@ def test_a_revoked_key_is_not_certified_again(store: Store) -> None:
     with pytest.raises(StoreError, match="the key of /a is revoked") as caught:
         store.add_certificate(certificate(), NOW, replace_key="/a")
     assert "new key" in caught.value.hint
-    assert store.certificates() == []
+    assert store.identities.all() == []
 
 
 def test_the_newest_live_certificate(store: Store) -> None:
@@ -251,13 +252,13 @@ def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
     store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
     store.add_certificate(real(2, "/plain", OTHER), NOW)
     names = {"/rviz": "/rviz", "/rviz_1": "/rviz", "/plain_1": "/plain_1", "/new": "/new"}
-    assert {name: store.certified_name(name, NOW) for name in names} == names
+    assert {name: store.identities.certified_name(name, NOW) for name in names} == names
     with pytest.raises(StoreError, match="/rviz_1 has no valid identity") as caught:
         store.valid_certificate("/rviz_1", NOW)
     assert caught.value.hint == "it is one of the anonymous nodes of /rviz: name that"
-    assert store.certified_name("/rviz_1", NOW + DAY + 1) == "/rviz_1"
+    assert store.identities.certified_name("/rviz_1", NOW + DAY + 1) == "/rviz_1"
     store.revoke(KEY, "lost", NOW)
-    assert store.certified_name("/rviz_1", NOW) == "/rviz_1"
+    assert store.identities.certified_name("/rviz_1", NOW) == "/rviz_1"
 
 
 def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> None:

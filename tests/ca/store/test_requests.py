@@ -7,9 +7,9 @@ import pytest
 from ca.errors import KeyChanged, NameContested, NameCovered, RequestClosed, StoreError
 from ca.requests import IdentityRequest, build_request, check_request
 from ca.store import requests as request_record
+from ca.store.identities import CertificateRow
 from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
 from tests.support.pki import NOW, new_signer
 
 
@@ -77,7 +77,7 @@ def test_never_two_certificates_for_one_request(store: Store) -> None:
     with pytest.raises(RequestClosed, match="has its certificate already") as caught:
         store.requests.add(request, der, "again", NOW + 30 * DAY)
     assert "rossec ca renew /a" in caught.value.hint
-    assert len(store.certificates()) == 1
+    assert len(store.identities.all()) == 1
 
 
 def test_only_what_was_approved_is_issued(store: Store) -> None:
@@ -89,7 +89,7 @@ def test_only_what_was_approved_is_issued(store: Store) -> None:
         issue(store, request)
     with pytest.raises(RequestClosed, match="the request is not recorded"):
         issue(store, asked()[0])
-    assert store.certificates() == []
+    assert store.identities.all() == []
 
 
 def test_what_was_approved_can_still_be_denied(store: Store) -> None:

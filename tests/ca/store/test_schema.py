@@ -40,7 +40,7 @@ def shape(db: sqlite3.Connection) -> list[tuple[str, str]]:
 def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
     with closing(Store.open(old)) as store:
         count = len(oldstore.KEYS)
-        assert [row.thumbprint for row in store.certificates()] == oldstore.KEYS
+        assert [row.thumbprint for row in store.identities.all()] == oldstore.KEYS
         assert [row.id for row in store.grants()] == [key[:16] for key in oldstore.KEYS]
         assert store.revoked_entries() == {key[:16] for key in oldstore.KEYS}
         assert store.next_number() == (1, count + 1)

@@ -3,10 +3,20 @@
 import re
 from pathlib import Path
 
-from rossec.channel.states import HANDSHAKING, TABLE, WITHOUT_FRAME, ConnectionState
+from rossec.channel.states import HANDSHAKING, TABLE, ConnectionState
 
 _ROOT = Path(__file__).parents[3]
 _SPEC = (_ROOT / "docs" / "spec" / "channel.md").read_text()
+WITHOUT_FRAME = (
+    (ConnectionState.OPENING, ConnectionState.DRAINING, "plain caller"),
+    (ConnectionState.OPENING, ConnectionState.WAIT_1, "opening (responder)"),
+    (ConnectionState.OPENING, ConnectionState.WAIT_2, "answer (initiator)"),
+    (ConnectionState.DRAINING, ConnectionState.CLOSED, "refusal sent"),
+    (ConnectionState.WAIT_4, ConnectionState.CLOSING, "close()"),
+    (ConnectionState.OPEN, ConnectionState.CLOSING, "close()"),
+    (ConnectionState.CLOSING, ConnectionState.CLOSED, "end of TCP"),
+)
+"""Transitions without a frame; and from every state, any error leads to CLOSED."""
 
 
 def diagram() -> str:

@@ -1,8 +1,9 @@
 import pytest
 
+from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.discovery.announcement import MAX_SIZE, PROFILE, Announcement, open_announcement, sign
+from rossec.discovery.announcement import MAX_SIZE, PROFILE, Announcement, read_claim, sign
 from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
 from tests.support.site import Site
@@ -11,6 +12,14 @@ NONE_REVOKED: frozenset[bytes] = frozenset()
 GOOD: dict[int | str, Value] = {
     6: NOW, -70005: 15, -70011: "192.0.2.7", -70012: 11311, -70013: b"instance", -70014: 0,
 }  # fmt: skip
+
+
+def open_announcement(
+    data: bytes, anchor: TrustAnchor, revoked: frozenset[bytes], now: int
+) -> tuple[Announcement, Identity]:
+    claim = read_claim(data, now)
+    identity = claim.verify_chain(anchor, revoked, now)
+    return claim.verify(identity), identity
 
 
 def test_what_is_signed_is_read(make: Make, site: Site) -> None:

@@ -6,7 +6,7 @@ from tests.support.commands import Shell
 
 
 def key_of(shell: Shell, name: str) -> bytes:
-    rows = AuthorityHome.at(shell.root).store().certificates()
+    rows = AuthorityHome.at(shell.root).store().identities.all()
     return next(row.thumbprint for row in reversed(rows) if row.name == name)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from rossec.errors import PeerUserRefused
 from rossec.net.host import peeruid, sockdiag
-from rossec.net.host.peeruid import require_user, user_in, user_of
+from rossec.net.host.peeruid import Holder, holder_in, require_user, user_of
 
 HEAD: Final = "  sl  local_address rem_address   st ..."
 V4: Final = "0100007F:1F90 0100007F:A0B0"
@@ -47,8 +47,8 @@ little_endian = pytest.mark.skipif(sys.byteorder != "little", reason="rows of su
 )
 def test_the_row_is_found(pair: str, local: tuple[str, int], remote: tuple[str, int]) -> None:
     other = row(V4.replace("1F90", "1F91"), uid=5)
-    assert user_in([table(other), table(row(pair))], local, remote) == 1000
-    assert user_in([table(row(pair))], remote, local) is None
+    assert holder_in([table(other), table(row(pair))], local, remote) == Holder(1000, 77)
+    assert holder_in([table(row(pair))], remote, local) is None
 
 
 @little_endian
@@ -65,7 +65,7 @@ def test_the_row_is_found(pair: str, local: tuple[str, int], remote: tuple[str, 
     ],
 )
 def test_other_rows_do_not_match(rows: list[str]) -> None:
-    assert user_in([table(*rows)], NEAR, FAR) is None
+    assert holder_in([table(*rows)], NEAR, FAR) is None
 
 
 @contextmanager

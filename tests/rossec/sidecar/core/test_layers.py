@@ -62,6 +62,7 @@ def test_what_is_no_uri_is_left_out(setup: AgentSetup) -> None:
 def test_publishers_stay_for_their_grace_period(setup: AgentSetup) -> None:
     follow = setup.agent.followed_publishers
     assert follow("/scan", [PEER.uri, 7]) == [PEER.uri]
+    setup.agent.publisher_grace.session_opened()
     assert follow("/scan", []) == [PEER.uri]
     assert follow("/other", "no list") == []
     assert follow(7, [PEER.uri]) == [PEER.uri]
