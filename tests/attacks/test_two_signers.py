@@ -27,7 +27,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import renew
 from rossec.home import NodeHome
 from rossec.master.server.start import master_of
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.attacker import call
 from tests.support.commands import PASSPHRASE, Shell
 

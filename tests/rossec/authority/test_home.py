@@ -12,7 +12,7 @@ from ca.store.record import Store
 from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
 from rossec.authority.signing import OWN_NODE
 from rossec.errors import ConfigurationError
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
