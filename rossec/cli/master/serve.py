@@ -21,8 +21,8 @@ from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort
 from rossec.master.operation.audit import audit_written
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_log import DenialLog, ignore_denial
 from rossec.master.operation.denial_limit import denials_limited
+from rossec.master.operation.denial_log import DenialLog, ignore_denial
 from rossec.master.operation.json_log import log_as_json
 from rossec.master.operation.metrics import MetricsExporter, on_loop
 from rossec.master.operation.process import (

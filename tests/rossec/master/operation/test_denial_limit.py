@@ -6,7 +6,12 @@ from collections.abc import Mapping
 import pytest
 
 from rossec.master.operation.audit import LEFT_OUT
-from rossec.master.operation.denial_limit import denials_limited, DENIALS, DENIALS, MAX_NODES, DenialRateLimit
+from rossec.master.operation.denial_limit import (
+    DENIALS,
+    MAX_NODES,
+    DenialRateLimit,
+    denials_limited,
+)
 
 
 class Lines:
