@@ -19,21 +19,15 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort
-from rossec.master.operation.audit import audit_written
+from rossec.master.operation.audit_log import audit_written, denials_limited
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_limit import denials_limited
 from rossec.master.operation.denial_log import DenialLog, ignore_denial
+from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 from rossec.master.operation.json_log import log_as_json
 from rossec.master.operation.metrics import MetricsExporter, on_loop
-from rossec.master.operation.process import (
-    READY,
-    STOPPING,
-    notify,
-    process_lock,
-    raise_descriptor_limit,
-    stop_on_signals,
-    until_first_ends,
-)
+from rossec.master.operation.process_lock import process_lock
+from rossec.master.operation.shutdown import stop_on_signals, until_first_ends
+from rossec.master.operation.systemd import READY, STOPPING, notify
 from rossec.master.rights.statements import Renewer
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of

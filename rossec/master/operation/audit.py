@@ -16,8 +16,8 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +29,6 @@ from rossec.errors import ConfigurationError
 from rossec.master.operation.audit_mark import FIRST, mark
 from rossec.ros.text import printable
 
-AUDIT: Final = "rossec.audit"
 LEFT_OUT: Final = "left_out"
 SYNC_EVERY: Final = 1.0  # seconds
 LINE_LIMIT: Final = 8 * 1024
@@ -203,25 +202,3 @@ class AuditFile(logging.Handler):
         lines = tail[: len(tail) - torn].decode(errors="replace").splitlines()
         entries, _ = read_entries(lines)  # the first may be incomplete
         return (entries[-1]["hash"] if entries else FIRST), torn
-
-
-@contextmanager
-def audit_written(path: Path, signer: Signer) -> Iterator[None]:
-    """Write what is logged to `rossec.audit` to the audit file at `path`.
-
-    Raises:
-        PathRefused, OSError: as of `AuditFile`.
-    """
-    handler = AuditFile(path, signer=signer)
-    log, root = logging.getLogger(AUDIT), logging.getLogger()
-    level = log.level
-    log.setLevel(logging.INFO)
-    for other in root.handlers:  # the other handlers write no more than without an audit
-        other.setLevel(max(other.level, root.level))
-    log.addHandler(handler)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
-        log.removeHandler(handler)
-        handler.close()

@@ -10,8 +10,7 @@ that were left out is recorded in the next line of that node.
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -85,14 +84,3 @@ class DenialRateLimit(logging.Filter):
                 self._nodes.popitem(last=False)
         self._nodes.move_to_end(node)
         return budget
-
-
-@contextmanager
-def denials_limited() -> Iterator[None]:
-    """Limit the rate of the lines that nodes cause."""
-    limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
-    log.addFilter(limit)
-    try:
-        yield
-    finally:
-        log.removeFilter(limit)

@@ -6,12 +6,7 @@ from collections.abc import Mapping
 import pytest
 
 from rossec.master.operation.audit import LEFT_OUT
-from rossec.master.operation.denial_limit import (
-    DENIALS,
-    MAX_NODES,
-    DenialRateLimit,
-    denials_limited,
-)
+from rossec.master.operation.denial_limit import DENIALS, MAX_NODES, DenialRateLimit
 
 
 class Lines:
@@ -85,11 +80,3 @@ def test_lines_without_a_node_are_limited(
 
 def test_the_logger_is_a_child_of_the_audits() -> None:
     assert logging.getLogger(DENIALS).parent is logging.getLogger("rossec.audit")
-
-
-def test_denials_are_limited_while_the_context_lasts() -> None:
-    log = logging.getLogger(DENIALS)
-    filters = list(log.filters)
-    with denials_limited():
-        assert len(log.filters) == len(filters) + 1
-    assert log.filters == filters

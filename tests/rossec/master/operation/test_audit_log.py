@@ -6,7 +6,8 @@ import pytest
 
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
-from rossec.master.operation.audit import AUDIT, audit_written
+from rossec.master.operation.audit_log import AUDIT, audit_written, denials_limited
+from rossec.master.operation.denial_limit import DENIALS
 
 
 @pytest.fixture
@@ -33,3 +34,11 @@ def test_other_handlers_write_no_more_than_without_an_audit(
     monkeypatch.setattr(root, "level", logging.WARNING)
     with audit_written(tmp_path / "audit.log", signer):
         assert other.level == logging.WARNING
+
+
+def test_denials_are_limited_while_the_context_lasts() -> None:
+    log = logging.getLogger(DENIALS)
+    filters = list(log.filters)
+    with denials_limited():
+        assert len(log.filters) == len(filters) + 1
+    assert log.filters == filters
