@@ -17,8 +17,8 @@ from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
 from ca.revocation.state import RevocationList, open_statement
 from ca.revocation.tree import is_tree
-from ca.store.identities import INTERMEDIATE
 from ca.store.lifecycle import RequestRow, RequestState
+from ca.store.rows import INTERMEDIATE
 from grants.model import Draft, Grant, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock

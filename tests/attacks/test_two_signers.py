@@ -22,7 +22,7 @@ from ca.requests import build_request
 from ca.revocation.lists import MAX_ENTRIES, RevocationList
 from ca.revocation.state import open_statement, sign_list
 from ca.revocation.tree import TreeEntries, is_tree
-from ca.store.identities import CertificateRow
+from ca.store.record import CertificateRow
 from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import renew
 from rossec.home import NodeHome
