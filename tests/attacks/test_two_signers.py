@@ -86,7 +86,7 @@ def listed(home: AuthorityHome) -> frozenset[bytes]:
     """What the newest signed statement revokes, a tree by its own entries."""
     data = home.revocation_list()
     if is_tree(data):
-        return TreeEntries.read(home.tree_entries()).entries
+        return TreeEntries.read(home.newest_statement()[1]).entries
     found = open_statement(data, home.anchor().public_key)
     assert isinstance(found, RevocationList)
     return found.entries
