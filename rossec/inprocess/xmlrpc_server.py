@@ -62,7 +62,7 @@ class XmlRpcServer:
         try:
             peer = stream.do_handshake()
             caller = peer.name
-            self._process.connections.admit(stream, peer, stream.shutdown)
+            self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
             self._serve(server, stream, peer)
         except ChannelClosed:
             pass

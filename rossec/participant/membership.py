@@ -4,15 +4,15 @@ On each connection to the master it renews the node's grants, presents them, and
 registered again. Meanwhile it takes grants that arrive in the node's directory, renews grants and
 the identity, requests proofs, and takes revocation data. A list is on disk before it is used.
 
-What a form registers is behind `MembershipHooks`, what it closes behind `Watchdog`. Fail closed: if
-a task crashes, connections might not be closed any more, so the form closes all (`crashed`).
+What a form registers is behind `MembershipHooks`. Fail closed: if a task crashes, connections might
+not be cut any more, so the form closes all (`crashed`).
 """
 
 import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -23,12 +23,14 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.participant.access_interfaces import HeldGrants
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_proofs import Provable, prove
+from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_revocations import saved_revocations
 
@@ -74,18 +76,11 @@ class MembershipAccess(HeldGrants, Provable, Protocol):
     ) -> None:
         """See `Access.update_revocations`."""
 
+    def expire_confirmation(self, until: int) -> None:
+        """See `Access.expire_confirmation`."""
+
     def current(self, now: int) -> list[bytes]:
         """See `Access.current`."""
-
-
-class Watchdog(Protocol):
-    """Closes the connections of a node; see `ConnectionWatchdog`."""
-
-    async def run(self) -> None:
-        """Close connections when they must end, until cancelled."""
-
-    def close_terminated(self, now: int) -> None:
-        """Close what must end at `now`; the only call from outside the loop."""
 
 
 class MembershipHooks(Protocol):
@@ -112,6 +107,7 @@ class Membership:
 
     Args:
         access: of `identity`; with a lock if threads share it.
+        connections: cut when they must end.
         grace: the publishers that a restarted master may not list yet.
 
     Attributes:
@@ -124,13 +120,13 @@ class Membership:
         self,
         identity: LoadedIdentity,
         access: MembershipAccess,
-        watchdog: Watchdog,
+        connections: ConnectionTable[Any],
         grace: PublisherGrace,
         hooks: MembershipHooks,
     ) -> None:
         self._identity = identity
         self._access = access
-        self._watchdog = watchdog
+        self._connections = connections
         self._grace = grace
         self._hooks = hooks
         self._grant_directory = GrantDirectory(identity.home, access)
@@ -158,7 +154,8 @@ class Membership:
             opening: opens the session; None: it is open.
         """
         name = self._identity.name
-        self.tasks.spawn(self._watchdog.run(), f"{name}: watchdog")
+        watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
+        self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
         self.tasks.spawn(self._run_session(opening), f"{name}: master session")
         self.tasks.spawn(self._maintain(), f"{name}: maintenance")
 
@@ -179,7 +176,7 @@ class Membership:
                 revocations, timestamp, master, now, self._identity.home.save_revocations
             )
         finally:  # the list takes effect even when the timestamp is refused
-            self._watchdog.close_terminated(now)
+            self._connections.cut_ended(now)
             if self._identity.revocations.data != before:
                 self.rights_version += 1
 
@@ -219,7 +216,7 @@ class Membership:
             await self._hooks.rights_changed()
         await renew_identity(call, self._identity_renewal, clock.now())
         if await prove(call, self._access):
-            self._watchdog.close_terminated(clock.now())
+            self._connections.cut_ended(clock.now())
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:
