@@ -158,13 +158,13 @@ class BackgroundLoop:
 
     async def restore(self) -> None:
         """Make every registration again."""
-        for method, params in self._registrations.all():
+        for method, params in self._registrations.table:
             await self._register(method, params)
         self._ready.set()
 
     async def rights_changed(self) -> None:
         """Make the registrations again that the master refused."""
-        for method, params in self._registrations.refused():
+        for method, params in self._registrations.table.refused():
             await self._register(method, params)
 
     def maintain(self) -> None:

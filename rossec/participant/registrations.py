@@ -18,6 +18,7 @@ UNREGISTERS: Final = {
     "unregisterService": "registerService",
     "unsubscribeParam": "subscribeParam",
 }
+REGISTERS: Final = frozenset(UNREGISTERS.values())
 _ADDRESS: Final = {
     "registerPublisher": 3, "registerSubscriber": 3, "registerService": 2, "subscribeParam": 1,
     "unregisterPublisher": 2, "unregisterSubscriber": 2, "unregisterService": 2,
@@ -26,7 +27,7 @@ _ADDRESS: Final = {
 """Index of the address that is registered: of the service, else of the slave API."""
 
 
-class Registrations:
+class RegistrationTable:
     """The registrations of one name."""
 
     def __init__(self) -> None:

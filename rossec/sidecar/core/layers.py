@@ -14,6 +14,7 @@ from rossec.errors import RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import FindDefinition
 from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.registrations import RegistrationTable
 from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
 from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
 from rossec.sidecar.core.events import Event, Opened
@@ -31,7 +32,7 @@ class Program:
     """A program's slave API: the name it registered under, and its registrations."""
 
     name: str
-    registrations: dict[tuple[str, str], tuple[object, ...]] = field(default_factory=dict)
+    registrations: RegistrationTable = field(default_factory=RegistrationTable)
 
 
 @dataclass

@@ -5,6 +5,7 @@ not name again within their grace period.
 """
 
 from rossec.errors import HangUp
+from rossec.participant.caller_names import RELATIVE_NAME
 from rossec.ros.names import MASTER
 from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint
@@ -21,26 +22,27 @@ def restore(agent: AgentState) -> Layer[None]:
     for own_api, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             continue
-        for (method, key), params in tuple(program.registrations.items()):
-            yield from _register_again(agent, own_api, method, key, params)
+        for method, params in program.registrations:
+            yield from _register_again(agent, own_api, method, params)
 
 
 def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
     """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
     for own_api, program in tuple(agent.programs.items()):
-        params = program.registrations.get((SUBSCRIBE, topic))
+        params = program.registrations.find(SUBSCRIBE, topic)
         if params is not None:
-            yield from _register_again(agent, own_api, SUBSCRIBE, topic, params)
+            yield from _register_again(agent, own_api, SUBSCRIBE, params)
 
 
 def _register_again(
-    agent: AgentState, own_api: Endpoint, method: str, key: str, params: tuple[object, ...]
+    agent: AgentState, own_api: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[None]:
     event = yield CallMaster(method, params)
     match event:
         case Answered(value=[1, _, value]) if method == SUBSCRIBE:
-            publishers = agent.followed_publishers(key, value)
-            yield from _update_publishers(agent, own_api, key, publishers)
+            topic = str(params[RELATIVE_NAME[SUBSCRIBE]])
+            publishers = agent.followed_publishers(topic, value)
+            yield from _update_publishers(agent, own_api, topic, publishers)
         case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
@@ -51,7 +53,7 @@ def drop_expired_publishers(agent: AgentState) -> Layer[None]:
     """Update the subscribers of topics whose publishers the master did not name again in time."""
     for topic in agent.publisher_grace.expired_topics():
         for own_api, program in tuple(agent.programs.items()):
-            if (SUBSCRIBE, topic) in program.registrations:
+            if program.registrations.find(SUBSCRIBE, topic) is not None:
                 publishers = agent.publisher_grace.to_follow(topic)
                 yield from _update_publishers(agent, own_api, topic, publishers)
 

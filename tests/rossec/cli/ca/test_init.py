@@ -22,3 +22,10 @@ def test_one_authority_per_home(shell: Shell) -> None:
 def test_a_trust_domain_has_its_syntax(empty: Shell) -> None:
     refused(empty.unlocked("ca", "init", "My Home!"), "not a trust domain", "lower case")
     refused(empty("ca", "show"), "there is no authority", "rossec ca init DOMAIN")
+
+
+def test_a_key_in_a_token_is_named_by_its_uri(empty: Shell) -> None:
+    refused(
+        empty.unlocked("ca", "init", "home", "--key", "file:x"), "does not name a key in a token"
+    )
+    assert not (empty.root / "ca").exists()
