@@ -23,7 +23,7 @@ from rossec.participant import slave_api
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, SlaveApi
+from rossec.participant.slave_api import SlaveApi
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.participant.topic_handshake import (
     admit_subscriber,
@@ -31,7 +31,8 @@ from rossec.participant.topic_handshake import (
     publisher_header,
     requested_topic,
 )
-from rossec.ros import header
+from rossec.ros import header, names
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
@@ -109,7 +110,7 @@ class Listener:
         try:
             self._access.check_peer(peer, now)
             match method, params:
-                case "rossec.presentGrants", (_, bytes() as grants):
+                case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented[:] = [grants]
                     return [1, "", 0]
                 case _:

@@ -31,11 +31,11 @@ from rossec.participant.master_session import MasterSession
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_proofs import Provable, prove
 from rossec.participant.revocation_watch import ConnectionWatchdog
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_revocations import saved_revocations
 
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
-PRESENT: Final = "rossec.presentGrants"
 MAX_PRESENTED: Final = 64  # the master stores this many of one node
 
 _log = logging.getLogger("rossec.node")
@@ -190,7 +190,7 @@ class Membership:
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
-        await session.call(PRESENT, self._access.current(clock.now())[:MAX_PRESENTED])
+        await session.call(PRESENT_GRANTS, self._access.current(clock.now())[:MAX_PRESENTED])
         await self._hooks.restore()
 
     async def _maintain(self) -> None:
@@ -208,7 +208,7 @@ class Membership:
         """Present `new` grants, renew what is due, request proofs."""
         call = self.session.call
         if new:
-            await call(PRESENT, new)
+            await call(PRESENT_GRANTS, new)
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
             self.rights_version += 1

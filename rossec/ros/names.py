@@ -14,6 +14,8 @@ SEPARATOR: Final = "/"
 PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
 MASTER: Final = "/master"  # the name a master is certified for
+PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
+REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node
 
 
 def canonical(name: str) -> str:

@@ -22,9 +22,9 @@ from rossec.net.rpc.client import serve_calls
 from rossec.participant import slave_api
 from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.limit_memory import memory_scope
-from rossec.participant.slave_rights import MASTER
 from rossec.participant.topic_guard import FilterKey
-from rossec.ros import header
+from rossec.ros import header, names
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from rossec.sidecar import pump
 from rossec.sidecar.connector import PeerConnector
 from rossec.sidecar.core import slave_calls, tcpros
@@ -39,7 +39,6 @@ from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
-REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
 
 _log = logging.getLogger("rossec.sidecar")
 RevocationsHandler = Callable[[bytes, bytes, Identity], None]
@@ -122,9 +121,9 @@ class Ingress:
         async def dispatch(method: str, params: tuple[object, ...], peer: Identity) -> object:
             try:
                 match method, params:
-                    case "rossec.revocationUpdate", (_, bytes() as data, bytes() as timestamp):
+                    case names.REVOCATION_UPDATE, (_, bytes() as data, bytes() as timestamp):
                         return self._take_revocations(peer, data, timestamp)
-                    case "rossec.presentGrants", (_, bytes() as grants):
+                    case names.PRESENT_GRANTS, (_, bytes() as grants):
                         presented[:] = [grants]
                     case _:
                         pass

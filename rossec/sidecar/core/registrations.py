@@ -4,17 +4,14 @@ For a restarted master, for topics whose connection ended, and for publishers th
 not name again within their grace period.
 """
 
-from typing import Final
-
 from rossec.errors import HangUp
 from rossec.participant.caller_names import RELATIVE_NAME
+from rossec.ros.names import MASTER
 from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.core.events import Answered, Event, NoAnswer
 from rossec.sidecar.core.layers import AgentState, Layer
 from rossec.sidecar.core.master_calls import SUBSCRIBE
-
-_MASTER: Final = "/master"
 
 
 def restore(agent: AgentState) -> Layer[None]:
@@ -67,7 +64,7 @@ def _update_publishers(
     """Send a publisherUpdate to a program that may have ended."""
     uris = yield from agent.egress_uris(publishers, own_api)
     yield from _is_gone(
-        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (_MASTER, topic, uris)))
+        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))
     )
 
 

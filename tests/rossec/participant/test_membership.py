@@ -22,7 +22,7 @@ from rossec.participant.access import Access
 from rossec.participant.dialer import Dialer
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below

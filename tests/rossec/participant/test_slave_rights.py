@@ -9,7 +9,8 @@ from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import CallRefused
 from rossec.participant.access import Access
-from rossec.participant.slave_rights import MASTER, MASTER_ONLY, SLAVE_CALLS, check_slave_call
+from rossec.participant.slave_rights import MASTER_ONLY, SLAVE_CALLS, check_slave_call
+from rossec.ros.names import MASTER
 from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
 
