@@ -2,6 +2,7 @@
 
 import ast
 import io
+import itertools
 import re
 import tokenize
 from collections.abc import Iterator
@@ -286,3 +287,48 @@ def test_no_text_has_a_word_that_was_given_up() -> None:
         if RETIRED_PHRASE.search(line) and not PUBLIC.search(line)
     ]
     assert found == []
+
+
+FORMS: Final = ("node", "inprocess", "sidecar")
+EQUAL_LINES: Final = 12
+"""The longest run of equal lines in two forms of a node; more is one idea, for `participant`."""
+
+
+def significant_lines(path: Path) -> list[str]:
+    """Stripped lines, without blank ones and imports."""
+    text = path.read_text()
+    imported = {
+        number
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.stmt) and type(node).__name__.startswith("Import")
+        for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
+    return [line for number, line in lines if line and number not in imported]
+
+
+def runs(form: str, length: int) -> dict[tuple[str, ...], str]:
+    """Every run of so many lines in a form, with a file it is in."""
+    return {
+        tuple(lines[start : start + length]): named(path)
+        for path in sorted((ROOT / "rossec" / form).rglob("*.py"))
+        for lines in [significant_lines(path)]
+        for start in range(len(lines) - length + 1)
+    }
+
+
+def equal_runs(length: int) -> list[tuple[str, str, str]]:
+    found = {form: runs(form, length) for form in FORMS}
+    return [
+        (found[one][run], found[other][run], run[0])
+        for one, other in itertools.combinations(FORMS, 2)
+        for run in found[one].keys() & found[other].keys()
+    ]
+
+
+def test_no_form_of_a_node_repeats_another() -> None:
+    assert equal_runs(EQUAL_LINES + 1) == []
+
+
+def test_a_repeated_line_is_found() -> None:
+    assert equal_runs(1)

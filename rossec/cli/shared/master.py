@@ -11,8 +11,8 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
-from rossec.participant.slave_api import MASTER
 from rossec.ros import settings
+from rossec.ros.names import MASTER
 
 
 def master_at(environment: Environment, master_uri: str | None = None) -> str:

@@ -9,13 +9,14 @@ from typing import Final
 
 from grants.model import Right
 from rossec.errors import HangUp
+from rossec.participant.caller_names import RELATIVE_NAME
+from rossec.ros.names import MASTER
 from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.core.events import Answered, Event, NoAnswer
 from rossec.sidecar.core.layers import AgentState, Layer
 from rossec.sidecar.core.master_calls import SUBSCRIBE
 
-_MASTER: Final = "/master"
 _RIGHTS: Final = {
     "registerPublisher": Right.PUBLISH, SUBSCRIBE: Right.SUBSCRIBE, "registerService": Right.PROVIDE
 }  # fmt: skip
@@ -29,16 +30,16 @@ def restore(agent: AgentState) -> Layer[None]:
     for own_api, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             continue
-        for (method, key), params in tuple(program.registrations.items()):
-            yield from _register_again(agent, own_api, method, key, params)
+        for method, params in program.registrations:
+            yield from _register_again(agent, own_api, method, params)
 
 
 def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
     """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
     for own_api, program in tuple(agent.programs.items()):
-        params = program.registrations.get((SUBSCRIBE, topic))
+        params = program.registrations.find(SUBSCRIBE, topic)
         if params is not None:
-            yield from _register_again(agent, own_api, SUBSCRIBE, topic, params)
+            yield from _register_again(agent, own_api, SUBSCRIBE, params)
 
 
 def rights_changed(agent: AgentState, holds: Callable[[Right, str], bool]) -> Layer[None]:
@@ -48,29 +49,30 @@ def rights_changed(agent: AgentState, holds: Callable[[Right, str], bool]) -> La
     """
     for own_api, program in tuple(agent.programs.items()):
         wanted = [
-            (method, key, params)
-            for (method, key), params in {**program.registrations, **program.refused}.items()
-            if method in _RIGHTS and holds(_RIGHTS[method], key)
+            (method, params)
+            for method, params in program.registrations
+            if method in _RIGHTS and holds(_RIGHTS[method], str(params[RELATIVE_NAME[method]]))
         ]
         if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
-            for method, key, params in wanted:
-                yield from _register_again(agent, own_api, method, key, params)
+            for method, params in wanted:
+                yield from _register_again(agent, own_api, method, params)
 
 
 def _register_again(
-    agent: AgentState, own_api: Endpoint, method: str, key: str, params: tuple[object, ...]
+    agent: AgentState, own_api: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[None]:
     event = yield CallMaster(method, params)
     program = agent.programs.get(own_api)
     match event:
         case Answered(value=[1, _, _]) if program is not None:
-            program.accept(method, key, params)
+            program.registrations.record(method, params)
         case _:
             pass
     match event:
         case Answered(value=[1, _, value]) if method == SUBSCRIBE:
-            publishers = agent.followed_publishers(key, value)
-            yield from _update_publishers(agent, own_api, key, publishers)
+            topic = str(params[RELATIVE_NAME[SUBSCRIBE]])
+            publishers = agent.followed_publishers(topic, value)
+            yield from _update_publishers(agent, own_api, topic, publishers)
         case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
@@ -81,7 +83,7 @@ def drop_expired_publishers(agent: AgentState) -> Layer[None]:
     """Update the subscribers of topics whose publishers the master did not name again in time."""
     for topic in agent.publisher_grace.expired_topics():
         for own_api, program in tuple(agent.programs.items()):
-            if (SUBSCRIBE, topic) in program.registrations:
+            if program.registrations.find(SUBSCRIBE, topic) is not None:
                 publishers = agent.publisher_grace.to_follow(topic)
                 yield from _update_publishers(agent, own_api, topic, publishers)
 
@@ -92,7 +94,7 @@ def _update_publishers(
     """Send a publisherUpdate to a program that may have ended."""
     uris = yield from agent.egress_uris(publishers, own_api)
     yield from _is_gone(
-        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (_MASTER, topic, uris)))
+        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))
     )
 
 

@@ -7,9 +7,9 @@ import pytest
 from ca.errors import KeyChanged, NameContested, NameCovered, RequestClosed, StoreError
 from ca.requests import IdentityRequest, build_request, check_request
 from ca.store import requests as request_record
-from ca.store.identities import CertificateRow
 from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
+from ca.store.rows import CertificateRow
 from tests.support.pki import NOW, new_signer
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from ca.errors import RevocationRefused
 from ca.revocation.tree import RevocationTree, sign_tree
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.settings import parse_uri
 from tests.support.site import DAY, Site
 from tests.support.witness import until

@@ -12,10 +12,10 @@ from ca.revocation.state import Revocations, Timestamp, digest
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from grants.model import Right
 from rossec.errors import AnswerMalformed
-from rossec.participant.connections import STALE_GRACE, termination_reason
+from rossec.participant.connections import STALE_GRACE
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
-from tests.rossec.participant.test_connections import FakeConnection
+from tests.rossec.participant.test_connections import make_connection
 from tests.support.authority import Site as Authority
 from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import Site
@@ -89,11 +89,12 @@ def test_a_connection_without_a_proof_has_the_same_grace_period_as_without_times
 ) -> None:
     now = int(time.time())
     last = held.status_valid_until(b"g" * 16) + STALE_GRACE
-    assert termination_reason(FakeConnection(ends=last + 99), held, now) is None
+    connection = make_connection(ends=last + 99)
+    assert connection.termination_reason(held, now) is None
     assert held.current is not None
     held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # but no new proof
-    assert termination_reason(FakeConnection(ends=last + 99), held, last - 1) is None
-    assert "no proof" in (termination_reason(FakeConnection(ends=last + 99), held, last) or "")
+    assert connection.termination_reason(held, last - 1) is None
+    assert "no proof" in (connection.termination_reason(held, last) or "")
 
 
 @pytest.fixture
