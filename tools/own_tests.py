@@ -57,7 +57,6 @@ MISSING: Final = frozenset(
         "rossec/net/aio/client.py",
         "rossec/net/aio/driver.py",
         "rossec/net/threads/carrier.py",
-        "rossec/net/threads/options.py",
         "rossec/participant/master_session.py",
         "rossec/sidecar/__main__.py",
         "rossec/sidecar/egress.py",
