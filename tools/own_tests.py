@@ -29,7 +29,6 @@ OTHERS: Final[dict[str, tuple[str, ...]]] = {
         "rossec/net/threads/test_carrier.py",
         "rossec/net/threads/test_secure_socket.py",
     ),
-    "rossec/net/threads/options.py": ("rossec/net/threads/test_secure_socket.py",),
     # What rospy calls in place of its own: only a program of rospy shows what it does.
     "rossec/inprocess/headers.py": ("rossec/inprocess/test_connections.py",),
     "rossec/inprocess/hooks.py": ("rossec/inprocess/test_secure.py",),
