@@ -115,8 +115,10 @@ async def test_nodes_work_with_proofs(site: Site) -> None:
     async with nodes[0] as robot, nodes[1] as viewer, nodes[2] as other:
         publisher = await robot.publisher("/robot/pose", POSE, latch=True)
         publisher.publish(pose(publisher))
-        for node in (viewer, other):
-            await first(await node.subscriber("/robot/pose", POSE), within=20)
+        # Each connects when the proofs it needs have come: both wait at the same time.
+        subscribers = [await node.subscriber("/robot/pose", POSE) for node in (viewer, other)]
+        for subscriber in subscribers:
+            await first(subscriber, within=30)
         assert len(publisher.links) == 2
         await tell_master(site, robot, site.revoke(right))
         await until(lambda: len(publisher.links) == 1, within=20)
