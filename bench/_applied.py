@@ -1,7 +1,7 @@
 """CPU seconds that `rossec policy apply` takes for one changed rule, by the number of nodes.
 
 The rule is for every node, so each of them gets a new grant and loses one; their other grants are
-kept. The record is on the disk; no master runs, so delivery is not in the figure.
+kept. The record is on the disk; deliveries are made up, and cost the master nothing here.
 """
 
 import contextlib
@@ -13,6 +13,8 @@ from pathlib import Path
 from ca.certificates import build_request
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
+from grants.document import grant_id
+from grants.model import ID_SIZE
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import NAME, read_policy
 from rossec.authority.service import AuthorityService, MasterCall
@@ -47,7 +49,7 @@ def apply_s(nodes: int) -> dict[str, float]:
 def _service(root: Path, nodes: int) -> AuthorityService:
     now = int(time.time())
     AuthorityHome.create(root, "home", _PASSPHRASE, now)
-    service = AuthorityService(root, lambda: _PASSPHRASE, _ignore, lambda: now)
+    service = AuthorityService(root, lambda: _PASSPHRASE, _Master(), lambda: now)
     authority = service.unlock()
     with authority.store.transaction():
         for number in range(nodes):
@@ -61,8 +63,20 @@ def _enroll(authority: SigningAuthority, name: str, now: int) -> None:
     authority.store.add_certificate(certificate_row(authority.verify(der, now)), now)
 
 
-def _ignore(call: MasterCall) -> None:
-    """No master runs."""
+class _Master:
+    """Takes everything at once; what it costs a master is not in the figure."""
+
+    def __init__(self) -> None:
+        self._known: set[bytes] = set()
+
+    def __call__(self, call: MasterCall) -> object:
+        (items, *_) = call.statement
+        if not isinstance(items, list):
+            return 0  # the revocation list
+        if call.method == "rossec.deliveryStates":
+            return ["waiting" if item[:ID_SIZE] in self._known else "" for item in items]
+        self._known.update(map(grant_id, items))
+        return ["" for _ in items]
 
 
 def _write(root: Path, changed: str) -> None:

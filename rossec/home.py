@@ -122,7 +122,10 @@ class NodeHome:
 
         With the key that is here: a crash may have lost the request, or it is for another domain.
         """
-        if (self.path / "node.key").exists() and not self._is_open(domain, wildcard=wildcard):
+        key = self.path / "node.key"
+        if key.exists() and not key.stat().st_size:  # a crash, before the key was in its new file
+            key.unlink()
+        if key.exists() and not self._is_open(domain, wildcard=wildcard):
             made = build_request(self.signer(), domain, self.name, wildcard=wildcard)
             files.replace(self.request_path, made, 0o644)
         return self.label_request(domain, wildcard=wildcard)

@@ -9,8 +9,10 @@ import secrets
 
 from ca.revocation.lists import RevocationList
 from grants.model import ID_SIZE, Draft
-from rossec.authority.policy_plan import PolicyPlan, make_plan
-from rossec.authority.signing import SigningAuthority
+from grants.policy.difference import Moment
+from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
+from rossec.authority.policyfile import PolicyFile
+from rossec.authority.signing import SKEW, SigningAuthority
 from rossec.errors import ConfigurationError
 
 
@@ -34,6 +36,22 @@ def sign_planned(
 
     signed = authority.issue_grants(drafts, now, check)
     return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
+
+
+def grant_outright(
+    authority: SigningAuthority, policy: PolicyFile, name: str, now: int, *, renews: bool = False
+) -> list[tuple[Draft, bytes]]:
+    """Sign what `policy` gives the node `name` outright and it does not have; revokes nothing.
+
+    `renews`: whether the master can renew grants.
+
+    Raises:
+        PolicyRefused: the node would need more grants than it can present.
+        ConfigurationError, StoreError: as `sign_planned`.
+    """
+    moment = Moment(now, SKEW, renews=renews)
+    plan = make_plan(authority.store, policy, PlanOptions((name,)), moment)
+    return sign_planned(authority, plan, now)
 
 
 def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:

@@ -144,7 +144,7 @@ class PolicyOperations(ABC):
         with contextlib.closing(self.home.store()) as store:
             at = self._now()
             moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
-            return make_plan(store, policy, PlanOptions(names, renew_due, prune), moment)
+            return make_plan(store, policy, PlanOptions(names, prune), moment)
 
     def grant_outright(self, name: str) -> list[SignedGrant]:
         """Sign what the policy in force gives the node `name` outright, if there is a policy.
@@ -159,8 +159,9 @@ class PolicyOperations(ABC):
         if self.home.is_intermediate or not policyfile.place(self.rossec_home, None).exists():
             return []
         policy = policyfile.read_policy(self.rossec_home, None, signs=True)
-        plan = self.plan_policy(policy, [name])
-        return policy_apply.sign_planned(self.unlock(), plan, self._now()) if plan.signs else []
+        at = self._now()
+        renews = self.home.has_delegated(at)
+        return policy_apply.grant_outright(self.unlock(), policy, name, at, renews=renews)
 
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
@@ -178,7 +179,7 @@ class PolicyOperations(ABC):
         signed = policy_apply.sign_planned(self.unlock(), plan, self._now())
         if signed:
             report(f"signed: {len(signed)}")
-        failed = self._deposit_new(signed, report)
+        failed = self._deliver_new(signed, plan, report)
         listed = policy_apply.revoke_planned(self.unlock(), plan, self._now())
         if listed is not None:
             report(f"revoked: {len(plan.revoke)} (list {listed.seq})")
@@ -187,21 +188,6 @@ class PolicyOperations(ABC):
         if failed is not None:
             raise failed
         return signed
-
-    def _deposit_new(
-        self, signed: list[SignedGrant], report: Callable[[str], None]
-    ) -> NotDelivered | None:
-        """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
-
-        A node of this ROSSEC_HOME has its grants as files, also while no master runs.
-        """
-        try:
-            for refused in self.deposit([data for _, data in signed]):
-                report(f"the master refuses a grant of {refused.node}: {refused.reason}")
-        except NotDelivered as error:
-            homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
-            return None if all(home.path.is_dir() for home in homes) else error
-        return None
 
     def complete_policy(self) -> None:
         """Deliver what an interrupted `apply_policy` may have left: grants, and revocations.
@@ -212,6 +198,39 @@ class PolicyOperations(ABC):
         with contextlib.closing(self.home.store()) as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
         if ours:
+            self._store_missing()
             self.deposit_missing()
         if not revoked.isdisjoint(ours):
             self.publish()
+
+    def _deliver_new(
+        self, signed: list[SignedGrant], plan: "PolicyPlan", report: Callable[[str], None]
+    ) -> NotDelivered | None:
+        """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
+
+        Before a revocation, also those that an interrupted command signed. A node of this
+        ROSSEC_HOME has its grants as files, also while no master runs.
+        """
+        self._store_missing()
+        try:
+            refused = (
+                self.deposit_missing()[1]
+                if plan.revoke
+                else self.deposit([data for _, data in signed])
+            )
+        except NotDelivered as error:
+            homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
+            return None if all(home.path.is_dir() for home in homes) else error
+        for each in refused:
+            report(f"the master refuses a grant of {each.node}: {each.reason}")
+        return None
+
+    def _store_missing(self) -> None:
+        """Store the grants of the policy that nodes of this ROSSEC_HOME lack."""
+        with contextlib.closing(self.home.store()) as store:
+            rules, rows = store.policy_grants(), store.unrevoked_grants()
+        for row in rows:
+            home = NodeHome.of(self.rossec_home, row.name)
+            lacks = home.path.is_dir() and not home.grant_file(row.id).exists()
+            if lacks and row.id in rules and self._now() < row.expires:
+                home.add_grant(row.id, row.data)

@@ -39,12 +39,10 @@ class PlanOptions:
 
     Args:
         names: only these nodes; None for all.
-        renew_due: sign anew what has less than a third of its time left.
         prune: revoke grants made by hand against a denial; what else they allow is granted anew.
     """
 
     names: Collection[str] | None = None
-    renew_due: bool = False
     prune: bool = False
 
 

@@ -15,10 +15,13 @@ def stop_on_signals() -> asyncio.Event:
 
 
 async def until_first_ends(*coroutines: Coroutine[Any, Any, object]) -> None:
-    """Run all until the first ends, cancel the others, and raise what it raised."""
+    """Run all until the first ends, end the others, and raise what it raised."""
     tasks = {asyncio.ensure_future(coroutine) for coroutine in coroutines}
-    done, running = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    for task in running:
-        task.cancel()
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
     for task in done:
         await task

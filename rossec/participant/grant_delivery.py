@@ -48,7 +48,7 @@ class GrantDelivery:
     Args:
         anchor: the authority, and the domain that grants must be for.
         holder: the thumbprint of the node's key.
-        access, directory: where the grants are held and stored.
+        access, directory: where the grants are held, and stored by `save`.
 
     Attributes:
         supported: set while the master of the session knows the calls.
@@ -70,6 +70,7 @@ class GrantDelivery:
         self._directory = directory
         self._received: dict[bytes, None] = {}  # ids, valid or not: not to be sent again
         self._new: list[bytes] = []
+        self._unsaved: list[tuple[bytes, bytes]] = []
         self._arrived = asyncio.Event()
         self.supported = asyncio.Event()
         self.taken = 0
@@ -96,7 +97,7 @@ class GrantDelivery:
         return b"".join(list(ids)[:MAX_KNOWN])
 
     def take(self, answer: object) -> bool:
-        """Store and hold the valid grants of an answer; returns whether more follow.
+        """Hold the valid grants of an answer; returns whether more follow.
 
         Raises:
             AnswerMalformed: not `{"grants": [bytes], "more": bool}`.
@@ -115,6 +116,12 @@ class GrantDelivery:
         self._arrived.clear()
         return new
 
+    async def save(self) -> None:
+        """Store what was taken: after it is in use, and in a thread, since a disk may be slow."""
+        unsaved, self._unsaved = self._unsaved, []
+        for grant_id, data in unsaved:
+            await asyncio.to_thread(self._directory.save, grant_id, data)
+
     async def wait(self, longest: float) -> None:
         """Return when a grant is new, or after `longest` seconds."""
         with contextlib.suppress(TimeoutError):
@@ -131,8 +138,9 @@ class GrantDelivery:
         except HintedError as error:
             _log.warning("a grant that the master delivers is refused: %s", printable(error))
             return
-        if self._directory.store(grant_id, data):
+        if self._directory.hold(data):
             self._new.append(data)
+            self._unsaved.append((grant_id, data))
             self.taken += 1
             self._arrived.set()
 

@@ -35,13 +35,16 @@ class GrantDirectory:
         found = ((path, self._read(path)) for path in paths)
         return [data for path, data in found if data is not None and self._hold(path, data)]
 
-    def store(self, grant_id: bytes, data: bytes) -> bool:
-        """Store a verified grant and hold it; whether it is new. A full disk is logged."""
+    def hold(self, data: bytes) -> bool:
+        """Hold a verified grant that was delivered; whether it is new."""
+        return self._hold(self._home.path, data)
+
+    def save(self, grant_id: bytes, data: bytes) -> None:
+        """Store a grant that is held; a full disk is logged. For any thread."""
         try:
             self._home.add_grant(grant_id, data)
         except (OSError, HintedError) as error:  # the master has it after a restart, too
             _log.warning("a delivered grant is used, but not saved: %s", error)
-        return self._hold(self._home.path, data)
 
     def drop_ended(self, now: int) -> None:
         """Delete the files of grants that ended long ago; only while the master confirms `now`."""

@@ -9,6 +9,7 @@ What a form registers is behind `MembershipHooks`. Fail closed: if a task crashe
 not be cut any more, so the form closes all (`crashed`).
 """
 
+import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
@@ -208,18 +209,27 @@ class Membership:
             await renew(session.call, self._renewals, clock.now())
         await session.call(PRESENT_GRANTS, self._access.current(clock.now())[:MAX_PRESENTED])
         await self._hooks.restore()
+        await self._delivery.save()
 
     async def _maintain(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time() + PERIOD
         while True:
-            await self._delivery.wait(PERIOD)
-            self._hooks.maintain()
-            new = self._take_new()
+            await self._delivery.wait(due - loop.time())
+            is_due = loop.time() >= due
+            if is_due:
+                due = loop.time() + PERIOD
+                self._hooks.maintain()
+            new = self._take_new(from_directory=is_due)
             with contextlib.suppress(HintedError, OSError, Fault):  # else later, or on reconnection
                 await self._update(new)
+            await self._delivery.save()
 
-    def _take_new(self) -> list[bytes]:
+    def _take_new(self, *, from_directory: bool = True) -> list[bytes]:
         """The grants that were delivered, or have appeared in the directory; they are held."""
-        new = [*self._delivery.take_new(), *self._grant_directory.take_new()]
+        new = self._delivery.take_new()
+        if from_directory:
+            new += self._grant_directory.take_new()
         if new:
             _log.info("%s: %d new grants", self._identity.name, len(new))
             self.rights_version += 1

@@ -188,16 +188,14 @@ class Agent:
 
     async def restore(self) -> None:
         """Make every registration of the programs again."""
-        await run_layer(self, registrations.restore(self.state))
+        await run_layer(self, registrations.restore(self.state, self._holds))
 
     async def rights_changed(self) -> None:
         """Make registrations again that were refused: roscpp and rospy never do so themselves."""
-        now, access = clock.now(), self.state.access
+        await run_layer(self, registrations.rights_changed(self.state, self._holds))
 
-        def holds(right: Right, name: str) -> bool:
-            return access.holds(right, name, now)
-
-        await run_layer(self, registrations.rights_changed(self.state, holds))
+    def _holds(self, right: Right, name: str) -> bool:
+        return self.state.access.holds(right, name, clock.now())
 
     def maintain(self) -> None:
         """Nothing: `Resubscriber` drops expired publishers."""

@@ -1,29 +1,37 @@
-"""`rossec ca serve`: the authority as a service, which holds the key."""
+"""`rossec ca serve`: the authority as a service, which holds the key and lets nodes join."""
 
 import asyncio
 import logging
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
+from rossec.authority.keyservice.face import ANY
+from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
 from rossec.authority.keyservice.lock import service_lock
 from rossec.authority.keyservice.messages import MAX_UNLOCKED, SOCKET
+from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import (
     KeyServiceProcess,
     audit_to,
     operations_of,
 )
 from rossec.authority.keyservice.server import admit_all
-from rossec.cli.shared import passphrase
+from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
+from rossec.cli.shared.master import master_at
 from rossec.clock import format_duration
-from rossec.operation.audit_log import audit_written
+from rossec.enrollment.address import JOIN_PORT
+from rossec.errors import ConfigurationError
+from rossec.operation.audit_log import AUDIT, audit_written
 from rossec.operation.json_log import log_as_json
 from rossec.operation.process_memory import protect_memory
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
 from rossec.operation.systemd import READY, STOPPING, notify
+from rossec.ros import settings
 from rossec.terminal import say, say_json
 
 OPERATOR = "the operator who started it"
@@ -35,7 +43,15 @@ OPERATOR = "the operator who started it"
     help="how long the key is held; 0: while it runs",
 )  # fmt: skip
 @click.option("--locked", is_flag=True, help="start without the key: rossec ca unlock")
-@click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
+@click.option(
+    "--join-address", metavar="HOST:PORT", default=f"{ANY}:{JOIN_PORT}", show_default=True,
+    help="where nodes with an invitation join; *: every address of this host",
+)  # fmt: skip
+@click.option("--no-network", is_flag=True, help="only serve the commands of this host")
+@click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
+@options.policy
+@options.master_uri
+@click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
 @click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
 @passphrase.option
 @pass_environment
@@ -43,49 +59,90 @@ def serve(
     environment: Environment,
     seconds: int,
     locked: bool,
-    log: str | None,
+    join_address: str,
+    no_network: bool,
+    applies: bool,
+    policy_path: Path | None,
+    master_uri: str | None,
+    log: str,
     as_json: bool,
     passphrase_file: Path | None,
 ) -> None:
-    """Hold the authority's key, so that commands need no passphrase. Ends with Ctrl-C."""
+    """Hold the authority's key, so that commands need no passphrase. Ends with Ctrl-C.
+
+    Nodes with an invitation join at a port of its own process, which has no key. With --apply each
+    gets at once what the policy gives its name, and the policy file is put in force every minute.
+    """
     home = AuthorityHome.at(environment.home)
     if log == "json":
         log_as_json()
+    if applies and no_network:
+        raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
+    uri = master_at(environment, master_uri)
+    settings.parse_uri(uri, "the master's URI")
+    options_of_face = FaceOptions(join_address, uri, log)
     with ExitStack() as stack:
         protect_memory()
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
+        face = None if no_network else FaceProcess(home, options_of_face, environment.variables)
         operations = operations_of(home, audit_to(audit))
+        network = None
+        if face is not None:
+            stack.callback(face.close)
+            face.spawn()  # before there is a key
+            network = NetworkWork(
+                environment.home, operations, face, applies=applies, policy=policy_path
+            )
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
-        process = KeyServiceProcess(home, operations, admit_all)
-        asyncio.run(_serve(environment, home, process, as_json=as_json))
+        process = KeyServiceProcess(home, operations, admit_all if face is None else face.admit)
+        asyncio.run(_Serving(environment, home, process, face, network).run(as_json=as_json))
 
 
-async def _serve(
-    environment: Environment, home: AuthorityHome, process: KeyServiceProcess, *, as_json: bool
-) -> None:
-    stop = stop_on_signals()
-    audit = logging.getLogger("rossec.audit")
-    try:
-        await process.start()
-        audit.info("the service began")
-        _print_state(home, process.operations.held.remaining(), as_json=as_json)
-        notify(READY, environment.variables)
-        await until_first_ends(stop.wait(), process.watch_time())
-        notify(STOPPING, environment.variables)
-    finally:
-        await process.close()
-        audit.info("the service ended")
+@dataclass
+class _Serving:
+    """What runs."""
 
+    environment: Environment
+    home: AuthorityHome
+    process: KeyServiceProcess
+    face: FaceProcess | None
+    network: NetworkWork | None
 
-def _print_state(home: AuthorityHome, remaining: int | None, *, as_json: bool) -> None:
-    if as_json:
-        say_json({"ready": str(home.path / SOCKET), "remaining": remaining})
-        return
-    say(f"authority of {home.domain}: {describe_remaining(remaining)}")
+    async def run(self, *, as_json: bool) -> None:
+        """Serve until a signal."""
+        audit = logging.getLogger(AUDIT)
+        try:
+            await self.process.start()
+            audit.info("the service began")
+            tasks = [self._until_stopped(as_json=as_json), self.process.watch_time()]
+            if self.network is not None:
+                tasks.append(self.network.run())
+            await until_first_ends(*tasks)
+        finally:
+            await self.process.close()
+            audit.info("the service ended")
+
+    async def _until_stopped(self, *, as_json: bool) -> None:
+        stop = stop_on_signals()
+        port = None if self.face is None else await self.face.started()
+        self._print_state(port, as_json=as_json)
+        notify(READY, self.environment.variables)
+        await stop.wait()
+        notify(STOPPING, self.environment.variables)
+
+    def _print_state(self, port: int | None, *, as_json: bool) -> None:
+        remaining = self.process.operations.held.remaining()
+        if as_json:
+            path = str(self.home.path / SOCKET)
+            say_json({"ready": path, "remaining": remaining, "join_port": port})
+            return
+        say(f"authority of {self.home.domain}: {describe_remaining(remaining)}")
+        if port:
+            say(f"nodes join at port {port}: rossec ca invite PATTERN")
 
 
 def describe_remaining(remaining: int | None) -> str:

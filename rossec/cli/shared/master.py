@@ -3,16 +3,13 @@
 import contextlib
 from collections.abc import AsyncIterator
 
+from rossec.authority.master_connection import master_connection
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.records import ChannelLimits
 from rossec.channel.suite_selection import post_quantum
 from rossec.cli.shared.context import Environment
-from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import settings
-from rossec.ros.names import MASTER
 
 
 def master_at(environment: Environment, master_uri: str | None = None) -> str:
@@ -31,17 +28,7 @@ async def master_as(
         ConfigurationError: not a URI, or another node answers there.
         HintedError, OSError, TimeoutError: it is unreachable.
     """
-    host, port = settings.parse_uri(uri, "the master's URI")
-    context = SecureContext(
-        home.credentials() if own is None else own,
-        home.anchor().verify,
-        suites=post_quantum(environment.variables),
-        dial_limits={WireProtocol.HTTP: ChannelLimits()},  # `limits: body` is the master's to set
-    )
-    stream = await connect(host, port, context, WireProtocol.HTTP)
-    try:
-        if stream.peer.name != MASTER:
-            raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")
-        yield RpcClient(stream)
-    finally:
-        await stream.close()
+    credentials = home.credentials() if own is None else own
+    suites = post_quantum(environment.variables)
+    async with master_connection(credentials, home.anchor(), uri, suites) as client:
+        yield client

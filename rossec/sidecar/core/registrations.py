@@ -4,12 +4,13 @@ For a restarted master, for topics whose connection ended, for rights that are n
 publishers that the master did not name again within their grace period.
 """
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterable
+from typing import Final, TypeAlias
 
 from grants.model import Right
 from rossec.errors import HangUp
 from rossec.participant.caller_names import RELATIVE_NAME
+from rossec.participant.registrations import Call
 from rossec.ros.names import MASTER
 from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint
@@ -22,15 +23,22 @@ _RIGHTS: Final = {
 }  # fmt: skip
 
 
-def restore(agent: AgentState) -> Layer[None]:
+Holds: TypeAlias = Callable[[Right, str], bool]
+"""Whether this identity has a right on a name now; without it the master would only refuse."""
+
+
+def restore(agent: AgentState, holds: Holds) -> Layer[None]:
     """Make every registration again with a restarted master, except those of dead programs.
 
-    A dead program could replace a new one of the same name, which the master would shut down.
+    A dead program could replace a new one of the same name, which the master would shut down. One
+    that was refused before is made if this identity `holds` the right now.
     """
     for own_api, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             continue
-        for method, params in program.registrations:
+        refused = program.registrations.refused()
+        calls = [call for call in program.registrations if call not in refused]
+        for method, params in (*calls, *_allowed(refused, holds)):
             yield from _register_again(agent, own_api, method, params)
 
 
@@ -42,20 +50,22 @@ def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
             yield from _register_again(agent, own_api, SUBSCRIBE, params)
 
 
-def rights_changed(agent: AgentState, holds: Callable[[Right, str], bool]) -> Layer[None]:
-    """Make the registrations again that may have been refused or removed for lack of a right.
-
-    `holds`: whether this identity has a right now; without it the master would only refuse again.
-    """
+def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
+    """Make the registrations again that may have been refused or removed for lack of a right."""
     for own_api, program in tuple(agent.programs.items()):
-        wanted = [
-            (method, params)
-            for method, params in program.registrations
-            if method in _RIGHTS and holds(_RIGHTS[method], str(params[RELATIVE_NAME[method]]))
-        ]
+        wanted = _allowed(program.registrations, holds)
         if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             for method, params in wanted:
                 yield from _register_again(agent, own_api, method, params)
+
+
+def _allowed(calls: Iterable[Call], holds: Holds) -> list[Call]:
+    """Those of `calls` that this identity has the right to."""
+    return [
+        (method, params)
+        for method, params in calls
+        if method in _RIGHTS and holds(_RIGHTS[method], str(params[RELATIVE_NAME[method]]))
+    ]
 
 
 def _register_again(

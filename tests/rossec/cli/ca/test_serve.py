@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from rossec.authority.keyservice.lock import service_lock
 from rossec.cli.ca import serve as module
 from rossec.operation.audit import read_entries, verify
 from tests.support.commands import Said, Shell, refused
+from tests.support.masterprocess import free_port
 
 
 @pytest.fixture(autouse=True)
@@ -23,7 +25,12 @@ def _unprotected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "protect_memory", lambda: None)
 
 
-def serve(shell: Shell, *options: str, meanwhile: Callable[[], None] = lambda: None) -> Said:
+def serve(
+    shell: Shell,
+    *options: str,
+    network: bool = False,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> Said:
     """Run the service, `meanwhile` in a thread, and end it with SIGTERM."""
 
     def end() -> None:
@@ -42,7 +49,7 @@ def serve(shell: Shell, *options: str, meanwhile: Callable[[], None] = lambda: N
     thread = threading.Thread(target=end)
     thread.start()
     try:
-        return shell.unlocked("ca", "serve", *options)
+        return shell.unlocked("ca", "serve", *options, *([] if network else ["--no-network"]))
     finally:
         thread.join()
 
@@ -80,7 +87,7 @@ def test_it_holds_the_key_until_it_is_ended(shell: Shell) -> None:
 def test_it_says_for_programs_that_it_is_ready(shell: Shell) -> None:
     said = serve(shell, "--json", "--unlock-for", "0")
     path = str(shell.root / "ca" / "service.sock")
-    assert json.loads(said.out) == {"ready": path, "remaining": 0}
+    assert json.loads(said.out) == {"ready": path, "remaining": 0, "join_port": None}
 
 
 def test_it_starts_locked_without_a_passphrase(
@@ -103,6 +110,35 @@ def test_a_wrong_passphrase_ends_it(shell: Shell) -> None:
 def test_two_services_are_one_too_many(shell: Shell) -> None:
     with service_lock(shell.root / "ca"):
         refused(shell.unlocked("ca", "serve"), "service runs from", "end it first")
+
+
+def test_nodes_join_at_a_port_of_its_network_process(shell: Shell) -> None:
+    port, found = free_port(), list[int]()
+
+    def meanwhile() -> None:
+        for _ in range(500):
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    found.append(port)
+                    return
+            time.sleep(0.02)
+
+    where = ("--join-address", f"127.0.0.1:{port}")
+    said = serve(shell, *where, network=True, meanwhile=meanwhile)
+    assert (said.code, found) == (0, [port]), said.err
+    assert f"nodes join at port {port}" in said.out
+
+
+def test_a_port_that_is_taken_ends_it(shell: Shell) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        where = f"127.0.0.1:{taken.getsockname()[1]}"
+        said = shell.unlocked("ca", "serve", "--join-address", where)
+    refused(said, f"cannot listen on {where}", "--join-address")
+
+
+def test_what_it_cannot_do_is_refused_before_it_starts(shell: Shell) -> None:
+    refused(shell.unlocked("ca", "serve", "--apply", "--no-network"), "over the network")
+    refused(shell.unlocked("ca", "serve", "--master", "nowhere"), "the master's URI")
 
 
 def test_without_an_authority_there_is_nothing_to_serve(empty: Shell) -> None:

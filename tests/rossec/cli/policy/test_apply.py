@@ -1,7 +1,9 @@
 """`rossec policy apply`: the difference is shown, and made true; applying twice changes nothing."""
 
+import asyncio
 import io
 import json
+import time
 from dataclasses import replace
 
 import pytest
@@ -10,8 +12,11 @@ from grants import document
 from grants.model import Right
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
+from rossec.master.server.start import master_of
+from rossec.node import Node
 from tests.support.commands import Said, Shell, refused
 
+TEXT = "std_msgs/String"
 NOWHERE = ("--master", "http://127.0.0.1:1/")
 POLICY = """rossec: 1
 robot: robbie
@@ -177,3 +182,54 @@ def test_the_difference_for_programs(site: Shell) -> None:
         "restrictions": ["valid 7d"], "before": [],
         "rules": [{"id": "drive", "line": 6, "why": ""}],
     }  # fmt: skip
+
+
+RUNNING = """rossec: 1
+robot: robbie
+rules:
+  - {id: see, who: /viewer, allow: {subscribe: [/pose]}}
+  - {id: hear, who: /viewer, allow: {subscribe: [/sound]}}
+  - {id: drive, who: /robot, allow: {publish: [/pose, /sound]}}
+"""
+
+
+async def test_a_running_system_follows_the_policy_and_nothing_else_comes_down(
+    shell: Shell,
+) -> None:
+    """What is no longer allowed is cut at once; what no changed rule is about is not touched."""
+    for name in ("/robot", "/viewer", "/master"):
+        await asyncio.to_thread(shell.enroll, name)
+    write(shell, RUNNING)
+    authority = AuthorityHome.at(shell.root)
+    server = master_of(NodeHome.of(shell.root, "/master"), host="127.0.0.1", port=0,
+                       newest=authority.revocation_list(), now=int(time.time()))  # fmt: skip
+    await server.start()
+    environ = {**shell.environ, "ROS_MASTER_URI": server.uri}
+    command = ("policy", "apply", "--yes", "--master", server.uri)
+    try:
+        said = await asyncio.to_thread(shell.unlocked, *command)
+        assert (said.code, said.out.splitlines()[-1]) == (0, "signed: 3")
+        async with Node("/robot", environ=environ) as robot, Node("/viewer", environ=environ) as v:
+            publishers = [await robot.publisher(name, TEXT) for name in ("/pose", "/sound")]
+            heard = [await v.subscriber(name, TEXT) for name in ("/pose", "/sound")]
+            async with asyncio.timeout(30):
+                for publisher, subscriber in zip(publishers, heard, strict=True):
+                    await publisher.wait_for_subscribers()
+                    publisher.publish(publisher.create(data="before"))
+                    await anext(aiter(subscriber))
+            pose, sound = publishers
+            kept = list(sound.links)
+            write(shell, RUNNING.replace("[/pose]", "[/other]", 1))
+            said = await asyncio.to_thread(shell.unlocked, *command)
+            assert (said.code, said.err) == (0, "")
+            assert said.out.splitlines()[-3:] == [
+                "signed: 1", "revoked: 1 (list 2)", "the master has the new list",
+            ]  # fmt: skip
+            async with asyncio.timeout(30):
+                while pose.links:  # noqa: ASYNC110 - nothing tells
+                    await asyncio.sleep(0.01)
+                assert list(sound.links) == kept
+                sound.publish(sound.create(data="after"))
+                await anext(aiter(heard[1]))
+    finally:
+        await server.close()

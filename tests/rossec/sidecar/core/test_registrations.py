@@ -49,7 +49,7 @@ def test_an_unregistered_topic_is_not_restored(setup: AgentSetup) -> None:
         (OpenIngress(SLAVE), Opened(7000)),
         (CallMaster("unregisterSubscriber", ("/robot", "/scan", INGRESS_URI)), OK),
     )
-    assert run_layer(restore(setup.agent), ALIVE) is None
+    assert run_layer(restore(setup.agent, has()), ALIVE) is None
 
 
 def test_a_new_program_of_the_same_name_keeps_its_registration(setup: AgentSetup) -> None:
@@ -63,7 +63,7 @@ def test_a_new_program_of_the_same_name_keeps_its_registration(setup: AgentSetup
     )
     params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     request = CallMaster("registerSubscriber", params)
-    assert run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "", []]))) is None
+    assert run_layer(restore(setup.agent, has()), ALIVE, (request, Answered([-1, "", []]))) is None
 
 
 def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None:
@@ -81,13 +81,13 @@ def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None
         (OpenIngress(other), Opened(7002)),
         (CallMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
     )
-    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerService", params), OK))
+    run_layer(restore(setup.agent, has()), ALIVE, (CallMaster("registerService", params), OK))
     run_layer(
         handle_call(setup.agent, "unregisterService", ("/robot", "/say", SERVICE.uri)),
         (OpenIngress(SERVICE), Opened(7001)),
         (CallMaster("unregisterService", params[:3]), OK),
     )
-    assert run_layer(restore(setup.agent), ALIVE) is None
+    assert run_layer(restore(setup.agent, has()), ALIVE) is None
 
 
 def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: 
         (OpenIngress(SLAVE), Opened(7000)),
         (CallMaster("registerPublisher", params), OK),
     )
-    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerPublisher", params), OK))
+    run_layer(restore(setup.agent, has()), ALIVE, (CallMaster("registerPublisher", params), OK))
 
 
 def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup) -> None:
@@ -107,29 +107,29 @@ def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup)
     params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
     run_layer(
-        restore(setup.agent),
+        restore(setup.agent, has()),
         ALIVE,
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
         (OpenEgress(PEER), Opened(8000)),
         (CallProgram(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
         (Suspend(SLAVE), CommandDone()),
     )
-    assert run_layer(restore(setup.agent)) is None
+    assert run_layer(restore(setup.agent, has())) is None
 
 
 def test_a_dead_program_is_not_restored(setup: AgentSetup) -> None:
     register(setup)
     ended = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
-    assert run_layer(restore(setup.agent), *ended) is None
-    assert run_layer(restore(setup.agent)) is None
+    assert run_layer(restore(setup.agent, has()), *ended) is None
+    assert run_layer(restore(setup.agent, has())) is None
 
 
 def test_restoring_continues_after_refusals_and_stops_without_answer(setup: AgentSetup) -> None:
     register(setup)
     request = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
-    run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "no right", []])))
+    run_layer(restore(setup.agent, has()), ALIVE, (request, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
-        run_layer(restore(setup.agent), ALIVE, (request, NoAnswer("closed")))
+        run_layer(restore(setup.agent, has()), ALIVE, (request, NoAnswer("closed")))
 
 
 def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
@@ -163,7 +163,7 @@ def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
     register_again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
     setup.agent.publisher_grace.session_opened()
     run_layer(
-        restore(setup.agent),
+        restore(setup.agent, has()),
         ALIVE,
         (register_again, Answered([1, "ok", []])),
         (OpenEgress(PEER), Opened(8000)),
@@ -195,14 +195,17 @@ def refuse(
 
 def test_a_refused_registration_is_made_again_with_the_right(setup: AgentSetup) -> None:
     refuse(setup)
+    assert run_layer(restore(setup.agent, has()), ALIVE) is None, (
+        "a restarted master would refuse it"
+    )
+    assert run_layer(rights_changed(setup.agent, has())) is None
     may = has((Right.PUBLISH, "/pose"))
     again = CallMaster("registerPublisher", PUBLISHER)
-    run_layer(restore(setup.agent), ALIVE, (again, REFUSED))
-    assert run_layer(rights_changed(setup.agent, has())) is None
     run_layer(rights_changed(setup.agent, may), ALIVE, (again, REFUSED))
+    run_layer(restore(setup.agent, may), ALIVE, (again, REFUSED))
     run_layer(rights_changed(setup.agent, may), ALIVE, (again, Answered([1, "", []])))
     assert setup.agent.programs[SLAVE].registrations.refused() == []
-    run_layer(restore(setup.agent), ALIVE, (again, Answered([1, "", []])))
+    run_layer(restore(setup.agent, has()), ALIVE, (again, Answered([1, "", []])))
 
 
 def test_a_registration_that_ended_with_its_right_is_made_again(setup: AgentSetup) -> None:

@@ -1,0 +1,116 @@
+"""The socketpair between the service and its network face, as calls in both directions. A shell.
+
+A side that breaks the protocol ends the connection, and with it the face: the service starts a new
+one. The number of requests that are carried out at a time is bounded.
+"""
+
+import asyncio
+import itertools
+import socket
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Final
+
+from ca.encoding import Value
+from ca.errors import HintedError
+from rossec.authority.keyservice import inner_messages, messages
+from rossec.authority.keyservice.inner_messages import InnerAnswer, InnerRefusal, InnerRequest
+from rossec.errors import KeyMessageRefused, KeyServiceRefused
+from rossec.net.aio.tasks import TaskSet
+
+MAX_REQUESTS: Final = 512  # of the other side at a time; a join port has 256 sessions
+_ENDED: Final = "the network process of the authority's service has ended"
+
+Handler = Callable[..., Awaitable[Value]]
+
+
+class InnerChannel:
+    """One end.
+
+    Args:
+        sock: the end of the socketpair.
+        handlers: what the other side may ask; called with the arguments of the operation. Raise
+            `HintedError` to refuse.
+        limit: bytes of a message from the other side.
+    """
+
+    def __init__(self, sock: socket.socket, handlers: Mapping[str, Handler], limit: int) -> None:
+        self._socket = sock
+        self._handlers = handlers
+        self._limit = limit
+        self._numbers = itertools.count()
+        self._waiting: dict[int, asyncio.Future[Value]] = {}
+        self._tasks = TaskSet()
+        self._writer: asyncio.StreamWriter | None = None
+        self._connected = asyncio.Event()
+
+    async def run(self) -> None:
+        """Serve until the other side ends.
+
+        Raises:
+            KeyMessageRefused: it breaks the protocol.
+        """
+        reader, self._writer = await asyncio.open_connection(sock=self._socket)
+        self._connected.set()
+        try:
+            while True:
+                head = await reader.readexactly(messages.HEAD)
+                body = await reader.readexactly(messages.frame_size(head, self._limit))
+                self._take(inner_messages.read(body, self._limit))
+        except (asyncio.IncompleteReadError, ConnectionError):
+            return
+        finally:
+            self._writer.transport.abort()
+            self._writer = None
+            for future in self._waiting.values():
+                if not future.done():
+                    future.set_exception(KeyServiceRefused(_ENDED, "it is started again"))
+            await self._tasks.close()
+
+    async def call(self, operation: str, *arguments: Value, within: float) -> Value:
+        """Ask the other side; returns its answer.
+
+        Raises:
+            KeyServiceRefused: it refuses, or has ended.
+            TimeoutError: no answer `within` seconds.
+            EncodingError: an argument is no CBOR value.
+        """
+        await self._connected.wait()
+        if self._writer is None:
+            raise KeyServiceRefused(_ENDED, "it is started again")
+        number = next(self._numbers) % inner_messages.MAX_NUMBER
+        frame = inner_messages.write(InnerRequest(number, operation, arguments))
+        answer: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = answer
+        try:
+            async with asyncio.timeout(within):
+                self._writer.write(frame)
+                await self._writer.drain()
+                return await answer
+        except ConnectionError as error:
+            raise KeyServiceRefused(_ENDED, "it is started again") from error
+        finally:
+            del self._waiting[number]
+
+    def _take(self, message: inner_messages.InnerMessage) -> None:
+        if isinstance(message, InnerRequest):
+            if message.operation not in self._handlers or len(self._tasks) >= MAX_REQUESTS:
+                raise KeyMessageRefused(f"a request {message.operation} that may not be made now")
+            self._tasks.spawn(self._carry_out(message), name=message.operation)
+            return
+        future = self._waiting.get(message.number)  # None: it was given up
+        if future is None or future.done():
+            return
+        if isinstance(message, InnerRefusal):
+            future.set_exception(KeyServiceRefused(message.message, message.hint))
+        else:
+            future.set_result(message.value)
+
+    async def _carry_out(self, request: InnerRequest) -> None:
+        try:
+            value = await self._handlers[request.operation](*request.arguments)
+            frame = inner_messages.write(InnerAnswer(request.number, value))
+        except HintedError as error:
+            frame = inner_messages.write(InnerRefusal(request.number, str(error), error.hint))
+        if self._writer is not None:
+            self._writer.write(frame)
+            await self._writer.drain()

@@ -1,0 +1,111 @@
+"""The service's joins, calls at the master and rounds: face and work put together. A shell.
+
+Tasks that need the record run in one thread, one after the other; a round is a task as a join is.
+"""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final, TypeVar
+
+from ca.encoding import Value
+from ca.errors import EncodingError, HintedError
+from rossec.authority.keyservice.face_process import FaceProcess
+from rossec.authority.keyservice.operations import KeyOperations
+from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.master_call import MasterCall
+from rossec.errors import NotDelivered
+from rossec.net.aio.tasks import TaskSet
+
+ROUND: Final = 60.0  # seconds between two rounds
+_WITHIN: Final = 30.0  # seconds for a call at the master that does not say
+_T = TypeVar("_T")
+
+
+class NetworkWork:
+    """What the network asks of the service, and it of the network.
+
+    Args:
+        rossec_home: ROSSEC_HOME.
+        operations: of the key.
+        face: the network face.
+        applies: put the policy in force, at every join and in every round.
+        policy: its file; None: the usual place.
+    """
+
+    def __init__(
+        self,
+        rossec_home: Path,
+        operations: KeyOperations,
+        face: FaceProcess,
+        *,
+        applies: bool = False,
+        policy: Path | None = None,
+    ) -> None:
+        self._face = face
+        self._applies = applies
+        self._work = AuthorityWork(rossec_home, operations, self.deliver, policy)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="authority")
+        self._tasks = TaskSet()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def deliver(self, call: MasterCall) -> Value:
+        """Call the master through the face; for the thread of the work.
+
+        Raises:
+            NotDelivered: it is out of reach, or refuses.
+        """
+        if self._loop is None:
+            raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
+        within = int(call.within or _WITHIN)
+        arguments: list[Value] = list(map(_as_value, call.statement))
+        asked = self._face.call(call.method, arguments, within)
+        try:
+            return asyncio.run_coroutine_threadsafe(asked, self._loop).result()
+        except (HintedError, TimeoutError) as error:
+            reason = str(error) or "no answer in time"
+            what = f"the master did not get {call.what}: {reason}"
+            raise NotDelivered(what, call.hint) from error
+
+    async def run(self) -> None:
+        """Serve until this is cancelled."""
+        self._loop = asyncio.get_running_loop()
+        self._tasks.spawn(self._rounds(), name="rounds of the authority")
+        try:
+            await self._face.run(self._join)
+        finally:
+            await self._tasks.close()
+            await asyncio.to_thread(self._thread.shutdown, cancel_futures=True)
+
+    async def _join(self, data: bytes) -> Value:
+        answer, name = await self._in_thread(self._work.join, data)
+        if name is not None and self._applies:
+            self._tasks.spawn(self._in_thread(self._work.apply, name), name="apply")
+        return answer
+
+    async def _rounds(self) -> None:
+        await self._face.started()
+        while True:
+            await self._in_thread(self._work.maintain)
+            if self._applies:
+                await self._in_thread(self._work.apply)
+            await asyncio.sleep(ROUND)
+
+    async def _in_thread(self, task: Callable[..., _T], *arguments: object) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, task, *arguments)
+
+
+def _as_value(item: object) -> Value:
+    """An argument of a call: bytes, or a list of them.
+
+    Raises:
+        EncodingError: of another type.
+    """
+    match item:
+        case bytes():
+            return item
+        case list():
+            return [_as_value(each) for each in item]
+        case _:
+            raise EncodingError("an argument of a call that is not bytes")

@@ -1,0 +1,121 @@
+"""What the service does with the key by itself: joins, and with `--apply` what the policy gives.
+
+Called in one thread of its own, in which the record is opened for each task: commands are answered
+meanwhile. Signatures are audited like those of commands, with the purpose. Deposits and lists are
+passed to the master by the network face; what it does not take is recorded and signed all the same,
+and the next round tries again.
+"""
+
+import contextlib
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+from ca.enrollment.join_messages import Issued, write
+from ca.enrollment.join_request import JoinRequest
+from ca.errors import HintedError
+from rossec import clock
+from rossec.authority import joining, policyfile, renewals
+from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
+from rossec.authority.master_call import MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.errors import AuthorityLocked, ConfigurationError
+from rossec.ros.text import printable
+
+JOIN_PURPOSE: Final = "a node that joins"
+APPLY_PURPOSE: Final = "the policy, which it applies"
+MAINTENANCE_PURPOSE: Final = "its own maintenance"
+_log = logging.getLogger("rossec.authority.service")
+
+
+class AuthorityWork:
+    """The tasks of the service.
+
+    Args:
+        rossec_home: ROSSEC_HOME.
+        operations: of the key.
+        deliver: calls the master. Raises `NotDelivered`.
+        policy: the file; None: its usual place.
+        now: seconds since the epoch.
+    """
+
+    def __init__(
+        self,
+        rossec_home: Path,
+        operations: KeyOperations,
+        deliver: Callable[[MasterCall], object],
+        policy: Path | None = None,
+        now: Callable[[], int] = clock.now,
+    ) -> None:
+        self._rossec_home = rossec_home
+        self._operations = operations
+        self._deliver = deliver
+        self._policy = policy
+        self._now = now
+
+    def join(self, data: bytes) -> tuple[bytes, str | None]:
+        """Decide a node's request; returns the message for it, and its name if it was issued.
+
+        Raises:
+            EnrollmentMessageRefused: not a request to join.
+            HintedError: it could not be decided now; nothing was changed.
+        """
+        request = JoinRequest.from_bytes(data)
+        with self._service(JOIN_PURPOSE) as service:
+            try:
+                answer = joining.join(service.unlock(), request, self._now())
+            except AuthorityLocked:
+                with contextlib.closing(service.home.store()) as store:
+                    answer = joining.join_locked(store, request, self._now())
+        return write(answer), request.name if isinstance(answer, Issued) else None
+
+    def apply(self, name: str | None = None) -> None:
+        """Make the policy true, for the node `name` or for all; does nothing while locked.
+
+        Grants are renewed at two thirds of their time.
+        """
+        if self._operations.held.remaining() is None:
+            return
+        names = None if name is None else [name]
+        try:
+            policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
+            with self._service(APPLY_PURPOSE) as service:
+                plan = service.plan_policy(policy, names, renew_due=True)
+                if plan.signs or plan.revoke:
+                    service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+        except HintedError as error:
+            _log.error("the policy is not applied: %s", printable(error))
+
+    def maintain(self) -> None:
+        """Renew the own node's identity and the list long before they expire; deliver grants."""
+        if self._operations.held.remaining() is None:
+            return
+        try:
+            with self._service(MAINTENANCE_PURPOSE) as service:
+                authority = service.unlock()
+                if renewals.own_node_is_due(authority, self._now()):
+                    renewals.renew_own_node(authority, self._now())
+                service.complete_list()
+                if service.has_signed_list:
+                    service.publish()
+                service.deposit_missing()
+        except HintedError as error:
+            _log.warning("maintenance of the authority: %s", printable(error))
+
+    @contextlib.contextmanager
+    def _service(self, purpose: str) -> Iterator[AuthorityService]:
+        def find_signer(home: AuthorityHome) -> OwnSigner:
+            self._operations.held.check()
+            return OwnSigner(self._operations, home.own_key(), purpose)
+
+        service = AuthorityService(
+            self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer
+        )
+        with contextlib.closing(service):
+            yield service
+
+
+def _no_passphrase() -> str:
+    raise ConfigurationError("the service asks nobody for a passphrase")

@@ -1,0 +1,244 @@
+import re
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import build_request
+from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
+from ca.enrollment.join_messages import (
+    Hello,
+    Issued,
+    Join,
+    JoinMessage,
+    Refused,
+    RefuseReason,
+    Waiting,
+    WaitReason,
+    Welcome,
+    read,
+    write,
+)
+from ca.enrollment.join_node import TABLE, WITHOUT_MESSAGE, NodeJoin, NodeJoinState
+from ca.errors import (
+    EnrollmentMessageRefused,
+    EnrollmentOver,
+    EnrollmentRefused,
+    JoinBusy,
+    JoinRefused,
+    JoinWaiting,
+    NotTheAuthority,
+    OfferRefused,
+    RequestRefused,
+)
+from ca.keys.signer import KeySigner
+from tests.support.joining import fresh
+from tests.support.pki import NOW, Site, new_signer
+
+HOME, OTHER = Site.create(), Site.create()
+OWN, NODE = new_signer(), new_signer()
+
+
+def leaf(name: str, signer: KeySigner, site: Site = HOME, now: int = NOW) -> bytes:
+    csr = build_request(signer, "home", name)
+    return site.authority.issue(csr, now=now, serial=int.from_bytes(fresh()) + 9)
+
+
+CA_LEAF = leaf("/ca", OWN)
+CSR = build_request(NODE, "home", "/fleet/a")
+CODE = InvitationCode(sha256(HOME.root).digest(), bytes(16), NOW + 9, "10.0.0.1:1", "/fleet/*")
+
+
+def identity(
+    chain: bytes = CA_LEAF, signer: KeySigner = OWN, root: bytes = HOME.root
+) -> LiveIdentity:
+    return LiveIdentity(signer, (chain,), root)
+
+
+def welcomed(node: NodeJoin, own: LiveIdentity | None = None) -> bytes:
+    sent = AuthorityJoin(own or identity(), fresh()).receive(node.hello())
+    assert sent is not None
+    return sent
+
+
+def proved(csr: bytes = CSR, code: InvitationCode = CODE) -> NodeJoin:
+    node = NodeJoin(code, fresh())
+    node.receive(welcomed(node), NOW)
+    node.join(csr)
+    return node
+
+
+def test_a_node_joins() -> None:
+    node, authority = NodeJoin(CODE, fresh()), AuthorityJoin(identity(), fresh())
+    welcome = authority.receive(node.hello())
+    assert welcome is not None
+    node.receive(welcome, NOW)
+    assert node.anchor.domain == "home"
+    assert authority.receive(node.join(CSR)) is None
+    authority.request.verify(CODE.key)
+    mine = HOME.authority.issue(CSR, now=NOW, serial=77)
+    node.receive(authority.answer(Issued((mine,))), NOW)
+    assert node.state is NodeJoinState.JOINED
+    assert (node.identity.chain, node.identity.root) == ((mine,), HOME.root)
+    assert node.identity.anchor.thumbprint == HOME.anchor.thumbprint
+
+
+def impostors() -> dict[str, tuple[LiveIdentity, str]]:
+    robot = new_signer()
+    return {
+        "another authority": (
+            identity(leaf("/ca", OWN, OTHER), root=OTHER.root), "another authority answers",
+        ),
+        "the same root, its leaf of another": (
+            identity(leaf("/ca", OWN, OTHER)), "is not the authority",
+        ),
+        "an enrolled node": (
+            identity(leaf("/robot", robot), robot), "the peer is /robot, a node of this site",
+        ),
+        "a node with a name like it": (identity(leaf("/ca/ca", robot), robot), "is /ca/ca"),
+        "the master": (identity(leaf("/master", robot), robot), "the peer is /master"),
+        "a copy of the certificate without its key": (
+            identity(CA_LEAF, robot), "does not have the key",
+        ),
+        "the root itself as the leaf": (identity(HOME.root, KeySigner(HOME.key)), "not the"),
+        "rubbish": (identity(b"rubbish"), "is not the authority"),
+    }  # fmt: skip
+
+
+IMPOSTORS = impostors()
+
+
+@pytest.mark.parametrize("which", sorted(IMPOSTORS))
+def test_a_peer_that_is_not_the_live_authority_gets_nothing(which: str) -> None:
+    own, error = IMPOSTORS[which]
+    node = NodeJoin(CODE, fresh())
+    with pytest.raises(NotTheAuthority, match=error):
+        node.receive(welcomed(node, own), NOW)
+    assert node.state is NodeJoinState.OVER
+    with pytest.raises(EnrollmentOver):
+        node.join(CSR)
+    with pytest.raises(EnrollmentOver):
+        _ = node.anchor
+
+
+def test_an_authority_whose_identity_has_expired() -> None:
+    node = NodeJoin(CODE, fresh())
+    with pytest.raises(NotTheAuthority, match=r"cannot be verified: .* expired"):
+        node.receive(welcomed(node), NOW + 31 * 86400)
+
+
+def test_a_recorded_welcome_is_not_live() -> None:
+    first, second = NodeJoin(CODE, fresh()), NodeJoin(CODE, fresh())
+    recorded = welcomed(first)
+    with pytest.raises(NotTheAuthority, match="does not have the key"):
+        second.receive(recorded, NOW)
+
+
+def test_a_welcome_for_another_invitation_is_not_live() -> None:
+    nonce = fresh()
+    first, second = NodeJoin(replace(CODE, secret=b"1" * 16), nonce), NodeJoin(CODE, nonce)
+    with pytest.raises(NotTheAuthority, match="does not have the key"):
+        second.receive(welcomed(first), NOW)
+
+
+def test_a_root_that_is_not_parsed_before_its_hash() -> None:
+    node = NodeJoin(CODE, fresh())
+    with pytest.raises(NotTheAuthority, match="another authority"):
+        node.receive(write(Welcome(fresh(), (b"c",), b"rubbish", b"s")), NOW)
+
+
+@pytest.mark.parametrize(
+    ("chain", "error"),
+    [
+        ((leaf("/fleet/a", new_signer()),), "another key"),
+        ((leaf("/fleet/b", NODE),), "another name"),
+        ((leaf("/fleet/a", NODE, OTHER),), "invalid offer"),
+        ((HOME.root,), "invalid offer"),
+        ((b"rubbish",), "invalid offer"),
+    ],
+)
+def test_only_its_own_identity_is_taken(chain: tuple[bytes, ...], error: str) -> None:
+    node = proved()
+    with pytest.raises(OfferRefused, match=error):
+        node.receive(write(Issued(chain)), NOW)
+    assert node.state is NodeJoinState.OVER
+    with pytest.raises(EnrollmentOver):
+        _ = node.identity
+
+
+@pytest.mark.parametrize("reason", WaitReason)
+def test_waiting_is_raised(reason: WaitReason) -> None:
+    node = proved()
+    with pytest.raises(JoinWaiting) as caught:
+        node.receive(write(Waiting(reason)), NOW)
+    assert "rossec node join" in caught.value.hint
+    assert node.state is NodeJoinState.WAITING
+
+
+@pytest.mark.parametrize("reason", RefuseReason)
+@pytest.mark.parametrize("early", [True, False])
+def test_a_refusal_is_raised(reason: RefuseReason, early: bool) -> None:
+    node = NodeJoin(CODE, fresh()) if early else proved()
+    kind = JoinBusy if reason is RefuseReason.BUSY else JoinRefused
+    with pytest.raises(kind) as caught:
+        node.receive(write(Refused(reason)), NOW)
+    assert type(caught.value) is kind
+    assert caught.value.hint
+    assert node.state is NodeJoinState.OVER
+
+
+MESSAGES: list[JoinMessage] = [
+    Hello(bytes(32), bytes(16)), Welcome(bytes(16), (b"c",), b"r", b"s"), Join("/a", b"", b""),
+    Issued((b"c",)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("state", NodeJoinState)
+@pytest.mark.parametrize("message", MESSAGES)
+def test_what_is_not_in_the_table_ends_the_session(
+    state: NodeJoinState, message: JoinMessage
+) -> None:
+    if (state, type(message)) in TABLE:
+        return
+    node = NodeJoin(CODE, fresh())
+    node.state = state
+    with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
+        node.receive(write(message), NOW)
+    assert node.state in {NodeJoinState.OVER, NodeJoinState.WAITING}
+
+
+@pytest.mark.parametrize(
+    "csr",
+    [b"rubbish", build_request(NODE, "elsewhere", "/fleet/a"),
+     build_request(NODE, "home", "/fleet/a", wildcard=True)],
+)  # fmt: skip
+def test_a_request_that_is_invalid_is_not_sent(csr: bytes) -> None:
+    node = NodeJoin(CODE, fresh())
+    node.receive(welcomed(node), NOW)
+    with pytest.raises(RequestRefused):
+        node.join(csr)
+    assert isinstance(read(node.join(CSR)), Join)
+    with pytest.raises(EnrollmentOver):
+        node.join(CSR)
+
+
+def test_a_nonce_has_its_size() -> None:
+    with pytest.raises(EnrollmentRefused):
+        NodeJoin(CODE, b"")
+
+
+def test_the_states_are_those_of_the_specification() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "spec" / "enrollment.md").read_text()
+    node = text.partition("## 11.")[2].partition("## 12.")[0]
+    authority = text.partition("## 12.")[2].partition("## 13.")[0]
+    for states, section in ((NodeJoinState, node), (AuthorityJoinState, authority)):
+        found = set(re.findall(r"\b[A-Z]{4,}\b", section)) - {"MUST", "SHOULD", "FALSE"}
+        assert found == {state.name for state in states}
+
+
+def test_every_state_is_reached() -> None:
+    reached = {follower for _, followers in TABLE.values() for follower in followers}
+    reached |= {after for _, after, _ in WITHOUT_MESSAGE} | {NodeJoinState.GREETING}
+    assert reached == set(NodeJoinState)

@@ -1,0 +1,158 @@
+"""How the authority delivers grants: its calls at the master, and what becomes of the answers."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from grants import document
+from grants.model import Permission, Right
+from rossec.authority import grant_delivery as module
+from rossec.authority.grant_delivery import RefusedDeposit
+from rossec.authority.master_call import MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.errors import NotDelivered
+from rossec.home import NodeHome
+from tests.rossec.authority.test_service import DAY, Office
+
+
+class Delivering(Office):
+    """An office whose master has a table of deposits, and refuses what is in `refuses`."""
+
+    def __init__(self, root: Path) -> None:
+        self.states: dict[bytes, str] = {}
+        self.refuses: dict[bytes, str] = {}
+        self.answer: object = None
+        super().__init__(root)
+
+    def opened(self) -> AuthorityService:
+        return AuthorityService(self.root, self._passphrase, self.respond, lambda: self.now)
+
+    def respond(self, call: MasterCall) -> object:
+        self._deliver(call)
+        (items,) = call.statement
+        assert isinstance(items, list)
+        if self.answer is not None:
+            return self.answer
+        if call.method == "rossec.deliveryStates":
+            return [self.states.get(item[:16], "") for item in items]
+        assert call.method == "rossec.depositGrants"
+        accepted = [item for item in items if item not in self.refuses]
+        self.states |= {document.grant_id(item): "waiting" for item in accepted}
+        return [self.refuses.get(item, "") for item in items]
+
+    def grant(self, name: str = "/robot", lifetime: int = DAY, renewal: int = 0) -> bytes:
+        permissions = (Permission("/p", Right.PUBLISH),)
+        _, data = self.service.sign_grant(name, permissions, lifetime, renewal)
+        return data
+
+    def move_away(self, name: str) -> None:
+        NodeHome.of(self.root, name).path.rename(self.root / f"away{name.replace('/', '-')}")
+
+    def made(self, method: str) -> list[Any]:
+        return [call.statement[0] for call in self.calls if call.method == method]
+
+
+@pytest.fixture
+def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Delivering:
+    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    return Delivering(tmp_path / "office")
+
+
+def test_a_grant_is_stored_for_a_node_of_this_home_only(office: Delivering) -> None:
+    data = office.grant()
+    path = office.service.store_grant(data)
+    assert path == NodeHome.of(office.root, "/robot").path
+    assert NodeHome.of(office.root, "/robot").grants() == [data]
+    office.move_away("/robot")
+    assert office.service.store_grant(data) is None
+    assert office.calls == []
+
+
+def test_grants_are_deposited_and_those_of_this_home_stored_too(office: Delivering) -> None:
+    office.enroll("/camera")
+    one, two = office.grant(), office.grant("/camera")
+    office.move_away("/camera")
+    office.refuses = {two: "no more\x1b room"}
+    asked = office.asked
+    office.service.close()
+    refused = office.service.deposit([one, two])
+    assert [(each.grant_id, each.node) for each in refused] == [(document.grant_id(two), "/camera")]
+    assert refused[0].reason.isprintable(), "it is another host's text"
+    assert office.made("rossec.depositGrants") == [[one, two]]
+    assert office.robot.grants() == [one]
+    assert office.asked == asked, "no passphrase is needed"
+    (call,) = office.calls
+    assert (call.node.name, call.what, call.within) == ("/ca", "the grants", 15.0)
+
+
+def test_grants_are_deposited_in_calls_that_the_master_takes(
+    office: Delivering, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grants = [office.grant() for _ in range(5)]
+    monkeypatch.setattr(module, "DEPOSIT_LIMIT", 2)
+    assert office.service.deposit(iter(grants)) == []
+    assert office.made("rossec.depositGrants") == [grants[:2], grants[2:4], grants[4:]]
+    office.calls.clear()
+    monkeypatch.setattr(module, "DEPOSIT_BYTES", len(grants[0]) + 1)
+    office.service.deposit(grants[:2])
+    assert office.made("rossec.depositGrants") == [grants[:1], grants[1:2]]
+    office.calls.clear()
+    assert office.service.deposit([]) == []
+    assert office.calls == []
+
+
+def test_states_are_asked_of_the_grants_in_force(
+    office: Delivering, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    office.enroll("/lost")
+    held, ended, renewable, revoked, lost = (
+        office.grant(), office.grant(lifetime=60), office.grant(lifetime=60, renewal=DAY),
+        office.grant(), office.grant("/lost"),
+    )  # fmt: skip
+    office.service.revoke_grant(document.grant_id(revoked).hex(), "a test")
+    office.service.revoke_identity("/lost", "a test")
+    office.now += 60
+    office.states = {document.grant_id(held): "held"}
+    monkeypatch.setattr(module, "STATES_LIMIT", 1)
+    assert office.service.delivery_states() == {
+        document.grant_id(held): "held", document.grant_id(renewable): "",
+    }  # fmt: skip
+    holder = document.peek(held).holder
+    assert office.made("rossec.deliveryStates") == [
+        [document.grant_id(data) + holder] for data in (held, renewable)
+    ]
+    assert ended != lost
+    assert office.calls[0].within == 3.0, "a list of grants does not wait for a master that is off"
+
+
+def test_what_the_master_does_not_have_is_deposited(office: Delivering) -> None:
+    one, two, three = office.grant(), office.grant(), office.grant()
+    office.states = {document.grant_id(one): "fetched"}
+    office.refuses = {three: "too many"}
+    refused = [RefusedDeposit(document.grant_id(three), "/robot", "too many")]
+    assert office.service.deposit_missing() == (1, refused)
+    assert office.made("rossec.depositGrants") == [[two, three]]
+    office.refuses = {}
+    assert office.service.deposit_missing() == (1, [])
+    assert office.service.deposit_missing() == (0, [])
+
+
+@pytest.mark.parametrize("answer", [[], ["", ""], [7], "text", 5])
+def test_an_answer_that_does_not_fit_is_an_error(office: Delivering, answer: object) -> None:
+    office.grant()
+    office.answer = answer
+    with pytest.raises(NotDelivered, match="about the grant is malformed") as error:
+        office.service.delivery_states()
+    assert "rossec grant deliver" in error.value.hint
+
+
+def test_without_a_master_what_is_here_is_stored_all_the_same(office: Delivering) -> None:
+    data = office.grant()
+    office.reachable = False
+    with pytest.raises(NotDelivered) as error:
+        office.service.deposit([data])
+    assert "rossec grant deliver" in error.value.hint
+    assert office.robot.grants() == [data]
+    with pytest.raises(NotDelivered):
+        office.service.deposit_missing()

@@ -1,0 +1,145 @@
+"""A plan: which nodes get what, which grants go, and how long the list becomes. Nothing changes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ca.errors import RevocationRefused
+from ca.revocation.lists import MAX_ENTRIES
+from grants import document
+from grants.model import Draft, Grant, Permission, Right
+from grants.policy.difference import Moment
+from rossec.authority import policy_plan as module
+from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
+from rossec.authority.policyfile import PolicyFile
+from rossec.authority.signing import SKEW
+from rossec.home import NodeHome
+from tests.support.site import DAY, Site
+
+NOW = 1_800_000_000
+POLICY = """rossec: 1
+robot: r
+rules:
+  - {id: a, who: "*", allow: {subscribe: [/pose], publish: [/odom]}, lifetime: 1d}
+  - {id: d, who: "*", deny: {call: [/lift]}}
+"""
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    made = Site(tmp_path / "site", clock=lambda: NOW)
+    for name in ("/robot", "/viewer", "/master"):
+        made.enroll(name, 30 * DAY)
+    return made
+
+
+def policy(site: Site, text: str = POLICY) -> PolicyFile:
+    path = site.root / "policy.yaml"
+    path.write_text(text)
+    return PolicyFile.read(path)
+
+
+def plan(
+    site: Site, text: str = POLICY, options: PlanOptions | None = None, later: int = 0
+) -> PolicyPlan:
+    moment = Moment(NOW + later, SKEW)
+    return make_plan(site.authority.store, policy(site, text), options or PlanOptions(), moment)
+
+
+def sign(site: Site, made: PolicyPlan, now: int = NOW) -> list[Grant]:
+    drafts = list(made.drafts("home", now, lambda: bytes(16)))
+    return [document.peek(data) for data in site.authority.issue_grants(drafts, now)]
+
+
+def by_hand(site: Site, name: str, *permissions: Permission, expires: int = NOW + DAY) -> Grant:
+    draft = Draft("home", name, site.identity(name).thumbprint, NOW - SKEW, expires, NOW + 2 * DAY,
+                  name.encode().ljust(16), permissions)  # fmt: skip
+    return document.peek(site.authority.issue_grant(draft, NOW))
+
+
+def test_every_node_but_the_trusted_ones_gets_its_rights(site: Site) -> None:
+    made = plan(site)
+    assert [node.subject.name for node in made.nodes] == ["/robot", "/viewer"]
+    assert (made.signs, made.revoke, made.ends) == (2, (), NOW + DAY)
+    grants = sign(site, made)
+    assert [grant.subject for grant in grants] == ["/robot", "/viewer"]
+    assert grants[0].permissions == (
+        Permission("/pose", Right.SUBSCRIBE), Permission("/odom", Right.PUBLISH),
+    )  # fmt: skip
+    times = (grants[0].not_before, grants[0].expires, grants[0].cap)
+    assert times == (NOW - SKEW, NOW + DAY, NOW + DAY)
+    again = plan(site)
+    assert again.is_empty
+    assert again.entries > made.entries
+
+
+def test_only_the_nodes_asked_for(site: Site) -> None:
+    sign(site, plan(site, options=PlanOptions(("/viewer",))))
+    assert plan(site, options=PlanOptions(("/viewer",))).is_empty
+    (node,) = plan(site, options=PlanOptions(("/robot", "/nobody"))).nodes
+    assert node.subject.name == "/robot"
+
+
+def test_a_replaced_key_gets_its_own_grants(site: Site) -> None:
+    sign(site, plan(site))
+    old = site.identity("/robot").thumbprint
+    home = NodeHome.of(site.root, "/robot")
+    for path in home.path.glob("node.*"):  # it is set up again
+        path.unlink()
+    home.create_request("home")
+    home.install(site.authority.issue(home.request(), NOW, DAY, replace_key="/robot"), NOW)
+    made = plan(site)
+    new = [each.subject.key for each in made.nodes if each.sign]
+    assert new == [site.identity("/robot").thumbprint] != [old]
+    assert made.revoke == ()  # they go with the old key
+
+
+def test_a_node_whose_identity_ended_only_loses(site: Site) -> None:
+    sign(site, plan(site, POLICY.replace("1d", "90d")))
+    later = 40 * DAY
+    assert plan(site, POLICY.replace("1d", "90d"), later=later).is_empty
+    made = plan(site, POLICY.replace("1d", "80d"), later=later)
+    assert (made.signs, len(made.revoke)) == (0, 2)
+
+
+def test_grants_by_hand_are_pruned_but_for_the_rest(site: Site) -> None:
+    sign(site, plan(site))
+    lift, led = Permission("/lift", Right.CALL), Permission("/led", Right.PUBLISH)
+    mixed = by_hand(site, "/robot", lift, led)
+    bare = by_hand(site, "/viewer", lift)
+    made = plan(site)
+    assert [each.grant for each in made.contradictions] == [mixed, bare]
+    assert made.is_empty
+    pruned = plan(site, options=PlanOptions(prune=True))
+    assert pruned.contradictions == ()
+    assert (set(pruned.revoke), pruned.signs, pruned.listed) == ({mixed, bare}, 1, 2)
+    ((draft, rules),) = pruned.drafts("home", NOW, lambda: bytes(16))
+    assert (draft.permissions, draft.expires, draft.cap, rules) == (
+        (led,), mixed.expires, mixed.cap, "",
+    )  # fmt: skip
+    assert list(pruned.drafts("home", mixed.expires, lambda: bytes(16))) == []
+
+
+def test_the_list_is_measured_before_anything_is_signed(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign(site, plan(site))
+    less = POLICY.replace(", publish: [/odom]", "")
+    made = plan(site, less)
+    assert (made.signs, made.listed, made.needs_tree) == (2, 2, False)
+    assert replace(made, listed=MAX_ENTRIES + 1).needs_tree
+    monkeypatch.setattr(module, "MAX_LEAVES", 1)
+    with pytest.raises(RevocationRefused, match="would make a list of 2 entries") as refused:
+        plan(site, less)
+    assert "--node" in refused.value.hint
+
+
+def test_what_is_due_is_renewed_when_asked(site: Site) -> None:
+    sign(site, plan(site))
+    made = plan(site, later=DAY * 3 // 4)
+    assert made.is_empty
+    assert [len(node.due) for node in made.nodes] == [1, 1]
+    moment = Moment(NOW + DAY * 3 // 4, SKEW, renew_due=True)
+    made = make_plan(site.authority.store, policy(site), PlanOptions(), moment)
+    assert (made.signs, made.revoke) == (2, ())

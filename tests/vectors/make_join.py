@@ -1,0 +1,81 @@
+"""Writes the vectors of a join: `python -m tests.vectors.make_join`; a test compares them.
+
+Everything follows from fixed inputs, but for ECDSA, whose signatures are random: the vectors have
+signatures that were made once, and are verified.
+"""
+
+import json
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.authority import Authority, create_root
+from ca.certificates import build_request
+from ca.enrollment import join_transcript, ndef
+from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_messages import (
+    Hello,
+    Issued,
+    Join,
+    JoinMessage,
+    Refused,
+    RefuseReason,
+    Waiting,
+    WaitReason,
+    Welcome,
+    write,
+)
+from ca.enrollment.join_request import JoinRequest
+from ca.keys.signer import KeySigner
+
+FILE: Final = Path(__file__).parent / "join" / "join.json"
+NOW: Final = 1_800_000_000
+ROOT, OWN, NODE = (
+    KeySigner(ec.derive_private_key(scalar, ec.SECP256R1())) for scalar in (11, 12, 13)
+)
+NODE_NONCE, OWN_NONCE = bytes(range(16)), bytes(range(16, 32))
+NAME: Final = "/fleet/robot07"
+
+
+def code_of(root: bytes) -> InvitationCode:
+    return InvitationCode(
+        sha256(root).digest(), bytes(range(32, 48)), NOW + 3600, "192.168.1.7:11318", "/fleet/*"
+    )
+
+
+def vectors() -> dict[str, Any]:
+    root = create_root(ROOT, "home", now=NOW, serial=1)
+    authority = Authority(ROOT, root)
+    own = authority.issue(build_request(OWN, "home", "/ca"), now=NOW, serial=2)
+    csr = build_request(NODE, "home", NAME)
+    leaf = authority.issue(csr, now=NOW, serial=3)
+    code = code_of(root)
+    agreed = join_transcript.transcript(code.id, NODE_NONCE, OWN_NONCE, [own], root)
+    live = join_transcript.sign_live(OWN, agreed)
+    proof = join_transcript.sign_proof(code.signer, agreed, csr, NAME)
+    messages: dict[str, JoinMessage] = {
+        "hello": Hello(code.id, NODE_NONCE),
+        "welcome": Welcome(OWN_NONCE, (own,), root, live),
+        "join": Join(NAME, csr, proof),
+        "issued": Issued((leaf,)),
+        "waiting": Waiting(WaitReason.PERSON),
+        "refused": Refused(RefuseReason.ENDED),
+    }
+    return {
+        "now": NOW, "name": NAME,
+        "root": root.hex(), "own": own.hex(), "csr": csr.hex(), "leaf": leaf.hex(),
+        "secret": code.secret.hex(), "expires": code.expires,
+        "address": code.address, "pattern": code.pattern,
+        "code": code.text(), "ndef": ndef.write(code).hex(),
+        "key": code.key.hex(), "id": code.id.hex(),
+        "node_nonce": NODE_NONCE.hex(), "own_nonce": OWN_NONCE.hex(),
+        "transcript": agreed.hex(), "live": live.hex(), "proof": proof.hex(),
+        "messages": {name: write(message).hex() for name, message in messages.items()},
+        "request": JoinRequest(code.id, agreed, NAME, csr, proof).to_bytes().hex(),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    FILE.write_text(json.dumps(vectors(), indent=1) + "\n")
