@@ -76,7 +76,6 @@ MISSING: Final = frozenset(
         "rossec/inprocess/process.py",
         "rossec/inprocess/sockets.py",
         "rossec/master/server/server.py",
-        "rossec/participant/master_session.py",
         "rossec/sidecar/egress.py",
         "rossec/sidecar/executor.py",
         "rossec/sidecar/pump.py",
