@@ -29,6 +29,15 @@ OTHERS: Final[dict[str, tuple[str, ...]]] = {
         "rossec/net/threads/test_carrier.py",
         "rossec/net/threads/test_secure_socket.py",
     ),
+    # `connect` is half of a handshake, and the driver the half of a stream that moves bytes.
+    "rossec/net/aio/client.py": (
+        "rossec/net/aio/test_client.py",
+        "rossec/net/aio/test_handshake.py",
+    ),
+    "rossec/net/aio/driver.py": (
+        "rossec/net/aio/test_driver.py",
+        "rossec/net/aio/test_stream.py",
+    ),
     # What rospy calls in place of its own: only a program of rospy shows what it does.
     "rossec/inprocess/headers.py": ("rossec/inprocess/test_connections.py",),
     "rossec/inprocess/hooks.py": ("rossec/inprocess/test_secure.py",),
@@ -67,10 +76,6 @@ MISSING: Final = frozenset(
         "rossec/inprocess/process.py",
         "rossec/inprocess/sockets.py",
         "rossec/master/server/server.py",
-        "rossec/master/server/start.py",
-        "rossec/net/aio/client.py",
-        "rossec/net/aio/driver.py",
-        "rossec/participant/master_session.py",
         "rossec/sidecar/egress.py",
         "rossec/sidecar/executor.py",
         "rossec/sidecar/pump.py",
@@ -115,8 +120,14 @@ def main() -> int:
     """Print each module that its tests do not cover; the exit status."""
     measured = coverage.Coverage()
     measured.load()
-    wrong = 0
-    for path in map(Path, sorted(measured.get_data().measured_files())):
+    measured_files = measured.get_data().measured_files()
+    gone = {*OTHERS, *MISSING} - {
+        Path(path).relative_to(ROOT).as_posix() for path in measured_files
+    }
+    for module in sorted(gone):
+        print(f"{module}: there is no such module: remove it from {Path(__file__).name}")
+    wrong = len(gone)
+    for path in map(Path, sorted(measured_files)):
         module, percent = path.relative_to(ROOT).as_posix(), covered(measured, path)
         missing = percent is not None and percent < LEAST
         if missing and module not in MISSING:

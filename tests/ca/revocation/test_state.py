@@ -48,7 +48,7 @@ def test_nothing_known_means_no() -> None:
     assert "master" in caught.value.hint
 
 
-def test_never_confirmed_means_no() -> None:
+def test_a_list_never_confirmed_means_no() -> None:
     state = Revocations(SIGNER.public_key)
     state.update(signed(1, A), NOW)
     assert state.fresh_until == 0

@@ -175,7 +175,7 @@ def test_an_interrupted_restoration_changes_nothing(
     assert not list((tmp_path / "new").iterdir())
 
 
-def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
+def test_the_command_line_backs_up_and_restores(shell: Shell, tmp_path: Path) -> None:
     target = str(tmp_path / "backup")
     said = shell.unlocked("ca", "backup", target)
     assert said.out.startswith(f"backup of home: {target}\nfingerprint ")
