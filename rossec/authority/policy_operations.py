@@ -198,8 +198,7 @@ class PolicyOperations(ABC):
         with contextlib.closing(self.home.store()) as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
         if ours:
-            self._store_missing()
-            self.deposit_missing()
+            self._deposit_all()
         if not revoked.isdisjoint(ours):
             self.publish()
 
@@ -211,13 +210,8 @@ class PolicyOperations(ABC):
         Before a revocation, also those that an interrupted command signed. A node of this
         ROSSEC_HOME has its grants as files, also while no master runs.
         """
-        self._store_missing()
         try:
-            refused = (
-                self.deposit_missing()[1]
-                if plan.revoke
-                else self.deposit([data for _, data in signed])
-            )
+            refused = self._deposit_all() if plan.revoke else self.deposit(d for _, d in signed)
         except NotDelivered as error:
             homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
             return None if all(home.path.is_dir() for home in homes) else error
@@ -225,8 +219,8 @@ class PolicyOperations(ABC):
             report(f"the master refuses a grant of {each.node}: {each.reason}")
         return None
 
-    def _store_missing(self) -> None:
-        """Store the grants of the policy that nodes of this ROSSEC_HOME lack."""
+    def _deposit_all(self) -> "list[RefusedDeposit]":
+        """Deliver every grant that its node or the master lacks; returns the refused ones."""
         with contextlib.closing(self.home.store()) as store:
             rules, rows = store.policy_grants(), store.unrevoked_grants()
         for row in rows:
@@ -234,3 +228,4 @@ class PolicyOperations(ABC):
             lacks = home.path.is_dir() and not home.grant_file(row.id).exists()
             if lacks and row.id in rules and self._now() < row.expires:
                 home.add_grant(row.id, row.data)
+        return self.deposit_missing()[1]

@@ -133,6 +133,20 @@ def test_long_heads_are_refused() -> None:
             PROFILE.open(longer, KEY)
 
 
+@pytest.mark.parametrize("payload", [[b"x" * 32], {}, [b"x" * 32, b"y" * 32, "/name"], b"z" * 300])
+def test_a_statement_whose_payload_is_known_is_compared_and_not_decoded(payload: Value) -> None:
+    data = PROFILE.sign(SIGNER, payload)
+    PROFILE.check(data, KEY, payload)
+    changed = [data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :] for at in range(len(data))]
+    for other in [*changed, *(data[:end] for end in range(len(data))), data + b"\0"]:
+        with pytest.raises(SignatureError):
+            PROFILE.check(other, KEY, payload)
+    for profile, key, stated in ((OTHER, KEY, payload), (PROFILE, new_signer().public_key, payload),
+                                 (PROFILE, KEY, 7)):  # fmt: skip
+        with pytest.raises(SignatureError):
+            profile.check(data, key, stated)
+
+
 class Recorder:
     """A signer that keeps what it is asked to sign."""
 

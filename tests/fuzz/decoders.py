@@ -7,12 +7,19 @@ messages of a handshake between two connections, of RFC 9529, and of plain peers
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from ca.certificates import build_request
 from ca.encoding import decode, encode
-from ca.enrollment import qr
+from ca.enrollment import invitation, join_messages, ndef, qr
 from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
+from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
+from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join_node import NodeJoin, NodeJoinState
+from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
 from rossec.channel.edhoc.known import KnownCertificates, reference
@@ -33,7 +40,7 @@ from rossec.channel.opening import (
 )
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.pki import NOW as SOME_TIME
-from tests.support.pki import Site
+from tests.support.pki import Site, new_signer
 from tests.support.wire import ALICE, NOW, joined, wire
 
 Target: TypeAlias = Callable[[bytes], object]
@@ -143,6 +150,54 @@ def _enrolling_authority(data: bytes) -> None:
         assert authority.digits == ""
 
 
+INVITATION: Final = InvitationCode(
+    sha256(HOME.root).digest(), bytes(16), SOME_TIME, ADDRESS, "/robot1/*"
+)
+OWN: Final = new_signer()
+CA_LEAF: Final = HOME.authority.issue(
+    build_request(OWN, "home", "/ca"), now=SOME_TIME, serial=2, lifetime=86400
+)
+FACE: Final = LiveIdentity(OWN, (CA_LEAF,), HOME.root)
+
+
+def _session() -> tuple[NodeJoin, AuthorityJoin, bytes]:
+    node, face = NodeJoin(INVITATION, bytes(16)), AuthorityJoin(FACE, bytes(16))
+    welcome = face.receive(node.hello())
+    assert welcome is not None
+    return node, face, welcome
+
+
+def joins() -> list[bytes]:
+    """Every message of a join, and the octets that reach the authority's key."""
+    node, face, welcome = _session()
+    node.receive(welcome, SOME_TIME)
+    sent = node.join(ROBOT.csr)
+    face.receive(sent)
+    answers = Issued((LEAF,)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY)
+    written = [join_messages.write(answer) for answer in answers]
+    return [node.hello(), welcome, sent, *written, face.request.to_bytes()]
+
+
+def _joining_node(data: bytes) -> None:
+    """Nothing but its own identity is taken, at any moment."""
+    fresh = NodeJoin(INVITATION, bytes(15) + b"1")  # a recorded welcome is not for it
+    with suppress(HintedError):
+        fresh.receive(data, SOME_TIME)
+    assert fresh.state is not NodeJoinState.WELCOMED
+    node, _, welcome = _session()
+    node.receive(welcome, SOME_TIME)
+    node.join(ROBOT.csr)
+    with suppress(HintedError):
+        node.receive(data, SOME_TIME)
+    assert node.state is not NodeJoinState.JOINED or node.identity.chain == (LEAF,)
+
+
+def _joining_authority(data: bytes) -> None:
+    _, face, _ = _session()
+    face.receive(data)
+    face.request.verify(INVITATION.key)
+
+
 DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "message_1": (decode_message_1, rfc9529),
     "message_2_3_4": (decode_bytes, rfc9529),
@@ -161,6 +216,17 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
         lambda data: qr.parse(data.decode("latin-1")),
         lambda: [ROBOT.enrollment(label=label).code(ADDRESS).encode() for label in (True, False)],
     ),
+    "invitation": (
+        lambda data: invitation.parse(data.decode("latin-1")),
+        lambda: [INVITATION.text().encode()],
+    ),
+    "ndef": (ndef.read, lambda: [ndef.write(INVITATION)]),
+    "join_request": (
+        lambda data: JoinRequest.from_bytes(data).verify(INVITATION.key),
+        joins,
+    ),
+    "joining_node": (_joining_node, joins),
+    "joining_authority": (_joining_authority, joins),
     "enrolling_node": (_enrolling_node, enrollments),
     "enrolling_authority": (_enrolling_authority, enrollments),
 }

@@ -4,7 +4,9 @@ Every node lives in a ROSSEC_HOME of its own, as on a robot: nothing but the mas
 the authority, whose commands are run as a user runs them.
 """
 
+import asyncio
 import contextlib
+import dataclasses
 import json
 import os
 import shutil
@@ -13,15 +15,25 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
 import pytest
 
+from grants import document
+from grants.model import Right
+from rossec.errors import RossecError
+from rossec.net.rpc.client import RpcClient
 from rossec.sidecar.loopback_port import free_port
 from tests.integration.sidecarworld import ROSSEC, Running, wait
+from tests.support.attacker import credentials, dial, drafted
+from tests.support.caller import Caller
 from tests.support.commands import PASSPHRASE
 from tests.support.fleet import PROJECT, SECURE
+from tests.support.masterprocess import master_process
+from tests.support.site import Site
+from tests.support.witness import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
@@ -196,3 +208,44 @@ def test_a_killed_master_loses_no_deposit_and_a_node_that_was_off_gets_it(place:
     shutil.rmtree(place.home("/talker") / "nodes" / "talker" / "grants")
     listed = json.loads(place.rossec("office", "grant", "list", "/talker", "--json"))
     assert [row["state"] for row in listed] == ["held", "revoked"]
+
+
+async def deposit_until_killed(office: Caller, acknowledged: list[bytes]) -> None:
+    """Deposit grants for one node after another until the master is gone."""
+    with contextlib.suppress(RossecError):
+        for number in range(10**6):
+            data = drafted_grant(office.site, f"/robot{number % 50}")
+            if (await office("rossec.depositGrants", [data]))[2] == [""]:
+                acknowledged.append(data)
+
+
+def drafted_grant(site: Site, name: str) -> bytes:
+    draft = drafted(site, "/robot", "/p", Right.PUBLISH)
+    holder = sha256(name.encode()).digest()
+    return document.sign(
+        site.authority.signer, dataclasses.replace(draft, subject=name, holder=holder)
+    )
+
+
+async def test_a_master_killed_while_grants_are_deposited_has_all_it_acknowledged(
+    tmp_path: Path,
+) -> None:
+    async with master_process(tmp_path / "site") as master:
+        site, acknowledged = master.site, list[bytes]()
+        site.enroll("/robot")
+        own = credentials(site, "/ca")
+        await master.start()
+        office = Caller(site, "/ca", RpcClient(await dial(master.uri, own)))
+        async with asyncio.TaskGroup() as group:
+            group.create_task(deposit_until_killed(office, acknowledged))
+            await until(lambda: len(acknowledged) > 100, within=30)
+            await master.kill()
+        await master.start()
+        again = Caller(site, "/ca", RpcClient(await dial(master.uri, own)))
+        entries = [document.grant_id(data) + document.peek(data).holder for data in acknowledged]
+        for begin in range(0, len(entries), 256):
+            states = (await again("rossec.deliveryStates", entries[begin : begin + 256]))[2]
+            assert set(states) == {"waiting"}
+        repeated = (await again("rossec.depositGrants", acknowledged[:64]))[2]
+        assert set(repeated) == {""}, "and nothing twice"
+        await again.client.close()

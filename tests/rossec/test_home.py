@@ -248,6 +248,43 @@ def test_a_screen_gets_a_new_request_and_a_label_keeps_its_own(tmp_path: Path) -
         home.label_request("lab")
 
 
+def test_a_join_sends_the_same_request_until_it_has_an_identity(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    sent = home.join_request("home")
+    assert home.join_request("home") == sent == home.request()
+    key = check_request(sent, "home").thumbprint
+    for lost in ("node.csr", ""):
+        if lost:
+            (home.path / lost).unlink()
+        else:
+            (home.path / "node.pem").write_bytes(b"answered")
+        again = home.join_request("home")
+        assert again != sent
+        assert check_request(again, "home").thumbprint == key
+        sent = again
+
+
+def test_a_join_for_another_domain_or_for_anonymous_nodes_keeps_the_key(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    key = check_request(home.join_request("lab"), "lab").thumbprint
+    assert check_request(home.join_request("home"), "home").thumbprint == key
+    anonymous = check_request(home.join_request("home", wildcard=True), "home", wildcard=True)
+    assert (anonymous.thumbprint, anonymous.wildcard) == (key, True)
+    assert not check_request(home.join_request("home"), "home").wildcard
+
+
+def test_a_join_makes_a_key_that_a_crash_left_empty(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    home.join_request("home")
+    (home.path / "node.csr").unlink()
+    (home.path / "node.key").write_bytes(b"")
+    assert check_request(home.join_request("home"), "home").name == NAME
+    (home.path / "node.key").write_bytes(b"damaged")
+    (home.path / "node.csr").unlink()
+    with pytest.raises(KeyRefused):
+        home.join_request("home")
+
+
 def test_a_label_for_another_key(tmp_path: Path) -> None:
     home, other = NodeHome.of(tmp_path, NAME), NodeHome.of(tmp_path, "/other")
     home.label_request("home")

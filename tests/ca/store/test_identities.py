@@ -59,3 +59,12 @@ def test_a_renewal_is_answered_once(store: Store) -> None:
     assert store.identities.issued_for(b"r" * 32) == row(2, NEW)
     with pytest.raises(StoreError, match="has its certificate already"):
         store.add_certificate(row(3, THIRD), NOW, request=b"r" * 32, renews=NEW)
+
+
+def test_all_valid_identities_at_once(store: Store) -> None:
+    store.add_certificate(row(2, NEW, "/b"), NOW)
+    store.add_certificate(row(3, THIRD, "/c")._replace(not_after=NOW), NOW)
+    assert [each.name for each in store.identities.all_valid(NOW)] == ["/a", "/b", "/c"]
+    assert [each.name for each in store.identities.all_valid(NOW + 1)] == ["/a", "/b"]
+    store.revoke(NEW, "lost", NOW)
+    assert [each.name for each in store.identities.all_valid(NOW + 1)] == ["/a"]

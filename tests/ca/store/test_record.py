@@ -265,3 +265,12 @@ def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> N
     store.add_certificate(certificate(2, key=OTHER), NOW, replace_key="/a")
     assert store.revoked_entries() == {certificate(1).thumbprint}
     assert store.unrevoked_keys("/a", NOW) == {certificate(2, key=OTHER).thumbprint}
+
+
+def test_the_grants_that_are_not_revoked(store: Store) -> None:
+    for number in (1, 2):
+        store.add_grant(grant(number), NOW)
+    store.add_grant(grant(3)._replace(name="/b"), NOW)
+    store.revoke(grant(1).id, "no", NOW)
+    assert [row.id[0] for row in store.unrevoked_grants()] == [2, 3]
+    assert [row.id[0] for row in store.unrevoked_grants("/b")] == [3]

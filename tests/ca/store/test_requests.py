@@ -202,3 +202,13 @@ def test_a_faster_command_wins(store: Store, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(StoreError, match="a request does not go this way"):
         store.requests.approve(request.digest, NOW)
     assert [entry.what for entry in store.log.entries()] == ["pending", "denied"]
+
+
+def test_open_requests_and_one_by_its_digest(store: Store) -> None:
+    waits, denied = pending(store), pending(store, "/b")
+    store.requests.deny(denied.digest, NOW)
+    assert [row.digest for row in store.requests.open()] == [waits.digest]
+    found = store.requests.find(denied.digest)
+    assert found is not None
+    assert found.state is RequestState.DENIED
+    assert store.requests.find(denied.digest[:8]) is None

@@ -254,3 +254,20 @@ def test_spans_in_the_largest_unit() -> None:
 
 def test_policy_errors_are_grant_errors() -> None:
     assert issubclass(PolicyRefused, GrantError)
+
+
+def test_a_pattern_takes_the_rate_and_the_validity_of_its_parts() -> None:
+    policy = rules(
+        '{id: a, who: /x, allow: {subscribe: ["/r/**"]}, on_stale: keep, lifetime: 7d}',
+        "{id: b, who: /x, allow: {subscribe: [/r/pose]}, limit: {rate: 2}, lifetime: 1h}",
+        "{id: c, who: /x, allow: {subscribe: [/other]}, limit: {rate: 1}, lifetime: 1m}",
+    )
+    verdict = decide(policy, node("/x"), Right.SUBSCRIBE, "/r/**")
+    assert verdict
+    assert (verdict.rate, verdict.lifetime, verdict.keep_when_stale) == (2, 3600, False)
+    assert [rule.id for rule in verdict.rules] == ["a", "b"]
+    decider = Decider(policy)
+    for name_ in ("/r/**", "/r/pose", "/r/odom"):
+        asked = (node("/x"), Right.SUBSCRIBE, name_)
+        by = decider.decide_by(decider.rules_of(node("/x")), *asked)
+        assert by == decider.decide(*asked)

@@ -130,3 +130,9 @@ def test_on_stale_reaches_the_grant_when_every_rule_says_keep() -> None:
     assert "kept while revocation data is stale" in "".join(Decider(policy).explain(kept))
     assert not cut.keep_when_stale
     assert not verdict_on(policy, Right.CALL, "/none").keep_when_stale
+
+
+def test_a_draft_is_backdated_by_the_skew(policy: Policy) -> None:
+    verdict = verdict_on(policy, Right.SUBSCRIBE, "/b")
+    (draft,) = drafts([verdict], domain="home", now=NOW, serial=lambda: bytes(16), skew=60)
+    assert (draft.not_before, draft.expires) == (NOW - 60, NOW + 7 * DAY)

@@ -94,3 +94,9 @@ def test_the_cost_does_not_grow_with_rules_on_other_names(
     ]
     assert len(Index(of(*made)).find(Subject("/n7", KEYS[0]), Right.CALL, "/s7")) == 1
     assert compared == ["r7"]
+
+
+@given(policies, subject)
+def test_the_rules_of_a_node_are_those_that_apply(policy: Policy, asking: Subject) -> None:
+    found = Index(policy).rules_of(asking)
+    assert found == [rule for rule in policy.rules if rule.applies_to(asking)]

@@ -239,3 +239,15 @@ def test_a_person_restricts_a_verdict(tmp_path: Path) -> None:
     unknown = policy.decider.decide(subject, Right.SUBSCRIBE, "/unknown")
     with pytest.raises(ConfigurationError, match="the type of /unknown is not known here"):
         verdict_change(policy, "coarse", NOON, only_today=False)(unknown)
+
+
+def test_what_the_policy_allows_by_itself_is_recorded_with_its_rules(place: Place) -> None:
+    queue = place.queue()
+    queue.add_request(place.request(POSE, LIFT))
+    made = queue.sign(place.authority, queue.pending(), lambda verdict: verdict, "policy")
+    store = place.authority.store
+    rules = {draft.permissions[0].pattern: store.policy_grants().get(row.id, "")
+             for (draft, _), row in zip(made, store.grants(), strict=True)}  # fmt: skip
+    assert rules == {"/pose": "a", "/lift": ""}
+    assert made[0][0].not_before < place.now
+    queue.close()

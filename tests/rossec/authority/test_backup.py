@@ -21,6 +21,7 @@ from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
+from rossec.authority.invitations import invite
 from rossec.authority.keyservice.lock import LOCK, service_lock
 from rossec.errors import ConfigurationError
 from tests.support.commands import PASSPHRASE, Shell, refused
@@ -286,3 +287,11 @@ def test_the_audit_of_the_service_is_not_in_a_backup(home: AuthorityHome, tmp_pa
     assert not {"audit.log", "audit.log.1", "service.lock"} & {
         path.name for path in restored.path.iterdir()
     }
+
+
+def test_invitations_end(home: AuthorityHome, tmp_path: Path) -> None:
+    """The backup does not know which of their uses were taken since."""
+    code = invite(home, "/fleet/*", 3, NOW + 3600, "127.0.0.1:9", NOW)
+    done = restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
+    with closing(done.home.store()) as store:
+        assert store.invitations.ended(code.id) == "restored from a backup"

@@ -98,3 +98,15 @@ def test_all_grants_are_revoked_or_none(
     with pytest.raises(StoreError):
         revoke_shown(site.authority, opted_out, NOW)
     assert site.authority.store.revoked_entries() == frozenset()
+
+
+def test_what_is_left_of_a_grant_of_the_policy_is_of_the_policy(
+    site: Site, policy: PolicyFile
+) -> None:
+    holder = site.authority.store.valid_certificate("/viewer", NOW).thumbprint
+    draft = Draft("home", "/viewer", holder, NOW, NOW + DAY, NOW + DAY, bytes(16), (SEES, OTHER))
+    site.authority.issue_grant(draft, NOW, "rule")
+    opted_out = add_denial(policy, "/pose", NOW, is_node=False)
+    ((_, reissued),) = revoke_shown(site.authority, opted_out, NOW)
+    assert reissued is not None
+    assert site.authority.store.policy_grants()[document.grant_id(reissued)] == "rule"

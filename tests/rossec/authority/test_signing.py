@@ -196,3 +196,30 @@ def test_an_intermediate_signs_identities_alone(site: Site) -> None:
     with pytest.raises(ConfigurationError, match="an intermediate cannot sign grants"):
         host.issue_grant(draft(), NOW)
     assert host.store.revoked_entries() == frozenset()
+
+
+def test_grants_are_recorded_all_or_none(site: Site, opened: SigningAuthority) -> None:
+    site.enroll("/robot")
+    site.enroll("/viewer")
+    holders = [site.identity(name).thumbprint for name in ("/robot", "/viewer")]
+    drafts = [(draft(holder), "a b") for holder in holders]
+
+    def refuse() -> None:
+        raise StoreError("changed meanwhile")
+
+    with pytest.raises(StoreError, match="changed meanwhile"):
+        opened.issue_grants(drafts, NOW, refuse)
+    assert opened.store.grants() == []
+    assert len(opened.issue_grants(drafts, NOW)) == 2
+    assert set(opened.store.policy_grants().values()) == {"a b"}
+    opened.revoke(holders[1], "lost", NOW)
+    with pytest.raises(StoreError):
+        opened.issue_grants(drafts, NOW)
+    assert len(opened.store.grants()) == 2
+
+
+def test_many_revocations_are_one_list(opened: SigningAuthority) -> None:
+    gone = frozenset({b"a" * 16, b"b" * 16})
+    before = opened.store.next_number()
+    assert opened.revoke_all(gone, "policy", NOW).entries >= gone
+    assert opened.store.next_number() == (before[0], before[1] + 1)

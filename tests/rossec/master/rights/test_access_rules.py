@@ -1,14 +1,24 @@
 """The policy table: default deny, and the attacks on the Master API that need only the cores."""
 
+from dataclasses import replace
+
 import pytest
 
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
-from rossec.master.rights.access_rules import RULES, AccessControl, Refused, Scope, require
+from rossec.master.rights.access_rules import (
+    RULES,
+    AccessControl,
+    Refused,
+    Scope,
+    is_authority,
+    require,
+)
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import call_api, caller, everything
 from tests.rossec.master.rights.victim import BUT_ADMIN, EVIL_API, VICTIM_API, T, ask
+from tests.support.authority import Site
 
 
 def test_every_method_has_a_rule_and_every_rule_a_method(api: MasterApi) -> None:
@@ -219,3 +229,23 @@ def test_m6_a_refusal_does_not_reveal_what_is_below(
     assert answers[0] == answers[1]
     asked = next(p for p in reversed(params) if isinstance(p, str) and p.startswith("KEY"))
     assert f" on {asked}: no grant covers it and all below it (ask the auth" in answers[0]
+
+
+def test_the_authority_is_its_name_certified_by_the_root() -> None:
+    site = Site()
+    own = site.enroll("/ca").identity
+    assert is_authority(own)
+    assert not is_authority(replace(own, issuers=(b"i" * 32,))), "below an intermediate"
+    assert not is_authority(replace(own, wildcard=True))
+    for name in ("/cab", "/ca/x", "/master"):
+        assert not is_authority(replace(own, name=name))
+
+
+def test_what_only_the_authority_may_call_needs_no_right_and_is_given_by_none() -> None:
+    control = AccessControl(Registry(), "/master")
+    for method in (name for name, rule in RULES.items() if rule.scope is Scope.AUTHORITY):
+        for who in (everything("/ca"), everything("/master"), everything("/a")):
+            with pytest.raises(Refused, match="only the authority's own node"):
+                control.check(method, who, (who.name, []))
+        own = replace(caller("/ca"), is_authority=True)
+        control.check(method, own, ("/ca", []))

@@ -311,3 +311,21 @@ def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
     assert order == []
     assert world.trust.update_tree(tree, entries, world.now)
     assert order == [entries, tree]
+
+
+def test_a_caller_is_the_authority_by_its_certificate(world: World) -> None:
+    own, below = world.site.enroll("/ca"), b"i" * 32
+    assert world.trust.caller(own.identity, world.now).is_authority
+    assert not world.trust.caller(world.node.identity, world.now).is_authority
+    impostor = dataclasses.replace(own.identity, issuers=(below,))
+    assert not world.trust.caller(impostor, world.now).is_authority
+    assert world.trust.caller(own.identity, world.now).is_authority, "nothing is remembered"
+
+
+def test_what_a_key_has_presented_is_known(world: World) -> None:
+    data = world.site.grant(world.node, {"/p": Right.PUBLISH})
+    holder, entry = world.node.thumbprint, grant_id(data)
+    assert not world.trust.has_presented(holder, entry)
+    world.present(data)
+    assert world.trust.has_presented(holder, entry)
+    assert not world.trust.has_presented(world.master.thumbprint, entry)

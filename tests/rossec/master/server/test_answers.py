@@ -12,6 +12,8 @@ from grants.document import grant_id
 from rossec.master.api.turns import Turns
 from rossec.master.rights.access_rules import NAMES_PER_YIELD
 from tests.rossec.master.world import SlaveNode, T, World, ends
+from tests.support.caller import caller
+from tests.support.site import Site
 
 TOPICS = 20 * NAMES_PER_YIELD
 
@@ -95,3 +97,13 @@ async def test_a_caller_revoked_during_a_query_is_not_answered(slow: World, ques
     await ends(pending)
     await ends(caller.ask("getPid"))
     await other.ask("getPid")
+
+
+async def test_a_call_that_waits_for_grants_is_answered_in_the_end(site: Site) -> None:
+    assert site.master is not None
+    site.master.state.grant_changes._longest = 0.05
+    empty = [1, "grants", {"grants": [], "more": False}]
+    async with caller(site, "/robot") as robot:
+        assert await robot("rossec.watchGrants", b"") == empty
+        assert await robot("rossec.fetchGrants", b"") == empty
+        assert "expected at most" in await robot.refused("rossec.watchGrants", b"x")

@@ -9,6 +9,8 @@ import pytest
 from grants.model import Right
 from rossec.errors import AnswerRefused
 from tests.rossec.master.world import EVERYTHING, T, World, until
+from tests.support.caller import caller
+from tests.support.site import Site
 
 
 async def test_a_subscriber_is_notified_of_its_publishers(world: World) -> None:
@@ -122,3 +124,23 @@ async def test_administration_is_audited(world: World, caplog: pytest.LogCapture
         "/robot is disconnected: the key of /robot is revoked",
         "/admin delivered a delegation to renew grants",
     ]
+
+
+async def test_a_deposit_is_audited_and_ends_the_waits_of_its_holders(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    data = site.publish("/robot", "/p")
+    async with caller(site, "/ca") as office, caller(site, "/robot") as robot:
+        waiting = asyncio.ensure_future(robot("rossec.watchGrants", b""))
+        assert site.master is not None
+        state = site.master.state
+        await until(lambda: len(state.grant_changes) == 1)
+        assert (await office("rossec.depositGrants", [data]))[2] == [""]
+        async with asyncio.timeout(30):
+            assert (await waiting)[2]["grants"] == [data]
+        assert "/ca deposited 1 grants for 1 keys" in caplog.text
+        revoked = site.revoke(data)
+        assert (await office("rossec.updateRevocations", revoked))[0] == 1
+        assert state.deposit_file is not None
+        assert len(state.deposit_file.deposits) == 0, "before the call is answered"

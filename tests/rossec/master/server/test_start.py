@@ -8,9 +8,14 @@ import pytest
 from ca.certificates import to_pem
 from ca.errors import CertificateExpired, RenewalRefused, RollbackRefused
 from grants.decision import RevocationCheck
+from grants.errors import GrantForged
+from grants.model import Right
+from rossec.errors import NotWritten
 from rossec.home import NodeHome
+from rossec.master.rights.deposits import Deposits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
+from rossec.master.state.deposit_journal import MAGIC, GrantDeposited, encode
 from tests.support import site as trust_domains
 from tests.support.authority import Site
 
@@ -122,3 +127,30 @@ def test_a_tree_of_revocations_is_complete_with_its_entries(
             home, host="127.0.0.1", port=11311, newest=newest, now=site.now(), entries=entries
         )
         assert ("entries of the revocation tree are missing" in caplog.text) is warned
+
+
+async def test_a_restarted_master_has_the_deposits_that_are_in_force(tmp_path: Path) -> None:
+    """What was revoked meanwhile is not delivered."""
+    site = Site()
+    home, robot = home_of_master(tmp_path, site), site.enroll("/robot")
+    one, two = (site.grant(robot, {"/p": Right.PUBLISH}) for _ in range(2))
+    deposits = await deposits_after_start(home, site, site.revoke())
+    verified = [(data, deposits.verify(data, site.now)) for data in (one, two)]
+    with pytest.raises(NotWritten, match="is not open"):
+        deposits.add(verified)
+    (home.path / "deposits.journal").write_bytes(
+        MAGIC + b"".join(encode(GrantDeposited(data)) for data in (one, two))
+    )
+    assert len(await deposits_after_start(home, site, site.revoke())) == 2
+    assert len(await deposits_after_start(home, site, site.revoke(one))) == 1
+    with pytest.raises(GrantForged):
+        deposits.verify(Site().grant(robot, {"/p": Right.PUBLISH}), site.now)
+
+
+async def deposits_after_start(home: NodeHome, site: Site, newest: bytes) -> Deposits:
+    """The table of a master that has been started, and is closed."""
+    server = master_of(home, host="127.0.0.1", port=0, newest=newest, now=site.now)
+    await server.start()
+    await server.close()
+    assert server.state.deposit_file is not None
+    return server.state.deposit_file.deposits

@@ -1,0 +1,102 @@
+"""Joins, calls and rounds of the service, with a face that is played."""
+
+import asyncio
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from ca.encoding import Value
+from ca.errors import EncodingError
+from rossec.authority.keyservice import network as module
+from rossec.authority.keyservice.face_process import FaceProcess
+from rossec.authority.keyservice.inner_channel import Handler
+from rossec.authority.keyservice.network import NetworkWork
+from rossec.authority.master_call import MasterCall
+from rossec.clock import now
+from rossec.errors import KeyServiceRefused, NotDelivered
+from rossec.home import NodeHome
+from tests.rossec.authority.keyservice.test_work import POLICY, Working
+from tests.support.witness import until
+
+
+class PlayedFace:
+    """A face whose node joins when the test says so, and that answers calls at once."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, Value]] = []
+        self.joins: asyncio.Queue[bytes] = asyncio.Queue()
+        self.answers: asyncio.Queue[Value] = asyncio.Queue()
+        self.error: Exception | None = None
+
+    async def started(self) -> int:
+        return 1
+
+    async def call(self, method: str, arguments: list[Value], within: int) -> Value:
+        self.calls.append((method, within))
+        if self.error is not None:
+            raise self.error
+        items = arguments[0]
+        return [""] * len(items) if isinstance(items, list) else 1
+
+    async def run(self, join: Handler) -> None:
+        while True:
+            self.answers.put_nowait(await join(await self.joins.get()))
+
+
+class Playing:
+    def __init__(self, root: Path, *, applies: bool) -> None:
+        self.working = Working(root, now())
+        (self.working.home.path / "policy.yaml").write_text(POLICY)
+        self.face = PlayedFace()
+        self.network = NetworkWork(
+            root, self.working.operations, cast("FaceProcess", self.face), applies=applies
+        )
+
+
+@pytest.mark.parametrize("applies", [True, False])
+async def test_a_node_joins_and_gets_its_grants_if_it_applies(
+    tmp_path: Path, applies: bool
+) -> None:
+    playing = Playing(tmp_path, applies=applies)
+    working, face = playing.working, playing.face
+    request = working.request(working.invite())
+    running = asyncio.ensure_future(playing.network.run())
+    face.joins.put_nowait(request)
+    async with asyncio.timeout(20):
+        assert isinstance(await face.answers.get(), bytes)
+    deposit = ("rossec.depositGrants", 15)
+    await until(lambda: deposit in face.calls or not applies, within=20)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert working.grants() == int(applies)
+
+
+async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ROUND", 0.01)
+    playing = Playing(tmp_path, applies=True)
+    playing.working.work.join(playing.working.request(playing.working.invite()))
+    running = asyncio.ensure_future(playing.network.run())
+    await until(lambda: playing.working.grants() == 1, within=20)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:
+    playing = Playing(tmp_path, applies=False)
+    node = NodeHome(tmp_path / "x", "/ca")
+    call = MasterCall(node, "rossec.x", (b"a", [b"b"]), "the list", "later")
+    with pytest.raises(NotDelivered, match="not started"):
+        playing.network.deliver(call)
+    running = asyncio.ensure_future(playing.network.run())
+    await asyncio.sleep(0.05)
+    assert await asyncio.to_thread(playing.network.deliver, call) == 1
+    for error in (KeyServiceRefused("it is off"), TimeoutError()):
+        playing.face.error = error
+        with pytest.raises(NotDelivered, match="the master did not get the list") as caught:
+            await asyncio.to_thread(playing.network.deliver, call)
+        assert caught.value.hint == "later"
+    with pytest.raises(EncodingError, match="not bytes"):
+        await asyncio.to_thread(playing.network.deliver, call._replace(statement=(5,)))
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)

@@ -1,0 +1,197 @@
+"""What the service does by itself: joins, the policy, its maintenance."""
+
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import from_pem
+from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
+from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason, read
+from ca.enrollment.join_node import NodeJoin
+from ca.enrollment.join_request import JoinRequest
+from ca.errors import EnrollmentMessageRefused
+from rossec.authority.home import AuthorityHome
+from rossec.authority.invitations import invite
+from rossec.authority.keyservice.operations import KeyOperations
+from rossec.authority.keyservice.process import operations_of
+from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.master_call import MasterCall
+from rossec.errors import NotDelivered
+from rossec.home import NodeHome
+from tests.support.joining import asked, fresh
+
+NOW, DAY = 1_800_000_000, 86_400
+SECRET = "four random words here"
+POLICY = """rossec: 1
+robot: r
+types: {/pose: geometry_msgs/PoseStamped}
+rules:
+  - {id: a, who: "/fleet/*", allow: {subscribe: [/pose]}}
+"""
+
+
+class Working:
+    """An unlocked service in a home of its own, a master that takes everything or nothing."""
+
+    def __init__(self, root: Path, now: int = NOW) -> None:
+        self.root, self.now = root, now
+        self.home = AuthorityHome.create(root, "home", SECRET, now)
+        self.audit: list[str] = []
+        self.calls: list[str] = []
+        self.reachable = True
+        self.operations: KeyOperations = operations_of(self.home, self.audit.append)
+        self.operations.unlock(SECRET, 0, "a test")
+        self.work = AuthorityWork(root, self.operations, self.deliver, None, lambda: self.now)
+
+    def deliver(self, call: MasterCall) -> object:
+        if not self.reachable:
+            raise NotDelivered("no master", call.hint)
+        self.calls.append(call.method)
+        (items,) = call.statement[:1]
+        return [""] * len(items) if isinstance(items, list) else 1
+
+    def invite(self, uses: int = 1) -> InvitationCode:
+        expires = self.now + DAY
+        return invite(self.home, "/fleet/*", uses, expires, "127.0.0.1:9", self.now, wildcard=False)
+
+    def request(self, code: InvitationCode, name: str = "/fleet/a") -> bytes:
+        own, root = self.home.node().credentials(), self.home.anchor().certificate
+        node = NodeJoin(code, fresh())
+        face = AuthorityJoin(LiveIdentity(own.signer, own.chain, root), fresh())
+        welcome = face.receive(node.hello())
+        assert welcome is not None
+        node.receive(welcome, self.now)
+        face.receive(node.join(asked(name)))
+        return face.request.to_bytes()
+
+    def grants(self) -> int:
+        store = self.home.store()
+        try:
+            return len(store.grants())
+        finally:
+            store.close()
+
+
+@pytest.fixture
+def working(tmp_path: Path) -> Working:
+    return Working(tmp_path)
+
+
+def test_a_node_joins_and_the_same_request_gets_the_same_answer(working: Working) -> None:
+    request = working.request(working.invite())
+    answer, name = working.work.join(request)
+    assert name == "/fleet/a"
+    assert isinstance(read(answer), Issued)
+    assert working.work.join(request) == (answer, name)
+    assert working.audit[-1].startswith("signs a certificate of /fleet/a")
+    assert working.audit[-1].endswith(", for a node that joins")
+
+
+def test_what_is_no_request_changes_nothing(working: Working) -> None:
+    lines = len(working.audit)
+    with pytest.raises(EnrollmentMessageRefused):
+        working.work.join(b"x" * 10)
+    request = JoinRequest.from_bytes(working.request(working.invite()))
+    forged = JoinRequest(
+        request.invitation, b"t" * 32, request.name, request.csr, request.proof
+    ).to_bytes()
+    answer, name = working.work.join(forged)
+    assert (read(answer), name) == (Refused(RefuseReason.REFUSED), None)
+    assert len(working.audit) == lines, "nothing was signed"
+
+
+def test_joins_wait_while_it_is_locked(working: Working) -> None:
+    request = working.request(working.invite())
+    working.operations.held.lock()
+    answer, name = working.work.join(request)
+    assert (read(answer), name) == (Waiting(WaitReason.LOCKED), None)
+    working.operations.unlock(SECRET, 0, "a test")
+    assert working.work.join(request)[1] == "/fleet/a"
+
+
+def test_a_node_gets_what_the_policy_gives_it(working: Working) -> None:
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.work.apply("/fleet/b")
+    assert working.grants() == 0
+    working.work.apply("/fleet/a")
+    assert working.grants() == 1
+    assert working.audit[-1].endswith(", for the policy, which it applies")
+    assert "rossec.depositGrants" in working.calls
+    working.work.apply()
+    assert working.grants() == 1, "applying again changes nothing"
+
+
+def test_a_right_that_the_policy_takes_back_is_revoked_in_the_next_round(working: Working) -> None:
+    path = working.home.path / "policy.yaml"
+    path.write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.work.apply("/fleet/a")
+    path.write_text(POLICY.replace("/fleet/*", "/other/*"))
+    working.work.apply()
+    assert "rossec.updateRevocations" in working.calls
+
+
+def test_grants_are_renewed_at_two_thirds(working: Working) -> None:
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.work.apply("/fleet/a")
+    working.now += 3 * DAY
+    working.work.apply()
+    assert working.grants() == 1
+    working.now += 2 * DAY
+    working.work.apply()
+    assert working.grants() == 2
+
+
+def test_a_policy_that_cannot_be_used_is_logged(
+    working: Working, caplog: pytest.LogCaptureFixture
+) -> None:
+    working.work.apply()
+    assert "the policy is not applied: " in caplog.text
+    assert working.grants() == 0
+
+
+def test_while_it_is_locked_nothing_is_tried(
+    working: Working, caplog: pytest.LogCaptureFixture
+) -> None:
+    working.operations.held.lock()
+    working.work.apply()
+    working.work.maintain()
+    assert (working.calls, caplog.text) == ([], "")
+
+
+def test_its_own_identity_and_list_are_renewed_long_before_they_expire(working: Working) -> None:
+    before = working.home.node().identity(NOW).not_after
+    working.now += 300 * DAY
+    working.work.maintain()
+    assert working.home.node().identity(working.now).not_after > before
+    assert "rossec.updateRevocations" in working.calls
+    assert any(line.endswith(", for its own maintenance") for line in working.audit)
+
+
+def test_a_master_out_of_reach_is_tried_again(
+    working: Working, caplog: pytest.LogCaptureFixture
+) -> None:
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.reachable = False
+    working.work.apply()
+    working.work.maintain()
+    assert "no master" in caplog.text
+    assert working.grants() == 1, "it is signed and recorded all the same"
+    working.reachable = True
+    working.work.maintain()
+    assert "rossec.depositGrants" in working.calls
+
+
+def test_a_node_of_this_home_gets_a_file(working: Working) -> None:
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    node = NodeHome.of(working.root, "/fleet/a")
+    answer, _ = working.work.join(working.request(working.invite()))
+    assert isinstance(read(answer), Issued)
+    node.path.mkdir(parents=True, mode=0o700)
+    working.work.apply("/fleet/a")
+    assert len(node.grant_files()) == 1
+    assert from_pem((working.home.path / "ca.pem").read_bytes())

@@ -1,0 +1,188 @@
+"""What the authority does by its policy: what is told to the master, and in which order."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from ca.errors import HintedError
+from grants import document
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import PolicyFile, read_policy
+from rossec.authority.service import AuthorityService, MasterCall
+from rossec.errors import NotDelivered
+from rossec.home import NodeHome
+
+NOW, DAY = 1_800_000_000, 86_400
+SECRET = "four random words here"
+POLICY = """rossec: 1
+robot: r
+rules:
+  - {id: a, who: "*", allow: {subscribe: [/pose]}}
+  - {id: b, who: /here, allow: {publish: [/odom]}}
+"""
+CHANGED = POLICY.replace("[/pose]", "[/map]")
+
+
+class Office:
+    """An authority with the node /here in its ROSSEC_HOME, and /there on another host."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.now = NOW
+        self.calls: list[str] = []
+        self.known: set[bytes] = set()
+        self.answer: Callable[[bytes], str] = lambda _: ""
+        self.reachable = True
+        AuthorityHome.create(root, "home", SECRET, NOW)
+        self.service = AuthorityService(root, lambda: SECRET, self._deliver, lambda: self.now)
+        self.here = self.enroll(root, "/here")
+        self.enroll(root / "other", "/there")
+        self.write(POLICY)
+
+    def enroll(self, root: Path, name: str) -> NodeHome:
+        node = NodeHome.of(root, name)
+        node.create_request("home")
+        bundle = self.service.issue(
+            node.request(), 30 * DAY, replace_key=None, wildcard=False, source="a test"
+        )
+        node.install(bundle, NOW)
+        return node
+
+    def write(self, text: str) -> None:
+        (self.root / "ca" / "policy.yaml").write_text(text)
+
+    def _deliver(self, call: MasterCall) -> object:
+        if not self.reachable:
+            raise NotDelivered(f"no master for {call.what}", call.hint)
+        self.calls.append(call.method)
+        (items, *_) = call.statement
+        if not isinstance(items, list):
+            return 0
+        if call.method == "rossec.deliveryStates":
+            return ["waiting" if item[:16] in self.known else "" for item in items]
+        self.known.update(map(document.grant_id, items))
+        return [self.answer(item) for item in items]
+
+    def apply(self) -> list[str]:
+        """What is reported."""
+        said: list[str] = []
+        plan = self.service.plan_policy(read_policy(self.root, None))
+        self.service.apply_policy(plan, said.append)
+        return said
+
+    def is_done(self) -> bool:
+        return self.service.plan_policy(read_policy(self.root, None)).is_empty
+
+
+@pytest.fixture
+def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Office]:
+    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    made = Office(tmp_path / "office")
+    with closing(made.service):
+        yield made
+
+
+def test_new_grants_are_deposited_and_stored(office: Office) -> None:
+    assert office.apply() == ["signed: 3"]
+    assert office.calls == ["rossec.depositGrants"]
+    assert len(office.known) == 3
+    assert len(office.here.grants()) == 2
+    assert office.is_done()
+
+
+def test_new_grants_are_delivered_before_the_old_are_revoked(office: Office) -> None:
+    office.apply()
+    office.calls.clear()
+    office.write(CHANGED)
+    assert office.apply() == ["signed: 2", "revoked: 2 (list 2)", "the master has the new list"]
+    assert office.calls == [
+        "rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations",
+    ]  # fmt: skip
+    assert len(office.known) == 5
+
+
+def test_without_a_master_all_is_signed_and_revoked_here(office: Office) -> None:
+    office.reachable = False
+    with pytest.raises(NotDelivered, match="no master for the grants"):
+        office.apply()
+    office.write(CHANGED)
+    with pytest.raises(NotDelivered, match="no master for the list"):
+        office.apply()
+    assert office.is_done()
+    office.reachable = True
+    office.service.complete_policy()
+    assert office.calls == [
+        "rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations",
+    ]  # fmt: skip
+    assert len(office.known) == 3
+
+
+def test_nodes_of_this_home_need_no_master(office: Office) -> None:
+    office.reachable = False
+    office.write(POLICY.replace('"*"', "/here"))
+    assert office.apply() == ["signed: 2"]
+    assert len(office.here.grants()) == 2
+
+
+def test_a_file_that_is_missing_is_written_again(office: Office) -> None:
+    office.apply()
+    for path in office.here.grant_files():
+        path.unlink()
+    office.service.complete_policy()
+    assert len(office.here.grants()) == 2
+    office.now += 8 * DAY  # what has ended is of no use
+    for path in office.here.grant_files():
+        path.unlink()
+    office.service.complete_policy()
+    assert office.here.grants() == []
+
+
+def test_before_a_policy_was_applied_there_is_nothing_to_complete(office: Office) -> None:
+    office.service.complete_policy()
+    assert office.calls == []
+
+
+def test_a_grant_that_the_master_refuses_is_reported(office: Office) -> None:
+    office.write(POLICY.replace('"*"', "/there").replace("/here", "/there"))
+    office.answer = lambda _: "too many"
+    assert office.apply() == [
+        "signed: 2",
+        "the master refuses a grant of /there: too many",
+        "the master refuses a grant of /there: too many",
+    ]
+
+
+def test_a_new_identity_gets_what_the_policy_gives_it(office: Office) -> None:
+    (signed,) = office.service.grant_outright("/there")
+    assert signed[0].subject == "/there"
+    assert office.service.grant_outright("/there") == []
+    assert office.calls == []  # delivering is a step of its own
+    office.write("rossec: 1\n")
+    with pytest.raises(HintedError):
+        office.service.grant_outright("/here")
+    (office.root / "ca" / "policy.yaml").unlink()
+    assert office.service.grant_outright("/here") == []
+
+
+def test_what_the_master_renews_is_not_signed_again(office: Office) -> None:
+    office.write(POLICY.replace("[/pose]}}", "[/pose]}, renew_until: 60d}"))
+    office.apply()
+    master = office.enroll(office.root / "other", "/master")
+    office.now = NOW + 10 * DAY
+    plan = office.service.plan_policy(read_policy(office.root, None))
+    assert plan.signs == 3
+    office.service.delegate(DAY * 30, 3600)
+    plan = office.service.plan_policy(read_policy(office.root, None))
+    assert (plan.signs, plan.moment.renews) == (1, True)
+    office.service.revoke_delegations("test")
+    assert not office.service.plan_policy(read_policy(office.root, None)).moment.renews
+    assert master.path.is_dir()
+
+
+def test_options_reach_the_plan(office: Office) -> None:
+    policy = PolicyFile.read(office.root / "ca" / "policy.yaml")
+    plan = office.service.plan_policy(policy, ["/here"], renew_due=True, prune=True)
+    assert [node.subject.name for node in plan.nodes] == ["/here"]
+    assert (plan.moment.renew_due, plan.options.prune) == (True, True)
