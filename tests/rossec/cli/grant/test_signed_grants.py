@@ -64,3 +64,11 @@ def test_a_changed_grant_is_not_installed(robot: Shell, tmp_path: Path) -> None:
     out.write_bytes(out.read_bytes()[:-1] + b"\0")
     refused(robot("grant", "install", str(out)), "signature")
     assert list((robot.node("/robot") / "grants").iterdir()) == []
+
+
+def test_a_revoked_grant_is_published(robot: Shell) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    grant_id = robot("grant", "list", "--master", "http://127.0.0.1:1").out.split()[0]
+    said = robot.unlocked("grant", "revoke", grant_id[:8], "--master", "http://127.0.0.1:1")
+    assert f"revoked {grant_id}" in said.out
+    refused(said, "did not take the list", "rossec ca publish", code=3)
