@@ -18,7 +18,7 @@ from ca.keys.signer import KeySigner
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.site import DAY, Site
 
 OWN = Right.PUBLISH | Right.SUBSCRIBE | Right.PROVIDE | Right.PARAM_GET | Right.PARAM_SET

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 from xmlrpc.server import SimpleXMLRPCServer
 
-from rossec.participant.slave_rights import MASTER
+from rossec.ros.names import MASTER
 from rossec.sidecar.loopback_port import free_port
 from tests.support.roscpp import compiled
 from tests.support.site import Site

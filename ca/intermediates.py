@@ -22,8 +22,8 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import Signer
 from ca.keys.x509signer import X509Signer
 from ca.names import check_domain
-from ca.requests import MAX_REQUEST, proven_key, requested_name
-from ca.svid import PARSE_ERRORS, SCHEME, ends_with_whole_octets
+from ca.requests import read_request, request_builder
+from ca.svid import SCHEME
 
 # Private policies, from UUIDs (ITU-T X.667).
 MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
@@ -85,10 +85,7 @@ def build_intermediate_request(signer: Signer, domain: str) -> bytes:
     Raises:
         NameRefused: `domain` is not a trust domain.
     """
-    uri = x509.UniformResourceIdentifier(f"{SCHEME}{check_domain(domain)}")
-    builder = x509.CertificateSigningRequestBuilder(x509.Name([])).add_extension(
-        x509.SubjectAlternativeName([uri]), critical=True
-    )
+    builder = request_builder(f"{SCHEME}{check_domain(domain)}")
     return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
 
 
@@ -98,17 +95,7 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
     Raises:
         RequestRefused: malformed, without proof of possession, or for anything else.
     """
-    if len(csr) > MAX_REQUEST:
-        raise RequestRefused(
-            f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", _HINT
-        )
-    try:
-        request = x509.load_der_x509_csr(csr)
-        if not ends_with_whole_octets(csr, request.signature):
-            raise RequestRefused("the request's signature is not in whole octets", _HINT)
-        key, asked = proven_key(request), requested_name(request)
-    except PARSE_ERRORS as error:
-        raise RequestRefused("this is not a certificate request", _HINT) from error
-    if asked != (f"{SCHEME}{domain}", False):
+    key, *asked = read_request(csr, _HINT)
+    if asked != [f"{SCHEME}{domain}", False]:
         raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
     return key

@@ -50,16 +50,20 @@ def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = Fa
     Raises:
         NameRefused: `domain` or `name` is not one, or this name cannot have a wildcard tail.
     """
-    uri = x509.UniformResourceIdentifier(spiffe_id(domain, name))
-    builder = x509.CertificateSigningRequestBuilder(x509.Name([])).add_extension(
-        x509.SubjectAlternativeName([uri]), critical=True
-    )
+    builder = request_builder(spiffe_id(domain, name))
     if wildcard:
         check_wildcard(name)
         builder = builder.add_extension(
             x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
         )
     return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+
+
+def request_builder(uri: str) -> x509.CertificateSigningRequestBuilder:
+    """A CSR for `uri`, to be signed."""
+    names = x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
+    builder = x509.CertificateSigningRequestBuilder(x509.Name([]))
+    return builder.add_extension(names, critical=True)
 
 
 def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> IdentityRequest:
@@ -71,25 +75,33 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
     Raises:
         RequestRefused: malformed, without proof of possession, or for anything else.
     """
-    if len(csr) > MAX_REQUEST:
-        raise RequestRefused(
-            f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", _HINT
-        )
-    try:
-        request = x509.load_der_x509_csr(csr)
-        if not ends_with_whole_octets(csr, request.signature):
-            raise RequestRefused("the request's signature is not in whole octets", _HINT)
-        key = proven_key(request)
-        uri, asks = requested_name(request)
-        name = _check_name(uri, domain)
-    except PARSE_ERRORS as error:
-        raise RequestRefused("this is not a certificate request", _HINT) from error
+    key, uri, asks = read_request(csr, _HINT)
+    name = _check_name(uri, domain)
     if asks and not wildcard:
         raise RequestRefused(
             f"the request asks for all names that begin with {name}_",
             "only for anonymous nodes: if intended, sign it with --anonymous",
         )
     return IdentityRequest(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest(), asks)
+
+
+def read_request(csr: bytes, hint: str) -> tuple[ec.EllipticCurvePublicKey, str, bool]:
+    """The proven key of a CSR, the URI it is for, and whether it requests a wildcard tail.
+
+    Raises:
+        RequestRefused: malformed, or without proof of possession.
+    """
+    if len(csr) > MAX_REQUEST:
+        raise RequestRefused(
+            f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", hint
+        )
+    try:
+        request = x509.load_der_x509_csr(csr)
+        if not ends_with_whole_octets(csr, request.signature):
+            raise RequestRefused("the request's signature is not in whole octets", hint)
+        return proven_key(request), *requested_name(request)
+    except PARSE_ERRORS as error:
+        raise RequestRefused("this is not a certificate request", hint) from error
 
 
 def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:

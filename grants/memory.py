@@ -16,6 +16,7 @@ from weakref import WeakValueDictionary
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
 from grants.model import Right
+from grants.token_bucket import TokenBucket
 
 MAX_MEMORIES: Final = 16_384  # about 700 bytes each
 _MAX_RATES: Final = 64  # of one memory; a grant has one
@@ -35,21 +36,14 @@ class HysteresisState:
         self.value: float | None = None
 
 
-class RateBucket:
-    """A token bucket: `rate` messages a second, and bursts of at most `max(1, rate)`."""
+class RateBucket(TokenBucket):
+    """`rate` messages a second, and bursts of at most `max(1, rate)`."""
+
+    __slots__ = ("last_message",)
 
     def __init__(self, rate: float, tokens: float) -> None:
-        self.capacity: Final = max(1.0, rate)
-        self.tokens = min(tokens, self.capacity)
+        super().__init__(rate, max(1.0, rate), tokens)
         self.last_message: object = None
-        self._rate = rate
-        self._refilled_at: int | None = None
-
-    def refill(self, now: int) -> None:
-        """Add the tokens since the last refill; a clock set back adds none."""
-        if self._refilled_at is not None and now > self._refilled_at:
-            self.tokens = min(self.tokens + (now - self._refilled_at) * self._rate, self.capacity)
-        self._refilled_at = now
 
     def charge(self, message_id: object) -> None:
         """Take a token for a message admitted by this rate or by another of the same key."""
@@ -113,15 +107,12 @@ class Memory:
 
     def ready(self, bucket: RateBucket, now: int) -> bool:
         """Whether a new message would be admitted at `now`."""
-        bucket.refill(now)
-        return bucket.tokens >= 1
+        return bucket.refill(now) >= 1
 
     def is_fresh(self, now: int) -> bool:
         """Whether it equals a new memory; a stored hysteresis value never expires."""
         with self.lock:
-            for each in self._buckets.values():
-                each.refill(now)
-            full = all(each.tokens >= each.capacity for each in self._buckets.values())
+            full = all(each.refill(now) >= each.capacity for each in self._buckets.values())
             return full and all(state.value is None for state in self._hysteresis.values())
 
 

@@ -7,42 +7,14 @@ the operator gives the name again (`replace_key`); or the newest valid key itsel
 
 import sqlite3
 from collections.abc import Callable
-from typing import Final, NamedTuple
 
-from ca import names, svid
 from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
 from ca.store.database import Database
 from ca.store.log_entries import digest_of
+from ca.store.rows import INTERMEDIATE, CertificateRow
 from ca.store.schema import append_entry
 
-INTERMEDIATE: Final = "intermediate/"  # prefix of the key; not a prefix of any node name
 _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
-
-
-class CertificateRow(NamedTuple):
-    """One signed identity; times in seconds, inclusive."""
-
-    serial: int
-    name: str
-    thumbprint: bytes
-    der: bytes
-    not_before: int
-    not_after: int
-
-    @property
-    def wildcard(self) -> bool:
-        """Whether it also covers anonymous nodes."""
-        return svid.is_wildcard(self.der)
-
-    def covers(self, name: str) -> bool:
-        """Whether its holder may use `name`."""
-        related = names.covers(self.name, name, wildcard=True)
-        return related and (self.name == name or self.wildcard)
-
-    def is_signed_by(self, issuer: "CertificateRow") -> bool:
-        """Whether the key of `issuer`, an intermediate, signed it."""
-        by = svid.parse(issuer.der)
-        return svid.is_signed_by(svid.parse(self.der), svid.subject(by), svid.key_of(by))
 
 
 class IdentityTable:

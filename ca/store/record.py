@@ -9,34 +9,19 @@ Callers that decide by the record and then change it do both inside `transaction
 import sqlite3
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from ca.errors import RequestClosed, StoreError
 from ca.store.database import Database
-from ca.store.identities import CertificateRow, IdentityTable
+from ca.store.identities import IdentityTable
 from ca.store.invitations import InvitationTable
 from ca.store.log import AuthorityLog
 from ca.store.log_entries import digest_of
 from ca.store.requests import RequestTable
+from ca.store.rows import CertificateRow, GrantRow, RevocationRow
 from ca.store.schema import append_entry
 
-
-class GrantRow(NamedTuple):
-    """One signed grant."""
-
-    id: bytes
-    name: str
-    data: bytes
-    not_before: int
-    expires: int
-
-
-class RevocationRow(NamedTuple):
-    """One grant id or key thumbprint that was revoked, why and when."""
-
-    entry: bytes
-    reason: str
-    at: int
+__all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 
 
 class Store:

@@ -164,17 +164,16 @@ class AuthorityHome:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
 
-    def tree_entries(self) -> bytes:
-        """The entries of the newest tree.
+    def newest_statement(self) -> tuple[bytes, bytes]:
+        """The newest signed list, or tree and its entries; a list has none.
 
         Raises:
-            ConfigurationError: there is no tree, or they are missing.
+            ConfigurationError: none was signed yet, or the entries are missing.
         """
         data = self.revocation_list()
-        if not is_tree(data):
-            raise ConfigurationError(
-                "the newest revocations are not a tree", "see: rossec ca publish"
-            )
+        return data, self._tree_entries(data) if is_tree(data) else b""
+
+    def _tree_entries(self, data: bytes) -> bytes:
         tree = open_tree(data, self.anchor().public_key)
         with contextlib.suppress(RevocationRefused):
             return list_contents.tree_entries(self.store(), tree).encoded()

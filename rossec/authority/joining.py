@@ -31,10 +31,10 @@ from ca.errors import (
 )
 from ca.names import RESERVED
 from ca.requests import IdentityRequest, check_request
-from ca.store.identities import CertificateRow
 from ca.store.invitations import InvitationRow, InvitationUse
 from ca.store.lifecycle import RequestRow, RequestState
 from ca.store.record import Store
+from ca.store.rows import CertificateRow
 from grants.names import covers
 from rossec.authority.signing import SigningAuthority
 

@@ -7,8 +7,6 @@ nor the policy's reader.
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ca.revocation.tree import is_tree
-
 if TYPE_CHECKING:
     from rossec.authority.home import AuthorityHome
 
@@ -34,8 +32,7 @@ class LocalList:
         if authority is None:
             return None
         stamp = self._stamp()  # before reading: later writes are then seen as a change
-        data = authority.revocation_list()
-        found = data, authority.tree_entries() if is_tree(data) else b""
+        found = authority.newest_statement()
         self._seen = stamp  # not set after an error: it is read again
         return found
 

@@ -16,8 +16,8 @@ from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.renewal import open_renewal, renew_at
 from ca.requests import build_request
-from ca.store.identities import INTERMEDIATE, CertificateRow
-from ca.store.record import Store
+from ca.store.record import CertificateRow, Store
+from ca.store.rows import INTERMEDIATE
 from rossec.authority.home import OWN_LIFETIME
 from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError

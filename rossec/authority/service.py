@@ -17,9 +17,8 @@ from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
 from ca.keys.signer import Signer
 from ca.revocation.state import RevocationList, open_statement
-from ca.revocation.tree import is_tree
-from ca.store.identities import INTERMEDIATE
 from ca.store.lifecycle import RequestRow, RequestState
+from ca.store.rows import INTERMEDIATE
 from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
@@ -241,7 +240,7 @@ class AuthorityService(GrantDelivery, PolicyOperations):
             NotDelivered: as `deliver`.
         """
         home, at = self.home, self._now()
-        data = home.revocation_list()
+        data, entries = home.newest_statement()
         expires = open_statement(data, home.anchor().public_key).expires
         if at >= expires:
             raise ConfigurationError(
@@ -249,8 +248,8 @@ class AuthorityService(GrantDelivery, PolicyOperations):
                 "sign it anew with: rossec ca refresh",
             )
         note = f"the revocation list expires {format_time(expires)}; {_RENEW}"
-        method = "rossec.updateRevocationTree" if is_tree(data) else "rossec.updateRevocations"
-        statement = (data, home.tree_entries()) if is_tree(data) else (data,)
+        method = "rossec.updateRevocationTree" if entries else "rossec.updateRevocations"
+        statement = (data, entries) if entries else (data,)
         soon = note if at >= expires - _EXPIRES_SOON else ""
         self.deliver(MasterCall(home.node(), method, statement, "the list", _PUBLISH, soon))
 

@@ -20,10 +20,10 @@ from ca.keys.signer import Signer
 from ca.names import check_name
 from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
-from ca.store.identities import INTERMEDIATE, CertificateRow
 from ca.store.lifecycle import RequestState
 from ca.store.log_entries import sign_head
-from ca.store.record import GrantRow, Store
+from ca.store.record import CertificateRow, GrantRow, Store
+from ca.store.rows import INTERMEDIATE
 from grants import document
 from grants.model import Draft
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation

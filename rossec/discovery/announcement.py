@@ -14,10 +14,10 @@ from ca.encoding import Value
 from ca.errors import CAError
 from ca.keys.signer import Signer
 from rossec.errors import AnnouncementRefused
+from rossec.ros.names import MASTER
 from rossec.ros.text import printable
 
 PROFILE: Final = Profile("rossec-announcement+cwt")
-MASTER: Final = "/master"
 MAX_SIZE: Final = 1232  # IPv6's smallest MTU, less its own and UDP's header (RFC 8200 section 5)
 MAX_AGE: Final = 15
 SKEW: Final = 5

@@ -10,6 +10,7 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from typing import Final
 
+from grants.token_bucket import TokenBucket
 from rossec.errors import AnnouncementRefused
 
 SHARE: Final = 50.0  # a second, and at once, for one address
@@ -18,32 +19,14 @@ MAX_SOURCES: Final = 1024
 MAX_VERIFIED: Final = 64
 
 
-class AttemptBucket:
-    """A token bucket that is full at first; `rate` a second, and no more than that at once."""
-
-    def __init__(self, rate: float) -> None:
-        self._rate = self._left = rate
-        self._at = 0.0
-
-    def has(self, cost: int, clock: float) -> bool:
-        """Whether `cost` can be taken now."""
-        earned = max(0.0, clock - self._at) * self._rate
-        self._left, self._at = min(self._rate, self._left + earned), clock
-        return self._left >= cost
-
-    def take(self, cost: int) -> None:
-        """Take `cost`; `has` said that it is available."""
-        self._left -= cost
-
-
 class Budget:
     """The limits on signature checks for each source."""
 
     def __init__(self, share: float = SHARE, total: float = TOTAL) -> None:
         self._share = share
-        self._shares: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
-        self._verified: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
-        self._totals = {True: AttemptBucket(total), False: AttemptBucket(total)}
+        self._shares: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+        self._verified: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+        self._totals = {known: TokenBucket(total, total) for known in (True, False)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
         """Charge `cost` signatures to `source`.
@@ -54,10 +37,10 @@ class Budget:
         buckets = [self._verified[source]] if source in self._verified else [
             self._of(source), self._totals[known_chain]
         ]  # fmt: skip
-        if not all(bucket.has(cost, clock) for bucket in buckets):
+        if not all(bucket.refill(clock) >= cost for bucket in buckets):
             raise AnnouncementRefused("more announcements than can be checked")
         for bucket in buckets:
-            bucket.take(cost)
+            bucket.tokens -= cost
 
     def note_verified(self, source: Hashable) -> None:
         """An announcement from `source` verified."""
@@ -65,15 +48,15 @@ class Budget:
             self._verified[source] = self._of(source)
             _bound(self._verified, MAX_VERIFIED)
 
-    def _of(self, source: Hashable) -> AttemptBucket:
+    def _of(self, source: Hashable) -> TokenBucket:
         if source not in self._shares:
-            self._shares[source] = AttemptBucket(self._share)
+            self._shares[source] = TokenBucket(self._share, self._share)
             _bound(self._shares, MAX_SOURCES)
         self._shares.move_to_end(source)
         return self._shares[source]
 
 
-def _bound(table: OrderedDict[Hashable, AttemptBucket], most: int) -> None:
+def _bound(table: OrderedDict[Hashable, TokenBucket], most: int) -> None:
     """Drop the least recently used entries."""
     while len(table) > most:
         table.popitem(last=False)

@@ -14,6 +14,13 @@ from rossec.errors import ConfigurationError
 _HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
 
+class PlainConnection:
+    """A connection that `allow_plain` names: not authorized, and without an expiry."""
+
+    guard = None
+    ends = float("inf")
+
+
 class PlainPeers:
     """The entries of `allow_plain`.
 

@@ -1,8 +1,7 @@
 """The background loop of a secured process: a thread with an asyncio loop.
 
-It runs the membership of the process, whose session with the master also carries rospy's calls, and
-closes connections whose right has ended. If it fails, no connection would be closed any more: then
-all are closed.
+It runs the membership of the process, whose session with the master also carries rospy's calls. If
+it fails, no connection would be cut any more: then all are.
 """
 
 import asyncio
@@ -11,23 +10,22 @@ import errno
 import logging
 from collections.abc import Callable
 from threading import Event, Thread
-from typing import Final, Protocol
+from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec import clock
 from rossec.errors import RossecError
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.live_connections import LiveConnections
 from rossec.inprocess.registrations import Registrations
+from rossec.inprocess.sockets import RosSocket
 from rossec.net.aio import SecureStream
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.dialer import Dialer
 from rossec.participant.membership import Membership
 from rossec.ros.xmlrpc import Fault
 
-PERIOD: Final = (
-    1.0  # seconds between checks; a connection is closed within the second it expires in
-)
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
+_TIMERS_PERIOD: Final = 1.0
 _FIRST_WAIT: Final = 5.0  # for the first connection to the master
 _RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
 _CALL_DEADLINE: Final = 30.0
@@ -40,52 +38,15 @@ _ENDED: Final = (
 _log = logging.getLogger("rossec.rospy")
 
 
-class SecuredNode(Protocol):
-    """The process that the loop belongs to."""
-
-    connections: LiveConnections
-
-    def close_ended_connections(self) -> None:
-        """Close every connection whose right has ended."""
-
-    def run_timers(self) -> None:
-        """Renew the keys of idle connections."""
-
-
-class ProcessWatchdog:
-    """Closes the connections of a process."""
-
-    def __init__(self, process: SecuredNode) -> None:
-        self._process = process
-
-    async def run(self) -> None:
-        """Close connections when they must end, until cancelled."""
-        while True:
-            await asyncio.sleep(self._until_next_check())
-            self.close_terminated(clock.now())
-            self._process.run_timers()
-
-    def _until_next_check(self) -> float:
-        expiry = self._process.connections.next_expiry
-        left = PERIOD if expiry is None else expiry - clock.time()
-        return min(PERIOD, max(0.01, left))
-
-    def close_terminated(self, _: int) -> None:
-        """Close connections that must end now; called by other threads as well."""
-        self._process.close_ended_connections()
-
-
 class BackgroundLoop:
     """The background loop of one process, and the hooks of its membership."""
 
     def __init__(
         self,
-        process: SecuredNode,
         local_identity: LocalIdentity,
         registrations: Registrations,
         master: tuple[str, int],
     ) -> None:
-        self._process = process
         self._local_identity = local_identity
         self._registrations = registrations
         self.address = master
@@ -96,10 +57,13 @@ class BackgroundLoop:
         self._dialer = Dialer(
             local_identity.name, local_identity.live_context, local_identity.access.check_peer
         )
+        access = local_identity.access
+        self.connections: ConnectionTable[RosSocket] = ConnectionTable(
+            local_identity.revocations, access.lock, PEER_CONNECTIONS
+        )
         self.membership = Membership(
-            local_identity, local_identity.access, ProcessWatchdog(process),
-            registrations.publishers, self,
-        )  # fmt: skip
+            local_identity, access, self.connections, registrations.publishers, self
+        )
         self._thread = Thread(target=self._run, name="rossec background", daemon=True)
         self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None
         self.on_crash: Callable[[], None] = lambda: None
@@ -152,6 +116,7 @@ class BackgroundLoop:
 
     async def _main(self) -> None:
         self.membership.start(self._open_session)
+        self.membership.tasks.spawn(self._run_timers(), "timers of idle connections")
         await self._stop.wait()
         await self.membership.close()
 
@@ -161,6 +126,13 @@ class BackgroundLoop:
         except (HintedError, OSError, Fault) as error:
             _log.warning("%s: no answer from the master: %s", self._local_identity.name, error)
         self._first_attempt.set()
+
+    async def _run_timers(self) -> None:
+        """Renew the keys of idle connections, which rospy neither reads nor writes."""
+        while True:
+            await asyncio.sleep(_TIMERS_PERIOD)
+            for connection in self.connections:
+                connection.stream.run_timers()
 
     async def _answer(self, method: str, params: tuple[object, ...]) -> object:
         if not self._ready.is_set():
@@ -190,13 +162,13 @@ class BackgroundLoop:
 
     async def restore(self) -> None:
         """Make every registration again."""
-        for method, params in self._registrations.all():
+        for method, params in self._registrations.table:
             await self._register(method, params)
         self._ready.set()
 
     async def rights_changed(self) -> None:
         """Make the registrations again that the master refused."""
-        for method, params in self._registrations.refused():
+        for method, params in self._registrations.table.refused():
             await self._register(method, params)
 
     def maintain(self) -> None:
@@ -211,7 +183,7 @@ class BackgroundLoop:
     def crashed(self, error: BaseException) -> None:
         """Close every connection, and end the node."""
         _log.error("the background loop failed, all connections are closed: %s", error)
-        self._process.connections.close_ended(lambda _: "the background loop failed")
+        self.connections.close("the background loop failed")
         # It unregisters this node at the master, which must not happen in the thread of this loop.
         Thread(target=self.on_crash, name="rossec end", daemon=True).start()
         self._stop.set()

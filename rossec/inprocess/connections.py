@@ -20,6 +20,7 @@ from grants.guard import Guard
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused, PlainPeer
 from rossec.inprocess import headers
+from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.genpy_types import (
     definition_of,
     installed_definition,
@@ -27,12 +28,12 @@ from rossec.inprocess.genpy_types import (
     max_unit_size,
 )
 from rossec.inprocess.identity import LocalIdentity, now
-from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.plain_stream import plain_fields
-from rossec.inprocess.process import SecuredProcess
+from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.definitions import (
     Definition,
     definition_fields,
@@ -108,16 +109,16 @@ class Connections:
         try:
             fields = headers.receive(sock)
             connection = None if sock.is_plain else self._admit_server(protocol, fields, sock)
+            transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
+            if connection is not None:
+                self._process.add_connection(sock, connection)
         except HintedError as error:
             raise self._init_error(protocol, error, sock) from error
-        transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
-        if connection is not None:
-            self._process.add_connection(sock, connection)
         self._process.reporter.forget(_description(protocol))
 
     def _admit_server(
         self, protocol: Any, fields: dict[str, bytes], sock: RosSocket
-    ) -> LiveConnection:
+    ) -> RosConnection:
         access, peer, name = self._local_identity.access, sock.peer, protocol.resolved_name
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
@@ -125,14 +126,14 @@ class Connections:
                 guard = self._service_guard(protocol.service_class, decision)
                 sock.service_filter = ClientFilter(guard, now)
             sock.raise_unit_limit(max_unit_size(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
-            return LiveConnection(sock, decision)
+            return AuthorizedConnection(sock, decision, None)
         subscribed = definition_of(protocol.recv_data_class)
         expected = ExpectedTopic(name, subscribed.name, subscribed.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
         kind = receiver_definition(subscribed, from_header(fields), decision, installed_definition)
         fields |= definition_fields(kind, decision)
         sock.raise_unit_limit(max_unit_size(protocol.recv_data_class))
-        return LiveConnection(sock, decision, self._guard_for(kind, decision))
+        return AuthorizedConnection(sock, decision, self._guard_for(kind, decision))
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
         local_identity = self._local_identity
@@ -155,7 +156,7 @@ class Connections:
                 return
             peer = sock.handshake()
             caller = peer.name
-            self._process.connections.admit(sock, peer, sock.abort)
+            self._process.connections.accept(sock, peer, sock.abort)
             self._local_identity.access.check_peer(peer, now())
             fields = headers.receive(sock)
             self._admit_caller(server, sock, where, fields)
@@ -179,7 +180,7 @@ class Connections:
         if not name or not self._process.allows_plain(name, where[0]):
             return False
         sock.switch_to_plain()
-        self._process.connections.admit_plain(sock, where[0])
+        self._process.connections.accept(sock, where[0], sock.abort)
         headers.receive(sock)
         sock.connection = PlainConnection()
         handler = getattr(server, f"{kind}_connection_handler")
@@ -194,18 +195,15 @@ class Connections:
         access = self._local_identity.access
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
-            sock.connection = LiveConnection(sock, decision)
-            sock.service_filter = self._server_filter(
-                requested_service(fields), sock, sock.connection
-            )
+            connection: RosConnection = AuthorizedConnection(sock, decision, None)
+            sock.service_filter = self._server_filter(requested_service(fields), sock, connection)
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
-            sock.connection = LiveConnection(
-                sock, decision, self._topic_guard(requested_topic(fields), decision)
-            )
+            guard = self._topic_guard(requested_topic(fields), decision)
+            connection = AuthorizedConnection(sock, decision, guard)
             handler = server.topic_connection_handler
-        self._process.add_connection(sock, sock.connection)
+        self._process.add_connection(sock, connection)
         refusal = handler(sock, where, headers.for_rospy(fields))
         if refusal:
             raise ConnectionHeaderRefused(
@@ -213,7 +211,7 @@ class Connections:
             )
 
     def _server_filter(
-        self, service: str, sock: RosSocket, connection: LiveConnection
+        self, service: str, sock: RosSocket, connection: RosConnection
     ) -> ServerFilter:
         """The filter for the calls of this caller.
 
@@ -233,10 +231,8 @@ class Connections:
 
         request_class = provided.service_class._request_class  # noqa: SLF001 - rospy's
         sock.raise_unit_limit(max_unit_size(request_class))
-        termination_reason = partial(self._local_identity.termination_reason, connection)
-        return ServerFilter(
-            termination_reason, guard, refused, now, max_message_size(request_class)
-        )
+        check = partial(self._process.connections.check, connection)
+        return ServerFilter(check, guard, refused, now, max_message_size(request_class))
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (

@@ -17,7 +17,6 @@ from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.net.context import SecureContext
 from rossec.participant.access import Access
-from rossec.participant.connections import AuthorizedPeer, termination_reason
 from rossec.participant.membership import LoadedIdentity
 
 P = ParamSpec("P")
@@ -64,6 +63,7 @@ class LockedAccess:
     hold_renewed = _locked(Access.hold_renewed)
     held_grants = _locked(Access.held_grants)
     update_revocations = _locked(Access.update_revocations)
+    expire_confirmation = _locked(Access.expire_confirmation)
     add_proof = _locked(Access.add_proof)
     current = _locked(Access.current)
     present = _locked(Access.present)
@@ -95,11 +95,6 @@ class LocalIdentity(LoadedIdentity):
         """The context of the next handshake: a renewal by another thread does not change it."""
         return replace(self.live_context, credentials=self.credentials)
 
-    def expire_confirmation(self) -> None:
-        """Treat the master's confirmation as expired: the clock it was received by went back."""
-        with self.access.lock:
-            self.revocations.expire_confirmation(now() - 1)
-
     def refresh_identity(self) -> bool:
         """Use the certificate that is in the directory now; returns whether it is another one.
 
@@ -112,16 +107,6 @@ class LocalIdentity(LoadedIdentity):
         self.identity = self.home.identity(now())
         self.live_credentials.current = credentials
         return True
-
-    def termination_reason(self, connection: AuthorizedPeer) -> str | None:
-        """Why a live connection must end now, if it must."""
-        with self.access.lock:
-            return termination_reason(connection, self.revocations, now())
-
-    def is_revoked(self, peer: Identity) -> bool:
-        """Whether the key of `peer`, or one in its chain, is on the list."""
-        with self.access.lock:
-            return not self.revocations.entries.isdisjoint(peer.keys)
 
 
 def now() -> int:

@@ -7,22 +7,23 @@ one raises. A call before `rospy.init_node` uses the name the node will have, if
 import errno
 from collections.abc import Callable
 from threading import RLock
-from typing import Final
+from typing import Final, TypeAlias
 
+from grants.guard import Guard
 from rossec import clock
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
 from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.background import BackgroundLoop
 from rossec.inprocess.connector import Connector
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.live_connections import LiveConnection, LiveConnections
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
+from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.membership import Membership
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.revocation_watch import CLOCK_SET_BACK
 
+RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
     " rossec.secure('name'), or __name:=name on the command line"
@@ -35,8 +36,6 @@ class SecuredProcess:
     def __init__(self, reporter: Reporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
         self.plain = plain
-        self.connections = LiveConnections()
-        self._setbacks = clock.Setbacks()
         self.own_addresses = OwnAddresses()
         self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
         self._begin_lock = RLock()
@@ -49,7 +48,7 @@ class SecuredProcess:
             Connector(local_identity, self.own_addresses),
             Registrations(local_identity.name, clock.counter()),
         )
-        background_loop = BackgroundLoop(self, local_identity, registrations, master)
+        background_loop = BackgroundLoop(local_identity, registrations, master)
         self._begun = local_identity, connector, registrations, background_loop
         background_loop.start()
 
@@ -73,7 +72,7 @@ class SecuredProcess:
 
     @property
     def local_identity(self) -> LocalIdentity:
-        """The node. Raises `ConfigurationError` while it has no name; so do the next four."""
+        """The node. Raises `ConfigurationError` while it has no name; so do the next five."""
         return self._require_begun()[0]
 
     @property
@@ -96,21 +95,27 @@ class SecuredProcess:
         """Keeps grants, identity and revocation data current."""
         return self.background_loop.membership
 
+    @property
+    def connections(self) -> ConnectionTable[RosSocket]:
+        """The connections of this process."""
+        return self.background_loop.connections
+
     # -- connections
 
     def listens(self, port: int, host: str | None = None) -> None:
         """This node accepts callers there; rospy announces the same host for all its ports."""
         self.own_addresses.add_ports(self.own_addresses.host if host is None else host, port)
 
-    def add_connection(self, sock: RosSocket, connection: LiveConnection) -> None:
-        """Add an admitted connection: it is closed when its right ends."""
+    def add_connection(self, sock: RosSocket, connection: RosConnection) -> None:
+        """Add an admitted connection: it is cut when its right ends; raises as the table."""
         sock.connection = connection
-        self.connections.add(connection, sock.abort)
+        self.connections.add(connection)
 
     def connection_closed(self, sock: RosSocket) -> None:
         """A connection is closed."""
-        self.connections.forget(sock)
-        if isinstance(sock.connection, LiveConnection):
+        if self.has_begun:
+            self.connections.forget(sock)
+        if isinstance(sock.connection, AuthorizedConnection):
             self.connections.discard(sock.connection)
 
     def allows_plain(self, name: str, address: str) -> bool:
@@ -126,27 +131,6 @@ class SecuredProcess:
         if isinstance(error, PlainPeer):  # rospy does not try again
             return ConnectionError(f"rossec: {error}")
         return ConnectionAbortedError(errno.ECONNABORTED, f"rossec: {error}")  # rospy tries again
-
-    # -- called by the background loop
-
-    def close_ended_connections(self) -> None:
-        """Close every connection whose right has ended."""
-        local_identity = self.local_identity
-        if self._setbacks.any_new():
-            self.reporter.warn(CLOCK_SET_BACK)
-            local_identity.expire_confirmation()
-        for connection, reason in self.connections.close_ended(local_identity.termination_reason):
-            self.reporter.warn(
-                f"closed the connection with {connection.stream.peer.name}"
-                f" ({connection.decision.name}): {reason}"
-            )
-        self.connections.close_revoked(local_identity.is_revoked)
-
-    def run_timers(self) -> None:
-        """Renew the keys of idle connections, which rospy neither reads nor writes."""
-        for stream in self.connections.streams():
-            if isinstance(stream, RosSocket):
-                stream.run_timers()
 
 
 def _with_hint(error: ConfigurationError) -> ConfigurationError:

@@ -17,9 +17,10 @@ from rospy.msg import serialize_message
 from grants.errors import GrantError
 from grants.filters.codegen import Buffer
 from grants.guard import Guard
+from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.buffer_pool import BufferPool
 from rossec.inprocess.identity import now
-from rossec.inprocess.live_connections import LiveConnection, PlainConnection
+from rossec.inprocess.process import RosConnection
 from rossec.inprocess.send_queue import LENGTH, SEPARATE_UNIT, Pieces
 from rossec.net import withheld_log
 from rossec.participant.latch import Latch, Sample
@@ -117,7 +118,7 @@ def _send(
     dead = []
     for transport in transports:
         try:
-            connection: LiveConnection | PlainConnection | None = transport.socket.connection
+            connection: RosConnection | PlainConnection | None = transport.socket.connection
             if connection is None or moment >= connection.ends:
                 continue
             pieces: Pieces | None = sample.data
@@ -133,7 +134,7 @@ def _send(
     return dead
 
 
-def _filter(topic: Any, connection: LiveConnection, samples: Samples, moment: int) -> Pieces | None:
+def _filter(topic: Any, connection: RosConnection, samples: Samples, moment: int) -> Pieces | None:
     guard = connection.guard
     assert guard is not None  # noqa: S101 - checked by the caller
     for sample in samples(guard):

@@ -1,9 +1,6 @@
-"""What rospy registered with the master, to repeat it after a restart or with a new grant.
+"""What the master answered rospy: what it has registered, the publishers and nodes it named last.
 
-Pure. rospy registers once and never again; a master that was restarted would not know the node.
-A registration that the master refused is stored as well, and repeated when there is a new grant.
-Also here: the publishers and nodes that the master named last.
-Thread-safe: iterations are over a copy, which is made in one step.
+Pure, thread-safe. A registration that the master refused is repeated when there is a new grant.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,15 +9,9 @@ from typing import Final
 
 from rossec.errors import ConfigurationError
 from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.registrations import UNREGISTERS, RegistrationTable
 from rossec.ros.settings import parse_uri
 
-_UNDO: Final = {
-    "unregisterPublisher": "registerPublisher",
-    "unregisterSubscriber": "registerSubscriber",
-    "unregisterService": "registerService",
-    "unsubscribeParam": "subscribeParam",
-}
-_DO: Final = frozenset(_UNDO.values())
 REGISTRATIONS: Final[Mapping[str, object]] = {
     "registerPublisher": [], "registerSubscriber": [], "registerService": 1,
 }  # fmt: skip
@@ -35,58 +26,36 @@ _OWN_PARAMETERS: Final = (
     "/tcp_keepalive", "/use_sim_time", "/enable_statistics", "/rosout_disable_topics_generation",
 )  # fmt: skip
 
-Call = tuple[str, tuple[object, ...]]
-
 
 class Registrations:
     """The registrations of one node.
 
     Attributes:
+        table: what is registered, or was refused.
         publishers: those that the master names, by topic.
     """
 
     def __init__(self, name: str, now: Callable[[], float]) -> None:
         self._name = name
+        self.table = RegistrationTable()
         self.publishers = PublisherGrace(now)
-        self._calls: dict[tuple[str, object], tuple[object, ...]] = {}
-        self._refused: set[tuple[str, object]] = set()
         self._nodes: dict[tuple[str, int], None] = {}
 
     def record(self, method: str, params: Sequence[object], answer: object) -> None:
         """Record a call of the program and the master's answer."""
-        done = _UNDO.get(method)
-        if done is not None:
-            key = _key(done, params)
-            self._calls.pop(key, None)
-            self._refused.discard(key)
-        match method, answer:
-            case "lookupNode", [1, _, str(uri)]:
-                self._add_node(uri)
-            case _:
-                pass
-        if method not in _DO:
-            return
-        key = _key(method, params)
+        if method in UNREGISTERS:  # whatever the answer: the program is done with it
+            self.table.record(method, params)
         match answer:
             case [1, _, value]:
-                self._calls[key] = tuple(params)
-                self._refused.discard(key)
+                self.table.record(method, params)
                 if method == "registerSubscriber":
                     self.set_publishers(str(params[1]), value)
+                elif method == "lookupNode" and isinstance(value, str):
+                    self._add_node(value)
             case [_, str(status), _] if status.startswith(REFUSED):
-                self._calls[key] = tuple(params)
-                self._refused.add(key)
+                self.table.record(method, params, refused=True)
             case _:
                 pass
-
-    def all(self) -> list[Call]:
-        """Every registration, in the order they were made."""
-        return [(method, params) for (method, _), params in self._calls.copy().items()]
-
-    def refused(self) -> list[Call]:
-        """Those the master refused: the node has no right."""
-        calls = self._calls.copy().items()
-        return [(key[0], params) for key, params in calls if key in self._refused]
 
     def set_publishers(self, topic: str, uris: object) -> None:
         """Store the publishers of a topic that the master names."""
@@ -120,8 +89,3 @@ class Registrations:
                 return key in _OWN_PARAMETERS
             case _:
                 return False
-
-
-def _key(method: str, params: Sequence[object]) -> tuple[str, object]:
-    position = 2 if method == "subscribeParam" else 1
-    return method, params[position] if len(params) > position else None

@@ -11,7 +11,6 @@ from typing import Final, Protocol
 
 from ca.errors import HintedError
 from rossec.channel.records import Bytes, ChannelLimits
-from rossec.errors import ChannelClosed
 from rossec.participant.service_guard import ServiceGuard
 from rossec.ros import service as wire
 from rossec.ros.framing import Framing
@@ -48,7 +47,7 @@ class ServerFilter:
     """The provider's side.
 
     Args:
-        termination_reason: why the connection must be closed now; None: it need not.
+        check: raises when the connection must be closed now.
         guard: applies the restrictions of its grant; None: there are none.
         on_refusal: called with the error for each refusal.
         limit: the most bytes a request may have.
@@ -56,14 +55,14 @@ class ServerFilter:
 
     def __init__(
         self,
-        termination_reason: Callable[[], str | None],
+        check: Callable[[], None],
         guard: ServiceGuard | None,
         on_refusal: Callable[[HintedError], None],
         now: Callable[[], int],
         limit: int = _LIMIT,
     ) -> None:
         self.framing = Framing(FrameReader(limit))
-        self._termination_reason = termination_reason
+        self._check = check
         self._guard = guard
         self._on_refusal = on_refusal
         self._now = now
@@ -73,9 +72,7 @@ class ServerFilter:
         request = self.framing.feed_one(data, self._now())
         if request is None:
             return b"", ()
-        reason = self._termination_reason()
-        if reason is not None:
-            raise ChannelClosed(reason)
+        self._check()
         if self._guard is None:
             return b"".join(wire.framed([request])), ()
         try:

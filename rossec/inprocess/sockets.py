@@ -14,16 +14,17 @@ from typing import Any, Final, Protocol, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from grants.guard import Guard
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
-from rossec.inprocess.allow_plain import PlainPeers
+from rossec.inprocess.allow_plain import PlainConnection, PlainPeers
 from rossec.inprocess.connector import CONNECT_TIMEOUT, Connector, Stream
-from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.plain_stream import PlainStream, peek
 from rossec.inprocess.service_filter import ServiceFilter
 from rossec.net.threads.secure_socket import SecureSocket
+from rossec.participant.connections import AuthorizedConnection
 from rossec.ros.framing import PATIENCE, Framing
 
 _OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
@@ -71,7 +72,9 @@ class RosSocket:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
-        self.connection: LiveConnection | PlainConnection | None = None
+        self.connection: AuthorizedConnection[RosSocket, Guard | None] | PlainConnection | None = (
+            None
+        )
         self.aborted = False
         self.closed_locally = False
         self.service_filter: ServiceFilter | None = None
@@ -106,10 +109,9 @@ class RosSocket:
         Raises:
             ChannelError: it failed.
         """
-        stream = self.stream
-        if isinstance(stream, PlainStream):
+        if isinstance(self.stream, PlainStream):
             raise ChannelClosed("a plain connection is not authenticated")
-        return stream.do_handshake()
+        return self.stream.do_handshake()
 
     def raise_unit_limit(self, limit: int) -> None:
         """The peer is authorized: it may send units of up to `limit` bytes."""
@@ -186,19 +188,17 @@ class RosSocket:
     def recv(self, size: int) -> bytes:
         """As `socket.socket`."""
         with _socket_errors():
-            filtered = self.service_filter is not None
-            return self._receive_filtered(size) if filtered else self.stream.recv(size)
+            calls = self.service_filter
+            return self.stream.recv(size) if calls is None else self._receive_calls(calls, size)
 
-    def _receive_filtered(self, size: int) -> bytes:
+    def _receive_calls(self, calls: ServiceFilter, size: int) -> bytes:
         """What the program may read of a service's calls."""
-        assert self.service_filter is not None  # noqa: S101 - checked by the caller
         while not self._ready:
-            data = self.receive_before_deadline(
-                self.service_filter.framing, partial(self.stream.recv, _READ_SIZE)
-            )
+            receive = partial(self.stream.recv, _READ_SIZE)
+            data = self.receive_before_deadline(calls.framing, receive)
             if not data:
                 return b""
-            ready, reply = self.service_filter.incoming(data)
+            ready, reply = calls.incoming(data)
             self._ready = memoryview(ready)
             if reply:
                 self.send_unit(*reply)
@@ -324,7 +324,7 @@ class RosSocket:
             with suppress(OSError):
                 self._socket.shutdown(how)
 
-    def abort(self) -> None:
+    def abort(self, _reason: str = "") -> None:
         """End it now, from any thread: blocked calls return, and nothing more is received."""
         self.aborted = True
         if isinstance(self._stream, SecureSocket):

@@ -8,10 +8,10 @@ import rospy
 from rospy.exceptions import TransportInitError
 
 from grants.errors import GrantError
+from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.genpy_types import max_message_size
 from rossec.inprocess.identity import now
-from rossec.inprocess.live_connections import LiveConnection, PlainConnection
-from rossec.inprocess.process import SecuredProcess
+from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.sockets import RosSocket
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
@@ -85,7 +85,7 @@ class SubscriptionLoop:
             callback(_until_aborted(messages, sock), conn)
 
     def _filter(
-        self, connection: LiveConnection | PlainConnection | None, messages: list[bytes]
+        self, connection: RosConnection | PlainConnection | None, messages: list[bytes]
     ) -> list[bytes]:
         """The messages as the publisher's right allows them."""
         if connection is None or connection.guard is None:

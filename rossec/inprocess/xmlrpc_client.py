@@ -34,8 +34,9 @@ from rossec.participant.caller_names import (
     search_result,
     searched_key,
 )
-from rossec.participant.slave_rights import PRESENT, SLAVE_CALLS
+from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros.http import HttpClient
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import dump_call, load_response
 
@@ -201,7 +202,7 @@ class XmlRpcClient:
         right, local_identity = SLAVE_CALLS.get(method), self._process.local_identity
         if right is not None and stream.peer is not None:
             grants = local_identity.access.present(right, stream.peer.name, now())
-            _exchange(stream, host, dump_call(PRESENT, (local_identity.name, grants)))
+            _exchange(stream, host, dump_call(PRESENT_GRANTS, (local_identity.name, grants)))
 
     def _call_plain(self, address: tuple[str, int], params: Params, request: bytes) -> object:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)

@@ -21,9 +21,11 @@ from rossec.inprocess.plain_stream import PlainStream, peek
 from rossec.inprocess.process import SecuredProcess
 from rossec.net.rpc.client import REQUEST_DEADLINE
 from rossec.participant import slave_api
-from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, refusal, topic_offer
+from rossec.participant.slave_api import refusal, topic_offer
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
+from rossec.ros import names
 from rossec.ros.http import HttpServer
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from rossec.ros.xmlrpc import Fault, dump_response, load_call
 
 _FAULT_CODE: Final = 1
@@ -62,7 +64,7 @@ class XmlRpcServer:
         try:
             peer = stream.do_handshake()
             caller = peer.name
-            self._process.connections.admit(stream, peer, stream.shutdown)
+            self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
             self._serve(server, stream, peer)
         except ChannelClosed:
             pass
@@ -115,7 +117,7 @@ class XmlRpcServer:
         try:
             self._check(method, peer)
             match method, params:
-                case "rossec.presentGrants", (_, bytes() as grants):
+                case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented.grants = grants
                     return [1, "", 0]
                 case _:

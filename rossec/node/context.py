@@ -4,15 +4,21 @@ import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias, TypeVar
 
-from ca.revocation.state import Revocations
+from ca.certificates import Identity
 from grants.memory import MemoryScope
 from rossec.errors import AnswerRefused
+from rossec.net.aio import SecureStream
 from rossec.participant.access import Access
+from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.dialer import Dialer
 from rossec.participant.grant_renewal import MasterCall
 
 _log = logging.getLogger("rossec.node")
+
+GuardT = TypeVar("GuardT")
+NodeConnection: TypeAlias = AuthorizedConnection[SecureStream[Identity], GuardT]
 
 
 @dataclass
@@ -29,7 +35,7 @@ class NodeContext:
 
     name: str
     access: Access
-    revocations: Revocations
+    connections: ConnectionTable[SecureStream[Identity]]
     call: MasterCall
     dialer: Dialer
     filter_key: Callable[[str], bytes]

@@ -21,9 +21,9 @@ from rossec.node.publisher import Publisher
 from rossec.node.services import Services
 from rossec.participant import slave_api
 from rossec.participant.access import Access
-from rossec.participant.connections import AcceptedConnections
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, SlaveApi
+from rossec.participant.slave_api import SlaveApi
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.participant.topic_handshake import (
     admit_subscriber,
@@ -31,7 +31,8 @@ from rossec.participant.topic_handshake import (
     publisher_header,
     requested_topic,
 )
-from rossec.ros import header
+from rossec.ros import header, names
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
@@ -50,7 +51,7 @@ class Listener:
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
-        accepted: AcceptedConnections,
+        connections: ConnectionTable[SecureStream[Identity]],
         own_addresses: OwnAddresses,
     ) -> None:
         self._name = name
@@ -59,7 +60,7 @@ class Listener:
         self._publishers = publishers
         self._services = services
         self._slave = slave
-        self._accepted = accepted
+        self._connections = connections
         self._own_addresses = own_addresses
         self._servers: list[SecureServer[Identity]] = []
 
@@ -80,7 +81,7 @@ class Listener:
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
         ):
-            server = serve(self._accepted.bounded(handler), bind, 0, self._context, protocol)
+            server = serve(self._connections.bounded(handler), bind, 0, self._context, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
 
@@ -109,7 +110,7 @@ class Listener:
         try:
             self._access.check_peer(peer, now)
             match method, params:
-                case "rossec.presentGrants", (_, bytes() as grants):
+                case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented[:] = [grants]
                     return [1, "", 0]
                 case _:

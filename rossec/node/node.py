@@ -1,14 +1,14 @@
 """A ROS node without ROS: topics, services and parameters over the secure channel, in asyncio.
 
-Connects the parts: the master session, the slave API, the TCPROS server, topics and services, and
-the watchdog of their connections. Decisions are made elsewhere: `access` authorizes peers, the
-handshake modules check headers, `connections` says when a connection must end, `membership` keeps
-grants, identity and revocation data current.
+Connects the parts: the master session, the slave API, the TCPROS server, topics and services.
+Decisions are made elsewhere: `access` authorizes peers, the handshake modules check headers,
+`connections` says when a connection must end, `membership` keeps grants, identity and revocation
+data current.
 """
 
 import asyncio
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -30,14 +30,13 @@ from rossec.node.services import Services
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
 from rossec.participant.access import Access
-from rossec.participant.connections import AcceptedConnections, AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.dialer import Dialer
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SlaveApi
 from rossec.participant.topic_handshake import TopicEndpoint
@@ -74,13 +73,13 @@ class Node:
         )  # fmt: skip
         own_addresses = OwnAddresses()
         self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses)
-        accepted, grace = AcceptedConnections(), PublisherGrace(clock.counter())
-        self._watchdog = ConnectionWatchdog(self.revocations, self._connections, accepted)
-        self._membership = Membership(loaded, self.access, self._watchdog, grace, self)
+        connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(self.revocations)
+        grace = PublisherGrace(clock.counter())
+        self._membership = Membership(loaded, self.access, connections, grace, self)
         self._context = context = NodeContext(
             self.name,
             self.access,
-            self.revocations,
+            connections,
             self._membership.session.call,
             self._dialer,
             self.home.filter_key,
@@ -91,7 +90,7 @@ class Node:
         self.params = NodeParameters(context, self.settings.resolve)
         self._listener = Listener(
             self.name, secure, self.access, self._topics.publishers, self.services,
-            SlaveApi(self), accepted, own_addresses,
+            SlaveApi(self), connections, own_addresses,
         )  # fmt: skip
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -287,7 +286,3 @@ class Node:
         self._context.uri = settings.build_uri(self._host, self._listener.slave_port)
         self._context.rosrpc = settings.build_uri(*self.topic_endpoint(), scheme="rosrpc")
         self._membership.start()
-
-    def _connections(self) -> Iterator[AuthorizedConnection]:
-        yield from self._topics.connections()
-        yield from self.services.connections()

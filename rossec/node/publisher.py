@@ -9,20 +9,21 @@ import asyncio
 import logging
 import struct
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
-from typing import Final
+from collections.abc import Hashable, Sequence
+from typing import Final, TypeAlias
 
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
-from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import NodeShutdown, RossecError
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
+from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.subscriber import check_queue_size
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.latch import Latch, Sample
 from rossec.participant.message_types import Message
 from rossec.participant.topic_handshake import TopicEndpoint
@@ -33,24 +34,16 @@ _LENGTH: Final = struct.Struct("<I")
 _BATCH: Final = 256 * 1024
 
 Pieces = Sequence[bytes | bytearray | memoryview]
+SubscriberConnection: TypeAlias = NodeConnection[Guard]
 _log = logging.getLogger("rossec.node")
 
 
-class SubscriberConnection:
-    """One admitted subscriber: its stream, its guard, and its queue of messages."""
+class SubscriberQueue:
+    """The messages for one admitted subscriber."""
 
-    def __init__(
-        self,
-        stream: SecureStream[Identity],
-        decision: Decision,
-        guard: Guard,
-        queue_size: int,
-    ) -> None:
-        self.stream = stream
-        self.decision = decision
-        self.guard = guard
-        self.ends = min(decision.expires, stream.peer.not_after)
+    def __init__(self, stream: SecureStream[Identity], queue_size: int) -> None:
         self.withheld = 0
+        self._stream = stream
         self.dropped = 0
         self._queue: deque[Pieces] = deque()
         self._queue_size = queue_size
@@ -72,11 +65,11 @@ class SubscriberConnection:
                 await self._wake.wait()
                 self._wake.clear()
                 while self._queue:
-                    await self.stream.send(*self._next_batch())
+                    await self._stream.send(*self._next_batch())
 
     async def _until_closed(self) -> None:
         while True:  # a TCPROS subscriber sends nothing after its header
-            await self.stream.receive()
+            await self._stream.receive()
 
     def _next_batch(self) -> list[bytes | bytearray | memoryview]:
         batch: list[bytes | bytearray | memoryview] = []
@@ -97,8 +90,7 @@ class Publisher:
         self,
         endpoint: TopicEndpoint,
         layout: Layout,
-        filter_key: Callable[[str], bytes],
-        memory_scope: MemoryScope,
+        context: NodeContext,
         *,
         latch: bool,
         queue_size: int = QUEUE_SIZE,
@@ -106,10 +98,9 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: set[SubscriberConnection] = set()
+        self.links: dict[SubscriberConnection, SubscriberQueue] = {}
         self._layout = layout
-        self._filter_key = filter_key
-        self._memory_scope = memory_scope
+        self._context = context
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
         self._closed = False
@@ -152,7 +143,7 @@ class Publisher:
             self._latch.newest = sample
         filtered: dict[Hashable, Pieces | None] = {}
         now = clock.now()
-        for connection in tuple(self.links):
+        for connection, queue in tuple(self.links.items()):
             if connection.ends <= now:  # the watchdog is about to close it
                 continue
             key = connection.guard.key
@@ -160,9 +151,9 @@ class Publisher:
                 filtered[key] = self._filter(connection, sample, now)
             pieces = filtered[key]
             if pieces is None:
-                connection.withheld += 1
+                queue.withheld += 1
             else:
-                connection.enqueue(pieces)
+                queue.enqueue(pieces)
 
     async def wait_for_subscribers(self, count: int = 1) -> None:
         """Return as soon as at least `count` subscribers are connected."""
@@ -177,8 +168,9 @@ class Publisher:
             GrantError: its restrictions are for another message type.
             ConfigurationError: a key for pseudonyms cannot be read.
         """
-        keys = {name: self._filter_key(name) for name in needed_keys(decision.restrictions)}
-        return Guard(self._layout, decision, keys, self._memory_scope)
+        context = self._context
+        keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
+        return Guard(self._layout, decision, keys, context.memory_scope)
 
     async def serve(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes
@@ -187,25 +179,26 @@ class Publisher:
 
         It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        connection = SubscriberConnection(stream, decision, guard, self._queue_size)
-        self.links.add(connection)
+        connection = AuthorizedConnection(stream, decision, guard)
+        queue = self.links[connection] = SubscriberQueue(stream, self._queue_size)
         self._changed.set()
         try:
-            await stream.send(answer)
-            self._send_latched(connection)
-            await connection.run()
+            with self._context.connections.track(connection):
+                await stream.send(answer)
+                self._send_latched(connection, queue)
+                await queue.run()
         except* RossecError as group:
             _log.info("%s: %s left: %s", self.topic, stream.peer.name, group.exceptions[0])
         finally:
-            self.links.discard(connection)
+            del self.links[connection]
             self._changed.set()
 
-    def _send_latched(self, connection: SubscriberConnection) -> None:
+    def _send_latched(self, connection: SubscriberConnection, queue: SubscriberQueue) -> None:
         now = clock.now()
         for sample in self._latch.candidates(connection.guard):
             pieces = self._filter(connection, sample, now)
             if pieces is not None:
-                connection.enqueue(pieces)
+                queue.enqueue(pieces)
                 break
 
     def _filter(

@@ -9,7 +9,7 @@ import asyncio
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 from weakref import WeakValueDictionary
 
 from ca.certificates import Identity
@@ -17,7 +17,6 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from rossec import clock
 from rossec.errors import (
-    ChannelClosed,
     ConfigurationError,
     FrameRefused,
     MessageError,
@@ -27,8 +26,8 @@ from rossec.errors import (
 )
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.node.context import NodeContext
-from rossec.participant.connections import termination_reason
+from rossec.node.context import NodeConnection, NodeContext
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_guard import Pieces, ServiceGuard
 from rossec.participant.service_handshake import ExpectedService
@@ -39,42 +38,27 @@ REQUEST_DEADLINE: Final = 10.0  # seconds from the beginning of a request to its
 HANDLER_DEADLINE: Final = 60.0
 CONCURRENCY: Final = 8
 
+CallerConnection: TypeAlias = NodeConnection[ServiceGuard]
 Handler = Callable[[Any], "Message | Mapping[str, object] | Awaitable[Any] | None"]
 _log = logging.getLogger("rossec.node")
 
 
-class CallerConnection:
-    """One admitted caller."""
+async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> bytes:
+    """The next request; `wait` without a time limit for it to begin.
 
-    def __init__(
-        self,
-        stream: SecureStream[Identity],
-        decision: Decision,
-        guard: ServiceGuard,
-        share: asyncio.Semaphore,
-    ) -> None:
-        self.stream = stream
-        self.share = share
-        self.decision = decision
-        self.guard = guard
-        self.ends = min(decision.expires, stream.peer.not_after)
-        self._frames = wire.request_reader()
-
-    async def request(self, *, wait: bool) -> bytes:
-        """The next request; `wait` without a time limit for it to begin.
-
-        Raises:
-            FrameRefused: it is too long, or did not arrive in time.
-            ChannelError: the connection was closed.
-        """
-        content = self._frames.feed_one(await self.stream.receive()) if wait else None
-        try:
-            async with asyncio.timeout(REQUEST_DEADLINE):
-                while content is None:
-                    content = self._frames.feed_one(await self.stream.receive())
-        except TimeoutError:
-            raise FrameRefused("a request that did not arrive in time") from None
-        return content
+    Raises:
+        FrameRefused: it is too long, did not arrive in time, or more follows it.
+        ChannelError: the connection was closed.
+    """
+    frames = wire.request_reader()
+    content = frames.feed_one(await stream.receive()) if wait else None
+    try:
+        async with asyncio.timeout(REQUEST_DEADLINE):
+            while content is None:
+                content = frames.feed_one(await stream.receive())
+    except TimeoutError:
+        raise FrameRefused("a request that did not arrive in time") from None
+    return content
 
 
 class Service:
@@ -149,13 +133,17 @@ class Service:
 
         It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        connection = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
+        connection = AuthorizedConnection(stream, decision, guard)
+        share = self._share_of(stream.peer)
         self.links.add(connection)
         try:
-            await stream.send(answer)
-            await self._answer(connection, await connection.request(wait=persistent))
-            while persistent:
-                await self._answer(connection, await connection.request(wait=True))
+            with self._context.connections.track(connection):
+                await stream.send(answer)
+                await self._answer(
+                    connection, share, await receive_request(stream, wait=persistent)
+                )
+                while persistent:
+                    await self._answer(connection, share, await receive_request(stream, wait=True))
         except RossecError as error:
             _log.info("%s: %s left: %s", self.name, stream.peer.name, error)
         finally:
@@ -168,17 +156,18 @@ class Service:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
         return share
 
-    async def _answer(self, connection: CallerConnection, request: bytes) -> None:
-        reason = termination_reason(connection, self._context.revocations, clock.now())
-        if reason is not None:
-            connection.stream.abort(reason)
-            raise ChannelClosed(reason)
-        await connection.stream.send(*await self._respond(connection, request))
+    async def _answer(
+        self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes
+    ) -> None:
+        self._context.connections.check(connection)
+        await connection.stream.send(*await self._respond(connection, share, request))
 
-    async def _respond(self, connection: CallerConnection, request: bytes) -> Pieces:
+    async def _respond(
+        self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes
+    ) -> Pieces:
         """The response, or the error response, as bytes."""
         try:
-            async with asyncio.timeout(self._deadline), connection.share, self._slots:
+            async with asyncio.timeout(self._deadline), share, self._slots:
                 allowed = b"".join(connection.guard.request(request, clock.now()))
                 data = await self._handle(self._parse(allowed))
                 return wire.success(connection.guard.response(data, clock.now()))

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Self, TypeAlias
 
 from ca.certificates import Identity
 from grants.decision import Decision
@@ -19,9 +19,9 @@ from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import unit_limit
-from rossec.node.context import NodeContext
+from rossec.node.context import NodeConnection, NodeContext
 from rossec.participant.access import Access
-from rossec.participant.connections import termination_reason
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import Message
 from rossec.participant.service_guard import Pieces, ServiceGuard
@@ -40,32 +40,22 @@ from rossec.ros.header import MESSAGE_LIMIT
 CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
 
+ProviderConnection: TypeAlias = NodeConnection[ServiceGuard]
 Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream to its provider
 
 
-class ProviderConnection:
-    """One admitted provider."""
+async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> bytes:
+    """The response to one request.
 
-    def __init__(
-        self, stream: SecureStream[Identity], decision: Decision, guard: ServiceGuard
-    ) -> None:
-        self.stream = stream
-        self.decision = decision
-        self.guard = guard
-        self.ends = min(decision.expires, stream.peer.not_after)
-        self._frames = wire.response_reader()
-
-    async def call(self, request: Pieces) -> bytes:
-        """The response to one request.
-
-        Raises:
-            ServiceFailed: the provider answered with an error.
-            RossecError: the connection was closed, or the peer violated the protocol.
-        """
-        await self.stream.send(*wire.framed(request))
-        while (content := self._frames.feed_one(await self.stream.receive())) is None:
-            pass
-        return wire.open_response(content)
+    Raises:
+        ServiceFailed: the provider answered with an error.
+        RossecError: the connection was closed, or the peer violated the protocol.
+    """
+    frames = wire.response_reader()
+    await stream.send(*wire.framed(request))
+    while (content := frames.feed_one(await stream.receive())) is None:
+        pass
+    return wire.open_response(content)
 
 
 async def exchange_headers(
@@ -180,6 +170,7 @@ class ServiceClient:
         self._closed = True
         for connection in tuple(self.links):
             connection.stream.abort("the client is closed")
+            self._context.connections.discard(connection)
         self.links.clear()
         await self._task_set.close()
         self._on_close(self)
@@ -211,15 +202,11 @@ class ServiceClient:
             yield self._cached
 
     async def _exchange(self, connection: ProviderConnection, request: bytes | memoryview) -> bytes:
-        now = clock.now()
-        reason = termination_reason(connection, self._context.revocations, now)
-        if reason is not None:
-            connection.stream.abort(reason)
-            raise ChannelClosed(reason)
-        allowed = connection.guard.request(request, now)
+        self._context.connections.check(connection)
+        allowed = connection.guard.request(request, clock.now())
         complete = False
         try:
-            response = await connection.call(allowed)
+            response = await exchange_call(connection.stream, allowed)
             complete = True
         except ServiceFailed:
             complete = True
@@ -234,6 +221,7 @@ class ServiceClient:
         try:
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
                 connection = await self._handshake(stream)
+            self._context.connections.add(connection)
         except BaseException:
             stream.abort("the connection header was refused")
             raise
@@ -255,7 +243,7 @@ class ServiceClient:
         stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
         context = self._context
         guard = ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
-        return ProviderConnection(stream, decision, guard)
+        return AuthorizedConnection(stream, decision, guard)
 
     async def _discard_when_ended(self, connection: ProviderConnection) -> None:
         """Discard a connection when it ends, so that the next call does not use it."""
@@ -264,6 +252,7 @@ class ServiceClient:
 
     def _discard(self, connection: ProviderConnection) -> None:
         connection.stream.abort("the call failed before its end")
+        self._context.connections.discard(connection)
         self.links.discard(connection)
         if self._cached is connection:
             self._cached = None

@@ -6,7 +6,7 @@ learns nothing (attack N6).
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Final
 
@@ -26,7 +26,6 @@ from rossec.net.bounds import unit_limit
 from rossec.node.context import NodeContext
 from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
-from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.header_fields import Fields
 from rossec.participant.service_handshake import (
     admit_caller,
@@ -178,13 +177,6 @@ class Services:
         stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
-
-    def connections(self) -> Iterator[AuthorizedConnection]:
-        """Every live connection of a service."""
-        for service in self._provided.values():
-            yield from service.links
-        for client in self._clients:
-            yield from client.links
 
     async def restore(self) -> None:
         """Register everything again: the master was restarted, or there is a new grant."""

@@ -9,11 +9,10 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Final
+from typing import Final, TypeAlias
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
 from grants.memory import MemoryScope
@@ -24,10 +23,11 @@ from rossec.net.aio import SecureStream
 from rossec.net.aio.arrivals import next_messages
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
-from rossec.participant.access import Access
+from rossec.node.context import NodeConnection, NodeContext
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.definitions import size_of
 from rossec.participant.message_types import Message
-from rossec.participant.topic_guard import FilterKey, guard_for
+from rossec.participant.topic_guard import guard_for
 from rossec.participant.topic_handshake import TopicEndpoint, admit_publisher, subscriber_header
 from rossec.ros import header
 from rossec.ros.framing import Framing
@@ -38,21 +38,9 @@ HANDSHAKE_DEADLINE: Final = 5.0
 _FIRST_PAUSE: Final = 0.25
 _LONGEST_PAUSE: Final = 15.0
 
+PublisherConnection: TypeAlias = NodeConnection[Guard | None]
 OnClose = Callable[["Subscriber"], Awaitable[None]]
-Dial = Callable[[str, str], Awaitable[SecureStream[Identity]]]  # (publisher URI, topic) -> stream
 _log = logging.getLogger("rossec.node")
-
-
-class PublisherConnection:
-    """One admitted publisher; `guard` applies the restrictions of its right, if any."""
-
-    def __init__(
-        self, stream: SecureStream[Identity], decision: Decision, guard: Guard | None
-    ) -> None:
-        self.stream = stream
-        self.decision = decision
-        self.guard = guard
-        self.ends = min(decision.expires, stream.peer.not_after)
 
 
 class Subscriber:
@@ -60,12 +48,9 @@ class Subscriber:
 
     def __init__(
         self,
-        caller: str,
         endpoint: TopicEndpoint,
-        access: Access,
-        dial: Dial,
+        context: NodeContext,
         on_close: OnClose,
-        filter_key: FilterKey,
         memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
@@ -77,11 +62,8 @@ class Subscriber:
         self.received = 0
         self.updates = 0
         self.memory_scope = memory_scope
-        self._caller = caller
-        self._access = access
-        self._dial = dial
+        self._context = context
         self._on_close = on_close
-        self._filter_key = filter_key
         self._size = size_of(endpoint.type)
         self._longest = message_limit(self._size, MESSAGE_LIMIT)
         self._task_set = TaskSet()
@@ -153,7 +135,7 @@ class Subscriber:
 
     async def _receive_from(self, uri: str) -> None:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
-            stream = await self._dial(uri, self.topic)
+            stream = await self._context.dialer.topic(uri, self.topic)
             try:
                 frames = FrameReader(self._longest, first=header.HEADER_LIMIT)
                 connection, early = await self._handshake(stream, frames)
@@ -162,10 +144,11 @@ class Subscriber:
                 raise
         self.links.add(connection)
         try:
-            self._deliver(connection, early)
-            framing = Framing(frames)
-            while True:
-                self._deliver(connection, await next_messages(stream, framing))
+            with self._context.connections.track(connection):
+                self._deliver(connection, early)
+                framing = Framing(frames)
+                while True:
+                    self._deliver(connection, await next_messages(stream, framing))
         finally:
             self.links.discard(connection)
             stream.abort("no longer subscribed")
@@ -173,19 +156,19 @@ class Subscriber:
     async def _handshake(
         self, stream: SecureStream[Identity], frames: FrameReader
     ) -> tuple[PublisherConnection, list[bytes]]:
-        now = clock.now()
-        fields = subscriber_header(self._caller, self.endpoint, self._access, now)
+        context = self._context
+        fields = subscriber_header(context.name, self.endpoint, context.access, clock.now())
         await stream.send(header.encode(fields))
         units: list[bytes] = []
         while not units:
             units = frames.feed(await stream.receive())
         answer = header.decode(units[0])
         decision = admit_publisher(
-            answer, stream.peer, self.endpoint.expected, self._access, clock.now()
+            answer, stream.peer, self.endpoint.expected, context.access, clock.now()
         )
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
-        guard = guard_for(self.endpoint.type, decision, self._filter_key, self.memory_scope)
-        return PublisherConnection(stream, decision, guard), units[1:]
+        guard = guard_for(self.endpoint.type, decision, context.filter_key, self.memory_scope)
+        return AuthorizedConnection(stream, decision, guard), units[1:]
 
     def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
         if connection.guard is not None:

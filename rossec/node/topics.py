@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import count
 
 from ca.errors import HintedError
@@ -12,7 +12,6 @@ from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher
 from rossec.node.subscriber import Subscriber
-from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.topic_handshake import TopicEndpoint
 
@@ -47,15 +46,7 @@ class Topics:
         if endpoint.topic in self._publishers:
             raise ConfigurationError(f"{endpoint.topic} is published by this node already")
         shape = layout.parse(endpoint.type.name, endpoint.type.definition)
-        context = self._context
-        publisher = Publisher(
-            endpoint,
-            shape,
-            context.filter_key,
-            context.memory_scope,
-            latch=latch,
-            queue_size=queue_size,
-        )
+        publisher = Publisher(endpoint, shape, self._context, latch=latch, queue_size=queue_size)
         self._publishers[endpoint.topic] = publisher
         try:
             await self._register_publisher(publisher)
@@ -73,12 +64,9 @@ class Topics:
         context = self._context
         existing = self._subscribers.setdefault(endpoint.topic, [])
         subscriber = Subscriber(
-            context.name,
             endpoint,
-            context.access,
-            context.dialer.topic,
+            context,
             self._forget,
-            context.filter_key,
             _unused_memory_scope(context.memory_scope, existing),
             queue_size=queue_size,
         )
@@ -108,13 +96,6 @@ class Topics:
     def _follow(self, topic: str, uris: list[str]) -> None:
         for subscriber in self._subscribers.get(topic, []):
             subscriber.update(uris)
-
-    def connections(self) -> Iterator[AuthorizedConnection]:
-        """Every live connection of a topic."""
-        for publisher in self._publishers.values():
-            yield from publisher.links
-        for subscriber in self.subscribers:
-            yield from subscriber.links
 
     async def restore(self) -> None:
         """Register everything again: the master was restarted, or there is a new grant."""

@@ -124,6 +124,10 @@ class Access:
         self.check_peer(master, now)
         self._delegate = master.public_key
 
+    def expire_confirmation(self, until: int) -> None:
+        """End the confirmation of the list at `until`: the clock it was received by went back."""
+        self._revocations.expire_confirmation(until)
+
     @property
     def unproved(self) -> list[bytes]:
         """Entries of a tree of revocations that wait for a proof."""

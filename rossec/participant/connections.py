@@ -1,20 +1,27 @@
-"""The live connections of an identity: how many it accepts of a peer, and when one must end.
+"""The connections of one identity: how many a peer may have, when each must end, what cuts it.
 
-The owner checks each connection with `termination_reason` and closes it. An authorized connection
-was admitted by a `Decision`; every kind of node shares these rules.
+A connection is in the table before it is checked once more, and checked before data passes: a
+revocation that arrives while it is admitted finds it there, or is found by the check. Thread-safe;
+a connection is cut with no lock held. What a form of a node adds is the stream.
 """
 
 import logging
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, Protocol
+from threading import Lock
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import RevocationsStale, Revoked
 from ca.revocation.state import Revocations
 from grants.decision import Decision
+from rossec import clock
+from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.net.aio import SecureStream
 from rossec.net.aio.server import Handler
-from rossec.participant.slave_rights import MASTER
+from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
 
@@ -24,90 +31,57 @@ STALE_GRACE: Final = 60
 _log = logging.getLogger("rossec.node")
 
 
-class AuthenticatedPeer(Protocol):
+class PeerStream(Protocol):
     """A stream whose peer is authenticated."""
 
     @property
     def peer(self) -> Identity:
         """Identity of the peer."""
 
-
-class AuthorizedPeer(Protocol):
-    """A connection admitted by `decision`; grant or certificate expire at `ends` (seconds)."""
-
-    decision: Decision
-    ends: int
-
-    @property
-    def stream(self) -> AuthenticatedPeer:
-        """The connection."""
+    def abort(self, reason: str) -> None:
+        """End it at once; from any thread, if threads share the table."""
 
 
-class AuthorizedConnection(AuthorizedPeer, Protocol):
-    """A connection of the built-in node, which its watchdog can close."""
-
-    @property
-    def stream(self) -> SecureStream[Identity]:
-        """The connection."""
+StreamT = TypeVar("StreamT", bound=PeerStream)
+GuardT = TypeVar("GuardT")
 
 
-class AcceptedConnections:
-    """The accepted connections of an identity, bounded per peer."""
+@dataclass(eq=False)
+class AuthorizedConnection(Generic[StreamT, GuardT]):
+    """A connection admitted by `decision`.
 
-    def __init__(self) -> None:
-        self._streams: set[SecureStream[Identity]] = set()
-
-    def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Call `handler` for at most `PEER_CONNECTIONS` connections of one identity (N8).
-
-        The master may have more: one for each program, of which a sidecar's identity has many.
-        """
-
-        async def serve_one(stream: SecureStream[Identity]) -> None:
-            if stream.peer.name != MASTER and self._count(stream.peer) >= PEER_CONNECTIONS:
-                _log.warning("%s has too many connections", stream.peer.name)
-                stream.abort("too many connections of one identity")
-                return
-            self._streams.add(stream)  # until its socket is closed: one that lingers counts
-            stream.when_closed(partial(self._streams.discard, stream))
-            await handler(stream)
-
-        return serve_one
-
-    def _count(self, peer: Identity) -> int:
-        return sum(other.peer.thumbprint == peer.thumbprint for other in self._streams)
-
-    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
-        """Close every connection of a revoked key, for whatever purpose it was accepted."""
-        for stream in tuple(self._streams):
-            if not revoked.isdisjoint(stream.peer.keys):
-                stream.abort("the peer's identity is revoked")
-
-
-def termination_reason(
-    connection: AuthorizedPeer, revocations: Revocations, now: int
-) -> str | None:
-    """Why `connection` must be closed now; None while it may stay open.
-
-    Missing revocation data closes it after `STALE_GRACE`, unless every permission used says
-    `on_stale: keep`: an emergency stop must not depend on it. A revocation always closes it.
+    Attributes:
+        guard: applies the restrictions of the decision to what passes; None: nothing does here.
+        ends: when the grant or the certificate of the peer expires (seconds).
     """
-    if now >= connection.ends:
-        return "its grant or its certificate has expired"
-    errors = {entry: _revocation_error(entry, revocations, now) for entry in _entries(connection)}
-    for error in errors.values():  # all of them before staleness, which the first may have as well
-        if isinstance(error, Revoked):
-            return str(error)
-    if connection.decision.keep_when_stale:
+
+    stream: StreamT
+    decision: Decision
+    guard: GuardT
+    ends: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.ends = min(self.decision.expires, self.stream.peer.not_after)
+
+    def termination_reason(self, revocations: Revocations, now: int) -> str | None:
+        """Why it must be closed now; None while it may stay open.
+
+        Missing revocation data closes it after `STALE_GRACE`, unless every permission used says
+        `on_stale: keep`: an emergency stop must not depend on it. A revocation always closes it.
+        """
+        if now >= self.ends:
+            return "its grant or its certificate has expired"
+        entries = (*self.stream.peer.keys, *self.decision.grant_ids)
+        errors = {entry: _revocation_error(entry, revocations, now) for entry in entries}
+        for error in errors.values():  # all of them before staleness, which the first may have too
+            if isinstance(error, Revoked):
+                return str(error)
+        if self.decision.keep_when_stale:
+            return None
+        for entry, error in errors.items():
+            if error is not None and now >= revocations.status_valid_until(entry) + STALE_GRACE:
+                return str(error)
         return None
-    for entry, error in errors.items():
-        if error is not None and now >= revocations.status_valid_until(entry) + STALE_GRACE:
-            return str(error)
-    return None
-
-
-def _entries(connection: AuthorizedPeer) -> tuple[bytes, ...]:
-    return (*connection.stream.peer.keys, *connection.decision.grant_ids)
 
 
 def _revocation_error(
@@ -118,3 +92,162 @@ def _revocation_error(
     except (Revoked, RevocationsStale) as error:
         return error
     return None
+
+
+class _Accepted(NamedTuple):
+    """A connection that a peer made, authorized or not; a plain peer is an address."""
+
+    source: bytes | str
+    peer: Identity | str
+    abort: Callable[[str], None]
+
+
+class ConnectionTable(Generic[StreamT]):
+    """The connections of one identity.
+
+    Args:
+        revocations: what ends them.
+        lock: held while `revocations` are read, if threads share them.
+        most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
+    """
+
+    def __init__(
+        self,
+        revocations: Revocations,
+        lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
+        most: int | None = None,
+    ) -> None:
+        self._revocations = revocations
+        self._revocations_lock = lock
+        self._most = most
+        self._lock = Lock()  # never held together with the other one
+        self._accepted: dict[object, _Accepted] = {}
+        self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
+        self._closed: str | None = None
+
+    # -- what peers connect
+
+    def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
+        """Call `handler` for the connections that `accept` admits.
+
+        The master may have more: one for each program, of which a sidecar's identity has many.
+        """
+
+        async def serve_one(stream: SecureStream[Identity]) -> None:
+            try:
+                self.accept(stream, stream.peer, stream.abort, limited=stream.peer.name != MASTER)
+            except LimitExceeded:
+                _log.warning("%s has too many connections", stream.peer.name)
+                stream.abort("too many connections of one identity")
+                return
+            stream.when_closed(partial(self.forget, stream))  # one that lingers counts
+            await handler(stream)
+
+        return serve_one
+
+    def accept(
+        self,
+        key: object,
+        peer: Identity | str,
+        abort: Callable[[str], None],
+        *,
+        limited: bool = True,
+    ) -> None:
+        """Count a connection of `peer` until `forget` is called with the same key.
+
+        Raises:
+            LimitExceeded: it has too many already.
+        """
+        source, name = (peer, peer) if isinstance(peer, str) else (peer.thumbprint, peer.name)
+        most = PEER_CONNECTIONS if self._most is None else self._most
+        with self._lock:
+            if limited and sum(other.source == source for other in self._accepted.values()) >= most:
+                raise LimitExceeded(f"{name} has {most} connections already")
+            self._accepted[key] = _Accepted(source, peer, abort)
+
+    def forget(self, key: object) -> None:
+        """Stop counting a connection; one that is not counted is ignored."""
+        with self._lock:
+            self._accepted.pop(key, None)
+
+    # -- what is authorized
+
+    def __iter__(self) -> Iterator[AuthorizedConnection[StreamT, Any]]:
+        with self._lock:
+            return iter(tuple(self._authorized))
+
+    @property
+    def next_expiry(self) -> int | None:
+        """When the first connection expires."""
+        return min((connection.ends for connection in self), default=None)
+
+    def add(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
+        """Add a connection; no data may have passed yet.
+
+        Raises:
+            ChannelClosed: it is not allowed any more; it is not added.
+        """
+        with self._lock:
+            self._authorized.add(connection)
+        try:
+            self.check(connection)
+        except BaseException:
+            self.discard(connection)
+            raise
+
+    def discard(self, connection: AuthorizedConnection[StreamT, Any]) -> bool:
+        """The connection is gone; returns whether it was in the table."""
+        with self._lock:
+            known = connection in self._authorized
+            self._authorized.discard(connection)
+            return known
+
+    @contextmanager
+    def track(self, connection: AuthorizedConnection[StreamT, Any]) -> Iterator[None]:
+        """Keep a connection in the table while the block runs; raises as `add`."""
+        self.add(connection)
+        try:
+            yield
+        finally:
+            self.discard(connection)
+
+    def check(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
+        """Return while the connection may stay open.
+
+        Raises:
+            ChannelClosed: it must end, and is aborted.
+        """
+        with self._revocations_lock:
+            reason = connection.termination_reason(self._revocations, clock.now())
+        reason = self._closed or reason
+        if reason is not None:
+            connection.stream.abort(reason)
+            raise ChannelClosed(reason)
+
+    # -- what must end
+
+    def cut_ended(self, now: int) -> None:
+        """Cut every connection that must end at `now`, and every one of a revoked identity."""
+        connections = tuple(self)
+        with self._revocations_lock:
+            ended = [
+                (each, each.termination_reason(self._revocations, now)) for each in connections
+            ]
+            revoked = self._revocations.entries
+        for connection, reason in ended:
+            if reason is not None and self.discard(connection):
+                connection.stream.abort(reason)
+                name, right = connection.stream.peer.name, connection.decision.name
+                _log.warning("closed the connection with %s (%s): %s", name, right, reason)
+        with self._lock:
+            accepted = tuple(self._accepted.values())
+        for _, peer, abort in accepted:
+            if not isinstance(peer, str) and not revoked.isdisjoint(peer.keys):
+                abort("the peer's identity is revoked")
+
+    def close(self, reason: str) -> None:
+        """Cut every connection, and admit none any more: nothing would cut it."""
+        self._closed = reason
+        for connection in self:
+            self.discard(connection)
+            connection.stream.abort(reason)

@@ -27,7 +27,7 @@ from rossec.participant.access_interfaces import HeldGrants
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.retry import Retry
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 

@@ -25,7 +25,7 @@ from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import NO_LIST
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.retry import Retry
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 
 HEARTBEAT: Final = 10.0

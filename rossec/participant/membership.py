@@ -5,15 +5,15 @@ everything registered again. Meanwhile it takes grants that are delivered or arr
 directory, renews grants and the identity, requests proofs, and takes revocation data. A list is on
 disk before it is used.
 
-What a form registers is behind `MembershipHooks`, what it closes behind `Watchdog`. Fail closed: if
-a task crashes, connections might not be closed any more, so the form closes all (`crashed`).
+What a form registers is behind `MembershipHooks`. Fail closed: if a task crashes, connections might
+not be cut any more, so the form closes all (`crashed`).
 """
 
 import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -24,6 +24,7 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.participant.access_interfaces import HeldGrants
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.grant_delivery import GrantDelivery, GrantWatch
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
@@ -31,11 +32,12 @@ from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_proofs import Provable, prove
+from rossec.participant.revocation_watch import ConnectionWatchdog
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_revocations import saved_revocations
 
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
-PRESENT: Final = "rossec.presentGrants"
 MAX_PRESENTED: Final = 64  # the master stores this many of one node
 
 _log = logging.getLogger("rossec.node")
@@ -76,18 +78,11 @@ class MembershipAccess(HeldGrants, Provable, Protocol):
     ) -> None:
         """See `Access.update_revocations`."""
 
+    def expire_confirmation(self, until: int) -> None:
+        """See `Access.expire_confirmation`."""
+
     def current(self, now: int) -> list[bytes]:
         """See `Access.current`."""
-
-
-class Watchdog(Protocol):
-    """Closes the connections of a node; see `ConnectionWatchdog`."""
-
-    async def run(self) -> None:
-        """Close connections when they must end, until cancelled."""
-
-    def close_terminated(self, now: int) -> None:
-        """Close what must end at `now`; the only call from outside the loop."""
 
 
 class MembershipHooks(Protocol):
@@ -117,6 +112,7 @@ class Membership:
 
     Args:
         access: of `identity`; with a lock if threads share it.
+        connections: cut when they must end.
         grace: the publishers that a restarted master may not list yet.
 
     Attributes:
@@ -129,13 +125,13 @@ class Membership:
         self,
         identity: LoadedIdentity,
         access: MembershipAccess,
-        watchdog: Watchdog,
+        connections: ConnectionTable[Any],
         grace: PublisherGrace,
         hooks: MembershipHooks,
     ) -> None:
         self._identity = identity
         self._access = access
-        self._watchdog = watchdog
+        self._connections = connections
         self._grace = grace
         self._hooks = hooks
         self._grant_directory = GrantDirectory(identity.home, access)
@@ -170,7 +166,8 @@ class Membership:
             opening: opens the session; None: it is open.
         """
         name = self._identity.name
-        self.tasks.spawn(self._watchdog.run(), f"{name}: watchdog")
+        watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
+        self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
         self.tasks.spawn(self._run_session(opening), f"{name}: master session")
         self.tasks.spawn(self._maintain(), f"{name}: maintenance")
         self.tasks.spawn(self._watch.run(), f"{name}: waiting for grants")
@@ -192,7 +189,7 @@ class Membership:
                 revocations, timestamp, master, now, self._identity.home.save_revocations
             )
         finally:  # the list takes effect even when the timestamp is refused
-            self._watchdog.close_terminated(now)
+            self._connections.cut_ended(now)
             if self._identity.revocations.data != before:
                 self.rights_version += 1
 
@@ -210,7 +207,7 @@ class Membership:
         self._grant_directory.drop_ended(clock.now())
         with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
-        await session.call(PRESENT, self._access.current(clock.now())[:MAX_PRESENTED])
+        await session.call(PRESENT_GRANTS, self._access.current(clock.now())[:MAX_PRESENTED])
         await self._hooks.restore()
         await self._delivery.save()
 
@@ -242,7 +239,7 @@ class Membership:
         """Present `new` grants, renew what is due, request proofs."""
         call = self.session.call
         for begin in range(0, len(new), MAX_PRESENTED):
-            await call(PRESENT, new[begin : begin + MAX_PRESENTED])
+            await call(PRESENT_GRANTS, new[begin : begin + MAX_PRESENTED])
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
             self.rights_version += 1
@@ -250,7 +247,7 @@ class Membership:
             await self._hooks.rights_changed()
         await renew_identity(call, self._identity_renewal, clock.now())
         if await prove(call, self._access):
-            self._watchdog.close_terminated(clock.now())
+            self._connections.cut_ended(clock.now())
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:

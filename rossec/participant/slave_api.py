@@ -15,11 +15,9 @@ from typing import Final, Protocol
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.participant.slave_rights import SLAVE_CALLS
-from rossec.ros import names
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 
 Answer = list[object]
-MASTER: Final = names.MASTER
-REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
 TCPROS: Final = "TCPROS"
 DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
 _ERROR: Final = -1

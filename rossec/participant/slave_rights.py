@@ -13,9 +13,8 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import CallRefused
 from rossec.participant.access_interfaces import HandshakeAccess
+from rossec.ros.names import MASTER
 
-MASTER: Final = "/master"
-PRESENT: Final = "rossec.presentGrants"
 OPEN: Final = frozenset({"requestTopic"})
 MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
 SLAVE_CALLS: Final[Mapping[str, Right]] = {

@@ -15,6 +15,8 @@ PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
 MASTER: Final = "/master"  # the name a master is certified for
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
+PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
+REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node
 
 
 def canonical(name: str) -> str:

@@ -1,8 +1,7 @@
 """One identity of the sidecar: assembles its parts and provides the agent services.
 
 A shell around `layers.AgentState`. `participant.membership` holds the master session, `ingress` and
-`egress` the ports; the watchdog closes connections that expire or are revoked. If a task fails, all
-are closed.
+`egress` the ports; connections that expire or are revoked are cut. If a task fails, all are closed.
 """
 
 import asyncio
@@ -20,10 +19,9 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.halfopen import HalfOpenCount
 from rossec.participant.access import Access
-from rossec.participant.connections import AcceptedConnections
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.settings import Settings
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.connection_cache import ConnectionCache
@@ -35,7 +33,6 @@ from rossec.sidecar.egress import Egress
 from rossec.sidecar.executor import SlaveApiClient, run_layer
 from rossec.sidecar.host_types import known_type
 from rossec.sidecar.ingress import Ingress
-from rossec.sidecar.peer_connections import PeerConnections
 from rossec.sidecar.resubscriber import Resubscriber
 
 _log = logging.getLogger("rossec.sidecar")
@@ -76,12 +73,13 @@ class Agent:
             accept_limits=ACCEPT_LIMITS, half_open=half_open,
         )  # fmt: skip
         self._connector = PeerConnector(context, access)
-        self._connections, accepted = PeerConnections(loaded.revocations), AcceptedConnections()
-        self._watchdog = ConnectionWatchdog(loaded.revocations, lambda: self._connections, accepted)
-        self._membership = Membership(loaded, access, self._watchdog, publisher_grace, self)
+        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            loaded.revocations
+        )
+        self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
         self._resubscriber = Resubscriber(self, self.state)
         self._ingress = Ingress(
-            self, self.state, self._connector, self._connections, accepted, home.filter_key,
+            self, self.state, self._connector, self._connections, home.filter_key,
             self._membership.update_revocations,
         )  # fmt: skip
         self._egress = Egress(
@@ -205,5 +203,5 @@ class Agent:
     def crashed(self, _: BaseException) -> None:
         """Close what would not be checked any more."""
         self._has_failed = True
-        self._connections.abort("a task of this identity has failed")
+        self._connections.close("a task of this identity has failed")
         self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")

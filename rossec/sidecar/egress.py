@@ -20,6 +20,7 @@ from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc.client import serve_calls
+from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.header_fields import text
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
@@ -33,7 +34,6 @@ from rossec.sidecar.core.program_memory import ProgramMemories
 from rossec.sidecar.core.tcpros import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.peer_connections import PeerConnections
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
@@ -56,7 +56,7 @@ class Egress:
         self,
         services: AgentServices,
         agent: AgentState,
-        connections: PeerConnections,
+        connections: ConnectionTable[SecureStream[Identity]],
         filter_key: FilterKey,
         on_topic_ended: Callable[[str, float], None],
     ) -> None:
@@ -159,7 +159,8 @@ class Egress:
         after_request: bytes,
         after_answer: bytes,
     ) -> None:
-        with self._connections.track(stream, admitted.decision):
+        connection = AuthorizedConnection(stream, admitted.decision, admitted.guard)
+        with self._connections.track(connection), pump.log_end(stream.peer.name):
             await program.send(header.encode(admitted.answer))
             if admitted.service:
                 await pump.exchange(program, stream, after_request, after_answer)

@@ -18,8 +18,8 @@ from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.aio.dial import dial
 from rossec.net.aio.stream import SecureStream
 from rossec.net.rpc.client import RpcClient
-from rossec.participant.slave_rights import PRESENT
 from rossec.ros import header, xmlrpc
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.commands import (
@@ -265,7 +265,7 @@ class CommandExecutor:
         """Present grants; the answer to the call itself says whether they suffice."""
         grants = self._services.proof(right, client.peer.name)
         with contextlib.suppress(Fault):
-            await client.rpc.call(PRESENT, self._services.name, grants)
+            await client.rpc.call(PRESENT_GRANTS, self._services.name, grants)
         client.presented.add(right)
 
 

@@ -14,17 +14,17 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.opening import WireProtocol
-from rossec.errors import CallRefused, HangUp
+from rossec.errors import CallRefused, ChannelClosed, HangUp
 from rossec.net.aio import SecureStream
 from rossec.net.aio.server import SecureServer
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import serve_calls
 from rossec.participant import slave_api
-from rossec.participant.connections import AcceptedConnections
+from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.limit_memory import memory_scope
-from rossec.participant.slave_rights import MASTER
 from rossec.participant.topic_guard import FilterKey
-from rossec.ros import header
+from rossec.ros import header, names
+from rossec.ros.names import MASTER, REVOCATION_UPDATE
 from rossec.sidecar import pump
 from rossec.sidecar.connector import PeerConnector
 from rossec.sidecar.core import slave_calls, tcpros
@@ -34,13 +34,11 @@ from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.core.program_memory import ProgramMemories
 from rossec.sidecar.core.tcpros import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.peer_connections import PeerConnections
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
-REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
 
 _log = logging.getLogger("rossec.sidecar")
 RevocationsHandler = Callable[[bytes, bytes, Identity], None]
@@ -60,8 +58,7 @@ class Ingress:
         services: AgentServices,
         agent: AgentState,
         connector: PeerConnector,
-        connections: PeerConnections,
-        accepted: AcceptedConnections,
+        connections: ConnectionTable[SecureStream[Identity]],
         filter_key: FilterKey,
         on_revocations: RevocationsHandler,
     ) -> None:
@@ -72,7 +69,6 @@ class Ingress:
         self._filter_key = filter_key
         self._on_revocations = on_revocations
         self._tasks = TaskSet()
-        self._accepted = accepted
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
@@ -105,7 +101,7 @@ class Ingress:
                 await serve(local, stream)
 
         host = self._agent.endpoints.host
-        return self._connector.listen(self._accepted.bounded(handler), host, local.protocol)
+        return self._connector.listen(self._connections.bounded(handler), host, local.protocol)
 
     def _close_port(self, local: Endpoint, server: SecureServer[Identity]) -> None:
         self._agent.endpoints.remove_ingress(local, server.port)
@@ -125,9 +121,9 @@ class Ingress:
         async def dispatch(method: str, params: tuple[object, ...], peer: Identity) -> object:
             try:
                 match method, params:
-                    case "rossec.revocationUpdate", (_, bytes() as data, bytes() as timestamp):
+                    case names.REVOCATION_UPDATE, (_, bytes() as data, bytes() as timestamp):
                         return self._take_revocations(peer, data, timestamp)
-                    case "rossec.presentGrants", (_, bytes() as grants):
+                    case names.PRESENT_GRANTS, (_, bytes() as grants):
                         presented[:] = [grants]
                     case _:
                         pass
@@ -178,7 +174,7 @@ class Ingress:
                 await self._forward(
                     admitted, executor.program, stream, after_request, executor.after_header
                 )
-        except HangUp as error:
+        except (HangUp, ChannelClosed) as error:
             _log.info("%s: %s", stream.peer.name, error)
         finally:
             await executor.close()
@@ -191,7 +187,8 @@ class Ingress:
         after_request: bytes,
         after_answer: bytes,
     ) -> None:
-        with self._connections.track(stream, admitted.decision):
+        connection = AuthorizedConnection(stream, admitted.decision, admitted.guard)
+        with self._connections.track(connection), pump.log_end(stream.peer.name):
             await stream.send(header.encode(admitted.answer))
             if admitted.service:
                 stream.raise_unit_limit()

@@ -7,12 +7,14 @@ are aborted.
 """
 
 import asyncio
+import contextlib
 import logging
 import struct
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterator
 from typing import Final
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from grants.errors import GrantError
 from rossec import clock
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
@@ -50,6 +52,15 @@ def _length(data: bytes) -> int:
     if length > header.HEADER_LIMIT:
         raise HeaderRefused(f"a connection header of {length} bytes")
     return int(length)
+
+
+@contextlib.contextmanager
+def log_end(peer: str) -> Iterator[None]:
+    """If the connection with `peer` ends, only the block ends."""
+    try:
+        yield
+    except* HintedError as group:  # also the guard's: a grant that expires between two messages
+        _log.info("the connection with %s ended: %s", peer, group.exceptions[0])
 
 
 async def exchange(

@@ -5,7 +5,7 @@ from typing import Final
 import pytest
 
 from rossec.errors import CallerMismatch
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.attacker import (
     EVE,
     call,

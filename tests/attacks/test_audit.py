@@ -9,7 +9,7 @@ import pytest
 from ca.keys.signer import KeySigner
 from rossec.operation.audit import AuditFile, with_hash
 from rossec.operation.audit_mark import mark
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
 from tests.support.site import Site

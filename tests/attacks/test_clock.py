@@ -22,7 +22,7 @@ from rossec.master.server.server import MasterServer
 from rossec.node import Node
 from rossec.participant import master_session
 from rossec.participant.connections import STALE_GRACE
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import EVE, credentials, fields_for, send_header, signed

@@ -3,7 +3,7 @@
 import pytest
 
 from ca.errors import HintedError
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.rossec.test_files import no_room
 from tests.support.attacker import EVE, call, credentials
 from tests.support.site import Site

@@ -18,8 +18,8 @@ from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import message_type
 from rossec.participant.access import FIELD
-from rossec.participant.slave_api import MASTER
 from rossec.ros import header
+from rossec.ros.names import MASTER
 from tests.support.attacker import EVE, HOST, call, credentials, flip, signed
 from tests.support.contexts import unlimited
 from tests.support.site import Site

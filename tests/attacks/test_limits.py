@@ -157,7 +157,7 @@ async def test_a_key_that_publishes_under_many_names_has_one_rate(site: Site) ->
             await publisher.wait_for_subscribers(2)
             publisher.publish_bytes(number(place))
             links = tuple(publisher.links)
-            await until(lambda: not any(link._queue for link in links))  # noqa: B023 - at once
+            await until(lambda: not any(queue._queue for queue in publisher.links.values()))  # noqa: B023 - at once
             for link in links:
                 await link.stream.close()
             await until(lambda: not publisher.links)  # noqa: B023 - at once

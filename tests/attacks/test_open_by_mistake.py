@@ -8,7 +8,7 @@ from typing import Any, Final
 import pytest
 
 from rossec.master.operation.config import Config, parse
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.attacker import EVE
 from tests.support.caller import caller
 from tests.support.commands import Shell, refused

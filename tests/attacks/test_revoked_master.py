@@ -26,7 +26,7 @@ from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import Node
 from rossec.participant import master_session
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.attacks.test_clock import HOUR, ClockControl, hand, stop_master
 from tests.attacks.test_intermediates import send_list
 from tests.support.contexts import unlimited

@@ -14,7 +14,7 @@ from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.net.rpc.client import RpcClient
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, call, credentials, dial
 from tests.support.victim import COMMAND, PARAMETER, STATE, Victim, attacked

@@ -17,7 +17,7 @@ from grants.model import Right
 from rossec.channel.opening import REFUSAL, tcpros_refusal
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
-from rossec.inprocess.live_connections import PEER_CONNECTIONS
+from rossec.inprocess.background import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc.client import serve_calls

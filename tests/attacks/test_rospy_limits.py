@@ -192,8 +192,7 @@ async def test_a_key_that_publishes_under_many_names_has_one_rate(target: Target
             publisher = await node.publisher(COMMAND, "std_msgs/String")
             await publisher.wait_for_subscribers()
             publisher.publish(publisher.create(data=f"go {place}"))
-            links = tuple(publisher.links)
-            await until(lambda: not any(link._queue for link in links))  # noqa: B023 - at once
+            await until(lambda: not any(queue._queue for queue in publisher.links.values()))  # noqa: B023 - at once
         assert await target.robot.read_until("COMMANDED") == "COMMANDED go 0"
         with pytest.raises(TimeoutError):
             await target.robot.read_until("COMMANDED", within=1.5)

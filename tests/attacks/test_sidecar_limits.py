@@ -177,8 +177,8 @@ async def test_a_new_connection_does_not_reset_a_publishers_rate(site: Site) -> 
                     streams.append((await one.subscribe(uri, TOPIC))[0])
                 await publisher.wait_for_subscribers(len(names))
                 publisher.publish_bytes(string_message("go")[4:])
-                for link in tuple(publisher.links):
-                    await until(lambda: not link._queue)  # noqa: B023 - at once
+                for link, queue in tuple(publisher.links.items()):
+                    await until(lambda: not queue._queue)  # noqa: B023 - at once
                     await link.stream.close()
                 found += [await messages(stream) for stream in streams]
                 await until(lambda: not publisher.links)

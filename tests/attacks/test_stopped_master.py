@@ -17,7 +17,7 @@ import pytest
 from rossec.home import NodeHome
 from rossec.node import Node, Publisher
 from rossec.participant import connections as staleness
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.commands import Said, Shell
 from tests.support.masterprocess import free_port
 from tests.support.witness import until

@@ -22,12 +22,12 @@ from ca.requests import build_request
 from ca.revocation.lists import MAX_ENTRIES, RevocationList
 from ca.revocation.state import open_statement, sign_list
 from ca.revocation.tree import TreeEntries, is_tree
-from ca.store.identities import CertificateRow
+from ca.store.record import CertificateRow
 from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import renew
 from rossec.home import NodeHome
 from rossec.master.server.start import master_of
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.attacker import call
 from tests.support.commands import PASSPHRASE, Shell
 
@@ -86,7 +86,7 @@ def listed(home: AuthorityHome) -> frozenset[bytes]:
     """What the newest signed statement revokes, a tree by its own entries."""
     data = home.revocation_list()
     if is_tree(data):
-        return TreeEntries.read(home.tree_entries()).entries
+        return TreeEntries.read(home.newest_statement()[1]).entries
     found = open_statement(data, home.anchor().public_key)
     assert isinstance(found, RevocationList)
     return found.entries

@@ -30,8 +30,8 @@ from rossec.errors import (
 )
 from rossec.net.aio import connect
 from rossec.net.rpc.client import RpcClient
-from rossec.participant.slave_api import MASTER
 from rossec.ros import header
+from rossec.ros.names import MASTER
 from tests.support.attacker import (
     EVE,
     HOST,

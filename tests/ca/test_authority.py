@@ -31,7 +31,7 @@ def seconds(moment: datetime) -> int:
     return int(moment.timestamp())
 
 
-def test_issues_what_the_request_shows() -> None:
+def test_an_authority_issues_what_the_request_shows() -> None:
     signer = new_signer()
     csr = build_request(signer, "home", "/master")
     serial = secrets.randbits(128) | 1
@@ -40,17 +40,17 @@ def test_issues_what_the_request_shows() -> None:
     assert identity.public_key == signer.public_key
 
 
-def test_thirty_days_from_an_hour_ago() -> None:
+def test_a_certificate_lasts_thirty_days_from_an_hour_ago() -> None:
     certificate = issue(now=NOW + DAY)
     assert seconds(certificate.not_valid_before_utc) == NOW + DAY - 3600
     assert seconds(certificate.not_valid_after_utc) == NOW + DAY + 30 * DAY
 
 
-def test_never_before_the_authority() -> None:
+def test_a_certificate_never_begins_before_the_authority() -> None:
     assert seconds(issue(now=NOW - 1800).not_valid_before_utc) == NOW - 3600
 
 
-def test_never_beyond_the_authority() -> None:
+def test_a_certificate_never_outlives_the_authority() -> None:
     end = NOW + ROOT_LIFETIME
     assert seconds(issue(now=end - DAY).not_valid_after_utc) == end
 
@@ -140,7 +140,7 @@ def test_the_verifier_of_cryptography_accepts_it(*, wildcard: bool) -> None:
     assert [name.value for name in verified.subjects] == ["spiffe://home/robot1/camera"]
 
 
-def test_only_p256_authorities() -> None:
+def test_an_authority_has_a_p256_key() -> None:
     from cryptography.hazmat.primitives.asymmetric import ec
 
     from ca.keys.signer import KeySigner

@@ -256,7 +256,7 @@ def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.Monk
         SITE.anchor.verify([leaf], NOW)
 
 
-def test_only_so_many_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_so_many_certificates_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(certificates, "_cache", OrderedDict())
     monkeypatch.setattr(certificates, "_CACHE_SIZE", 2)
     first, *others = (SITE.leaf() for _ in range(3))

@@ -72,7 +72,7 @@ def test_other_encodings_of_the_same_value(data: str) -> None:
         decode(bytes.fromhex(data))
 
 
-def test_not_deterministic_is_said() -> None:
+def test_an_encoding_that_is_not_deterministic_is_refused() -> None:
     with pytest.raises(EncodingError, match="CBOR that is not in its deterministic form"):
         decode(bytes.fromhex("1817"))
 

@@ -94,7 +94,7 @@ def test_a_line_of_successors_lives_no_longer_each(life: int) -> None:
         leaf = SITE.authority.renew(asked(csr, chain=(leaf,), now=now), now=now, serial=serial)
 
 
-def test_of_a_certificate_that_is_not_backdated_all_is_its_life() -> None:
+def test_all_of_a_certificate_that_is_not_backdated_is_its_life() -> None:
     assert signed_at(NOW, NOW + 3600) == NOW
     assert signed_at(NOW, NOW + 3601) == NOW + 3600
 
@@ -125,7 +125,7 @@ def test_renewal_begins_after_two_thirds_of_the_lifetime() -> None:
     assert renew_at(identity.not_before, identity.not_after) == NOW + 20 * DAY
 
 
-def test_not_before_half_its_life() -> None:
+def test_an_identity_is_not_renewed_before_half_its_life() -> None:
     half = NOW + 15 * DAY
     asked(now=half)
     with pytest.raises(RenewalRefused, match=r"/robot is not due for renewal for 1 s") as caught:
@@ -165,7 +165,7 @@ def test_neither_it_nor_its_intermediate_may_be_revoked(which: int) -> None:
         open_renewal(data, SITE.anchor, DUE, check)
 
 
-def test_only_its_own_name() -> None:
+def test_an_identity_renews_only_its_own_name() -> None:
     with pytest.raises(RenewalRefused, match="/robot requests the identity of /master"):
         asked(build_request(NEW, "home", "/master"))
     with pytest.raises(RequestRefused, match="trust domain 'lab'"):
@@ -209,7 +209,7 @@ def test_a_chain_is_of_certificates() -> None:
     )
 
 
-def test_only_statements_of_this_kind() -> None:
+def test_only_a_renewal_is_opened_as_one() -> None:
     payload: Value = {6: DUE, -70021: CSR, -70022: [LEAF]}
     refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is not a renewal")
     refused(b"", "this is not a renewal")

@@ -139,7 +139,7 @@ def test_a_certificate_that_is_not_an_authority() -> None:
         ed25519.Ed25519PrivateKey.generate().public_key(),
     ],
 )
-def test_only_p256(key: ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey) -> None:
+def test_an_svid_has_a_p256_key(key: ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey) -> None:
     der = dataclasses.replace(draft_leaf(SITE), public_key=key).build()
     with pytest.raises(CertificateRefused, match="the certificate's key is not a P-256 key"):
         svid.key_of(svid.parse(der))
@@ -197,7 +197,7 @@ def test_the_signature_has_no_unused_bits() -> None:
         svid.parse(bytes(twisted))
 
 
-def test_only_version_3() -> None:
+def test_an_svid_has_version_3() -> None:
     old = Mock(version=x509.Version.v1)
     with pytest.raises(CertificateRefused, match="the certificate is not of version 3"):
         svid.extensions(old)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from grants.model import Right
-from rossec.participant.slave_rights import MASTER
+from rossec.ros.names import MASTER
 from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.processes import descendants, parents
 from tests.support.hosts import Host, Hosts

@@ -2,7 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.environment import rossec_home
+from ca.errors import PathRefused
+from rossec.environment import own_home, rossec_home
 from rossec.errors import ConfigurationError
 
 
@@ -30,3 +31,13 @@ def test_an_unknown_home_directory_is_refused(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(Path, "expanduser", unknown)  # a user without an entry, and no HOME
     with pytest.raises(ConfigurationError, match=r"^~ is no home directory"):
         rossec_home({})
+
+
+def test_a_home_that_others_can_write_in_is_refused(tmp_path: Path) -> None:
+    environ = {"ROSSEC_HOME": str(tmp_path / "home")}
+    assert own_home(environ) == tmp_path / "home"  # it need not exist yet
+    (tmp_path / "home").mkdir(mode=0o700)
+    assert own_home(environ) == tmp_path / "home"
+    (tmp_path / "home").chmod(0o777)
+    with pytest.raises(PathRefused):
+        own_home(environ)

@@ -53,7 +53,7 @@ class Eve:
     async def heard(self, *streams: SecureStream[Identity]) -> list[list[bytes]]:
         """All data sent to each; the publisher closes the connections."""
         links = tuple(self.publisher.links)
-        await until(lambda: not any(link._queue for link in links))
+        await until(lambda: not any(queue._queue for queue in self.publisher.links.values()))
         for link in links:
             await link.stream.close()
         found = [(await messages(stream))[1:] for stream in streams]

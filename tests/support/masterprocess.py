@@ -8,7 +8,7 @@ import sys
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.site import Site
 from tests.support.witness import until
 

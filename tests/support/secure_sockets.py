@@ -61,5 +61,5 @@ def read(sock: Secure, size: int) -> bytes:
 
 def readable(sock: Secure) -> bool:
     poll = select.poll()
-    poll.register(sock, select.POLLIN)
+    poll.register(sock._socket, select.POLLIN)
     return len(poll.poll(50)) > 0

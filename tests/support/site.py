@@ -25,7 +25,7 @@ from rossec.master.operation.limits import MasterLimits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
 from rossec.node import Node
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.settings import parse_uri
 
 HOUR = 3600

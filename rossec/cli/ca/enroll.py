@@ -17,9 +17,9 @@ from ca.enrollment.transcript import group_digits
 from ca.errors import HintedError
 from ca.requests import MAX_REQUEST
 from ca.store.lifecycle import RequestState
-from rossec import files
 from rossec.authority.service import AuthorityService
 from rossec.cli.ca.requests import show_request
+from rossec.cli.ca.sign import write_identity
 from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.context import ask_yes_no, now, reraise_interrupt
 from rossec.cli.shared.outright import give_outright
@@ -98,7 +98,9 @@ def enroll(
         replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
     )  # fmt: skip
     if destination is None:
-        _write_identity(csr_file, bundle)
+        assert csr_file is not None  # noqa: S101 - without an address there is a file
+        target = write_identity(csr_file, bundle)
+        say(f"signed: {target}; at the node: rossec node install {target.name}")
     else:
         try:
             _deliver_identity(core, bundle, destination)
@@ -175,14 +177,6 @@ def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Des
         say("the same at the node? then confirm there; if not, stop here and there")
 
     asyncio.run(deliver(core, offer, *destination, now, show))
-
-
-def _write_identity(csr_file: Path | None, bundle: bytes) -> None:
-    assert csr_file is not None  # noqa: S101 - without an address there is a file
-    name = "node.pem" if csr_file.name == "node.csr" else f"{csr_file.stem}.pem"
-    target = csr_file.with_name(name)
-    files.replace(target, bundle, 0o644)
-    say(f"signed: {target}; at the node: rossec node install {target.name}")
 
 
 def _read(path: Path) -> bytes:

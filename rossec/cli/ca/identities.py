@@ -6,8 +6,8 @@ from typing import Any
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
-from ca.store.identities import CertificateRow
 from ca.store.record import Store
+from ca.store.rows import CertificateRow
 from rossec import files
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService

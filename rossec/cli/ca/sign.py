@@ -68,16 +68,18 @@ def sign(
                 bundle = service.issue(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"
                 )
-                _write_identity(path, bundle, name)
+                say(f"signed {name}: {write_identity(path, bundle)}")
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
 
 
-def _write_identity(path: Path, bundle: bytes, name: str) -> None:
-    target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
+def write_identity(request: Path, bundle: bytes) -> Path:
+    """Write an identity beside its request; returns where."""
+    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
+    target = request.with_name(name)
     files.replace(target, bundle, 0o644)
-    say(f"signed {name}: {target}")
+    return target
 
 
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:

@@ -24,8 +24,8 @@ from rossec.home import NodeHome
 from rossec.inprocess.options import file_of, read
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
-from rossec.participant.slave_api import MASTER
 from rossec.ros import settings
+from rossec.ros.names import MASTER
 from rossec.terminal import printable, say
 
 _SOON = 1 / 3  # of an identity's life: by then it should have been renewed

@@ -20,6 +20,7 @@ from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.terminal import say
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -95,7 +96,7 @@ async def _observe_graph(environment: Environment, node: str) -> list[Observatio
     """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
     async with master_as(environment, home, master_at(environment)) as client:
-        await client.ask("rossec.presentGrants", home.name, home.grants())
+        await client.ask(PRESENT_GRANTS, home.name, home.grants())
         state = await client.ask("getSystemState", home.name)
         types = await client.ask("getTopicTypes", home.name)
     return [item for item in from_graph(state, types) if item.node != home.name]

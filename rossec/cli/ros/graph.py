@@ -17,6 +17,7 @@ from rossec.home import NodeHome
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.graph_view import METHOD, Fact, GraphView, ObservedChange
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.terminal import note, printable, say, say_json
 
 _PAUSE: Final = 1.0  # seconds until the first reconnection
@@ -94,7 +95,7 @@ async def _connected(
         async def call(method: str, *parameters: object) -> object:
             return await client.ask(method, home.name, *parameters)
 
-        await call("rossec.presentGrants", home.grants())
+        await call(PRESENT_GRANTS, home.grants())
         yield call
 
 

@@ -123,32 +123,23 @@ def uri(label: str, scheme: str) -> Check:
 
 def text(label: str) -> Check:
     """Text, also empty."""
-
-    def check(value: object, _caller: str) -> str:
-        if not isinstance(value, str):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a string")
-        return value
-
-    return check
+    return _checked(label, "a string", lambda value: isinstance(value, str))
 
 
 def number(label: str) -> Check:
     """A non-negative integer."""
-
-    def check(value: object, _caller: str) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a number")
-        return value
-
-    return check
+    return _checked(label, "a number", lambda value: type(value) is int and value >= 0)
 
 
 def binary(label: str) -> Check:
     """XML-RPC base64."""
+    return _checked(label, "base64", lambda value: isinstance(value, bytes))
 
-    def check(value: object, _caller: str) -> bytes:
-        if not isinstance(value, bytes):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be base64")
+
+def _checked(label: str, kind: str, is_valid: Callable[[object], bool]) -> Check:
+    def check(value: object, _caller: str) -> object:
+        if not is_valid(value):
+            raise ArgumentRefused(f"ERROR: parameter [{label}] must be {kind}")
         return value
 
     return check

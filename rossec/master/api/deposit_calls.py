@@ -18,7 +18,7 @@ from rossec.master.api.methods import (
     Reply,
     Steps,
 )
-from rossec.master.api.statement_calls import binaries, refusal
+from rossec.master.api.statement_calls import binaries, refusals_answered
 from rossec.master.rights.access_rules import Refused
 from rossec.master.rights.deposits import DeliveryState, Deposits
 from rossec.master.rights.statements import TrustState
@@ -60,10 +60,8 @@ class DepositCalls:
             if not number % _BATCH:
                 yield
         self._deposits.drop_ended(request.now, self._statements.revoked())
-        try:
+        with refusals_answered():
             reasons = self._deposits.add(verified)
-        except HintedError as error:
-            raise refusal(error) from error
         return _deposited(request, verified, reasons)
 
     def _verified(self, data: bytes, now: int) -> Grant | HintedError:

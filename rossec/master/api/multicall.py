@@ -20,15 +20,8 @@ MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # queries of the whole graph; more would be amplification
 MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 requests for one large parameter
-MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
-    {
-        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
-        "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations", "rossec.trl",
-        "rossec.updateRevocationTree", "rossec.revocationProofs", "rossec.renewIdentity",
-        "rossec.watchGraph", "rossec.depositGrants", "rossec.deliveryStates", "rossec.fetchGrants",
-        "rossec.watchGrants",
-    }
-)  # fmt: skip
+# Each of the own methods costs signatures or carries a whole list.
+MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswith("rossec."))
 
 
 _RIGHTS_CHANGED: Final = (RevocationsChanged, GrantsPresented)

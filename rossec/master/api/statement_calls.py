@@ -4,7 +4,8 @@ Lists and delegations carry the authority's signature, so any authenticated node
 Answers to RFC 9770 queries contain what pertains to a node, and all entries for an administrator.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final
 
 from ca.errors import HintedError
@@ -99,18 +100,13 @@ class StatementCalls:
         return Reply(list(renewed.tokens), status, events=(event,))
 
     def _renew_identity(self, request: CallRequest) -> Reply:
-        data = request.binary(1)
-        try:
-            bundle = self._statements.renew_identity(request.caller, data, request.now)
-        except HintedError as error:
-            raise refusal(error) from error
+        with refusals_answered():
+            bundle = self._statements.renew_identity(request.caller, request.binary(1), request.now)
         return Reply(bundle, "identity renewed")
 
     def _update_delegation(self, request: CallRequest) -> Reply:
-        try:
+        with refusals_answered():
             newer = self._statements.update_delegation(request.binary(1))
-        except HintedError as error:
-            raise refusal(error) from error
         if not newer:
             return Reply(0, "not newer than the delegation held")
         delivered = Administered(request.caller.identity, "delivered a delegation to renew grants")
@@ -127,18 +123,13 @@ class StatementCalls:
         )
 
     def _update(self, request: CallRequest) -> Reply:
-        try:
+        with refusals_answered():
             newer = self._statements.update(request.binary(1), request.now)
-        except HintedError as error:
-            raise refusal(error) from error
         return _update_reply(newer, request)
 
     def _update_tree(self, request: CallRequest) -> Reply:
-        tree, entries = request.binary(1), request.binary(2)
-        try:
-            newer = self._statements.update_tree(tree, entries, request.now)
-        except HintedError as error:
-            raise refusal(error) from error
+        with refusals_answered():
+            newer = self._statements.update_tree(request.binary(1), request.binary(2), request.now)
         return _update_reply(newer, request)
 
     def _proofs(self, request: CallRequest) -> Reply:
@@ -152,10 +143,9 @@ class StatementCalls:
             names = self._names_of(caller.name)
             entries = yield from self._statements.pertaining(caller, names)
         requester = caller.thumbprint + caller.name.encode()
-        try:
-            return Reply(self._queries.answer(requester, entries, request.binary(1)), "revocations")
-        except HintedError as error:
-            raise refusal(error) from error
+        with refusals_answered():
+            answer = self._queries.answer(requester, entries, request.binary(1))
+        return Reply(answer, "revocations")
 
     def _names_of(self, node: str) -> list[str]:
         """The names a node is registered for; a subscription to all parameters names none."""
@@ -170,9 +160,13 @@ def _update_reply(newer: bool, request: CallRequest) -> Reply:
     return Reply(1, "revocations updated", events=(changed,))
 
 
-def refusal(error: HintedError) -> Refused:
-    """An error of the authority's statements, as the answer to a call."""
-    return Refused(f"{error} ({error.hint})" if error.hint else str(error))
+@contextmanager
+def refusals_answered() -> Iterator[None]:
+    """Answer with what a statement is refused for."""
+    try:
+        yield
+    except HintedError as error:
+        raise Refused(f"{error} ({error.hint})" if error.hint else str(error)) from error
 
 
 def binaries(value: object) -> Sequence[bytes]:

@@ -12,9 +12,11 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
+from grants.token_bucket import TokenBucket
+from rossec.log_limits import subject
 from rossec.operation.audit import LEFT_OUT
 
 DENIALS: Final = "rossec.audit.denials"
@@ -22,32 +24,11 @@ MAX_NODES: Final = 4096
 
 
 @dataclass
-class LineBucket:
-    """A token bucket of `burst` lines, refilled at `rate` a second."""
-
-    burst: float
-    rate: float
-    tokens: float
-    at: float
-
-    @classmethod
-    def full(cls, burst: float, rate: float, now: float) -> "LineBucket":
-        """A full bucket."""
-        return cls(burst, rate, burst, now)
-
-    def refill(self, now: float) -> bool:
-        """Refill the bucket; whether it has a token for a line."""
-        self.tokens = min(self.burst, self.tokens + max(0.0, now - self.at) * self.rate)
-        self.at = now
-        return self.tokens >= 1
-
-
-@dataclass
 class NodeBudget:
     """The limit of one node, its reserve, and the number of lines left out."""
 
-    limit: LineBucket
-    reserved: LineBucket
+    limit: TokenBucket = field(default_factory=lambda: TokenBucket(10, 200))
+    reserved: TokenBucket = field(default_factory=lambda: TokenBucket(0.1, 10))
     left_out: int = 0
 
 
@@ -57,16 +38,15 @@ class DenialRateLimit(logging.Filter):
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._common = LineBucket.full(1000, 50, clock())
+        self._common = TokenBucket(50, 1000)
         self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the line is written; if so, it records how many before it were not."""
         now = self._clock()
-        args = record.args
-        budget = self._budget(str(args[0]) if isinstance(args, tuple) and args else "", now)
-        common = self._common if self._common.refill(now) else budget.reserved
-        if not (budget.limit.refill(now) and common.refill(now)):
+        budget = self._budget(subject(record))
+        common = self._common if self._common.refill(now) >= 1 else budget.reserved
+        if not (budget.limit.refill(now) >= 1 and common.refill(now) >= 1):
             budget.left_out += 1
             return False
         budget.limit.tokens -= 1
@@ -76,14 +56,11 @@ class DenialRateLimit(logging.Filter):
             budget.left_out = 0
         return True
 
-    def _budget(self, node: str, now: float) -> NodeBudget:
-        budget = self._nodes.get(node)
-        if budget is None:
-            limit, reserved = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
-            budget = self._nodes[node] = NodeBudget(limit, reserved)
-            if len(self._nodes) > MAX_NODES:
-                self._nodes.popitem(last=False)
-        self._nodes.move_to_end(node)
+    def _budget(self, node: str) -> NodeBudget:
+        budget = self._nodes.pop(node, None) or NodeBudget()
+        self._nodes[node] = budget
+        if len(self._nodes) > MAX_NODES:
+            self._nodes.popitem(last=False)
         return budget
 
 

@@ -40,6 +40,7 @@ from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.ros.names import REVOCATION_UPDATE
 from rossec.ros.text import printable
 
 _audit = logging.getLogger("rossec.audit")
@@ -205,7 +206,7 @@ class Effects:
 
     def send_revocations(self) -> None:
         """Send every node a timestamp of the list, and the list to nodes that do not hold it."""
-        now, key = self._state.now(), ("rossec.revocationUpdate", "")
+        now, key = self._state.now(), (REVOCATION_UPDATE, "")
         for node in self._state.registry.nodes():
             revocations, timestamp = self._state.trust.revocations_for(node, now)
             if timestamp and self._state.trust.caller_of(node, now) is not None:

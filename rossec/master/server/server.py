@@ -49,10 +49,10 @@ from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtoc
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
 from rossec.ros.http import HEADERS_LIMIT
+from rossec.ros.names import MASTER
 from rossec.ros.settings import is_loopback
 from rossec.ros.text import printable
 
-DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp is valid for 30
 _LIMITS: Final = MasterLimits()
 PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
@@ -88,7 +88,7 @@ class MasterServer:
         verify: Verify[Identity],
         trust: TrustState,
         *,
-        name: str = DEFAULT_NAME,
+        name: str = MASTER,
         host: str | None = None,
         port: int = 11311,
         advertise: str = "localhost",

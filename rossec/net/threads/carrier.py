@@ -22,14 +22,13 @@ from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, ConnectionState, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
-from rossec.net.threads.options import SocketOptions
 
 _MAX_WAIT: Final = 3600.0  # then check the clock again: the host's may be set
 _SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
 AT_ONCE: Final = socket.MSG_DONTWAIT
 
 
-class Carrier(SocketOptions, Generic[PeerT]):
+class Carrier(Generic[PeerT]):
     """What `SecureSocket` does below its methods; `end` is always the caller's deadline."""
 
     def __init__(
@@ -205,6 +204,14 @@ class Carrier(SocketOptions, Generic[PeerT]):
             raise ChannelClosed("the connection is closed") from error
 
     # -- waiting
+
+    def settimeout(self, value: float | None) -> None:
+        """As of sockets: None waits, 0 does not."""
+        self._timeout = value
+
+    def gettimeout(self) -> float | None:
+        """What `settimeout` set."""
+        return self._timeout
 
     def _end(self) -> float | None:
         return None if self._timeout is None else time.monotonic() + self._timeout

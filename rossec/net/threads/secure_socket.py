@@ -1,12 +1,9 @@
 """Secure connections for programs with threads: the socket methods that rospy uses.
 
-`SecureSocket` is a byte stream. It never waits with the core locked, one thread writes at a time,
-and its `fileno` is readable whenever `recv` has something: also when the bytes have left the kernel
-already. Linux only: that descriptor is an epoll over the socket and an eventfd.
+`SecureSocket` is a byte stream. It never waits with the core locked, and one thread writes at a
+time.
 """
 
-import os
-import select
 import socket
 import sys
 from collections.abc import Callable
@@ -28,11 +25,11 @@ _PUMPED: Final = 16  # buffers in one go
 class SecureSocket(Carrier[PeerT]):
     """A connection over a connected TCP socket, which it owns.
 
-    The handshake happens in the first `recv` or `send`, or in `do_handshake`. Two threads may use
-    it, one to receive and one to send.
+    The handshake happens in `do_handshake`, or in the first `recv` or `sendall`. Two threads may
+    use it, one to receive and one to send.
 
     Raises (every method that moves bytes):
-        TimeoutError, BlockingIOError: as sockets do. A `send` that could not finish ends the
+        TimeoutError, BlockingIOError: as sockets do. A `sendall` that could not finish ends the
             connection: half a record cannot be taken back.
         ChannelError: the connection cannot be made, or has ended; `recv` returns b"" after a close.
     """
@@ -45,9 +42,6 @@ class SecureSocket(Carrier[PeerT]):
     ) -> None:
         super().__init__(sock, core, on_released)
         self._closed = False
-        self._event = -1
-        self._flagged = False
-        self._epoll: select.epoll | None = None
 
     @classmethod
     def initiate(
@@ -84,31 +78,6 @@ class SecureSocket(Carrier[PeerT]):
         """
         with self._core_lock:
             self._core.raise_unit_limit(limit)
-
-    # -- the descriptor
-
-    def fileno(self) -> int:
-        """A descriptor to wait on for reading; -1 when closed. Made on first use."""
-        with self._core_lock:
-            if self._closed:
-                return -1
-            if self._epoll is None:
-                self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-                self._epoll = select.epoll()
-                for fd in (self._socket.fileno(), self._event):
-                    self._epoll.register(fd, select.EPOLLIN)
-                self._flag()
-            return self._epoll.fileno()
-
-    def _flag(self) -> None:
-        """Keep the eventfd readable exactly while decrypted bytes are queued."""
-        wanted = len(self._units) > 0
-        if wanted != self._flagged and self._epoll is not None:
-            self._flagged = wanted
-            if wanted:
-                os.eventfd_write(self._event, 1)
-            else:
-                os.eventfd_read(self._event)
 
     # -- bytes
 
@@ -190,13 +159,7 @@ class SecureSocket(Carrier[PeerT]):
             whole = memoryview(unit)
             self._units.appendleft(whole[size:])
             unit = whole[:size]
-        self._flag()
         return unit
-
-    def send(self, data: Bytes) -> int:
-        """Send everything; return how much that is."""
-        self.sendall(data)
-        return len(data)
 
     def sendall(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit."""
@@ -260,15 +223,12 @@ class SecureSocket(Carrier[PeerT]):
             self._socket.shutdown(socket.SHUT_RDWR)  # wakes waiting threads
 
     def close(self) -> None:
-        """Close in order, and give the descriptors back."""
+        """Close in order, and give the descriptor back."""
         with self._core_lock:
             closed, self._closed = self._closed, True
         if closed:
             return
         self.shutdown()
-        if self._epoll is not None:
-            self._epoll.close()
-            os.close(self._event)
         self._socket.close()
         self._release()
 

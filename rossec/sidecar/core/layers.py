@@ -6,7 +6,7 @@ exception of a layer closes its connection; errors fail closed.
 
 from collections.abc import Generator
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
@@ -14,6 +14,7 @@ from rossec.errors import RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import FindDefinition
 from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.registrations import RegistrationTable
 from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
 from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
 from rossec.sidecar.core.events import Event, Opened
@@ -26,31 +27,12 @@ class UnexpectedEvent(RossecError):
     """The shell answered a command with an event of the wrong type: a bug."""
 
 
-Calls: TypeAlias = dict[tuple[str, str], tuple[object, ...]]
-"""Registrations by method and name, with the parameters for the master."""
-MAX_REFUSED: Final = 256
-
-
 @dataclass
 class Program:
-    """A program's slave API: the name it registered under, and its registrations.
-
-    `refused`: those the master refused, to be made again when this identity has new rights.
-    """
+    """A program's slave API: the name it registered under, and its registrations."""
 
     name: str
-    registrations: Calls = field(default_factory=dict)
-    refused: Calls = field(default_factory=dict)
-
-    def accept(self, method: str, key: str, params: tuple[object, ...]) -> None:
-        """The master has made a registration."""
-        self.registrations[method, key] = params
-        self.refused.pop((method, key), None)
-
-    def refuse(self, method: str, key: str, params: tuple[object, ...]) -> None:
-        """The master has refused a registration."""
-        if len(self.refused) < MAX_REFUSED:
-            self.refused[method, key] = params
+    registrations: RegistrationTable = field(default_factory=RegistrationTable)
 
 
 @dataclass

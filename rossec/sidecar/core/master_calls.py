@@ -20,6 +20,7 @@ from rossec.participant.caller_names import (
     search_result,
     searched_key,
 )
+from rossec.participant.registrations import REGISTERS, UNREGISTERS
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
@@ -49,25 +50,13 @@ class CallRule:
     Attributes:
         api: the caller's slave API URI.
         service: a service URI of the caller.
-        unregisters: the method whose registration it removes.
         default: the value of a refusal, as of the stock master.
     """
 
     api: int | None = None
     service: int | None = None
     result: Result = Result.PLAIN
-    unregisters: str | None = None
     default: object = 0
-
-    @property
-    def address_index(self) -> int:
-        """The index of a registration's address: the service's, else the slave API's."""
-        return next(index for index in (self.service, self.api) if index is not None)
-
-    @property
-    def registers(self) -> bool:
-        """Whether the call registers the program under its name and address."""
-        return self.api is not None and self.unregisters is None
 
 
 SUBSCRIBE: Final = "registerSubscriber"
@@ -77,10 +66,10 @@ RULES: Final = {
     SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
     "registerService": CallRule(api=3, service=2),
     "subscribeParam": CallRule(api=1),
-    "unregisterPublisher": CallRule(api=2, unregisters="registerPublisher"),
-    "unregisterSubscriber": CallRule(api=2, unregisters=SUBSCRIBE),
-    "unregisterService": CallRule(service=2, unregisters="registerService"),
-    "unsubscribeParam": CallRule(api=1, unregisters="subscribeParam"),
+    "unregisterPublisher": CallRule(api=2),
+    "unregisterSubscriber": CallRule(api=2),
+    "unregisterService": CallRule(service=2),
+    "unsubscribeParam": CallRule(api=1),
     "lookupNode": CallRule(result=Result.NODE, default=""),
     "lookupService": CallRule(result=Result.SERVICE, default=""),
     "getUri": CallRule(result=Result.MASTER, default=""),
@@ -112,7 +101,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if refused is not None:
         return refused
     caller = str(params[0])
-    if rule.registers and not agent.covers(caller):
+    if method in REGISTERS and not agent.covers(caller):
         return [-1, _not_covered(agent, caller), 0]
     master_params = yield from _params_for_master(agent, method, rule, caller, params)
     if master_params is None:
@@ -127,10 +116,8 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
         if method == SUBSCRIBE:
             answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
-    if rule.registers and str(answer[1]).startswith(REFUSED):
-        program, key = _registration(agent, method, rule, params, master_params)
-        if program is not None:
-            program.refuse(method, key, master_params)
+    if method in REGISTERS and str(answer[1]).startswith(REFUSED):
+        _record_registration(agent, method, rule, params, master_params, refused=True)
     return answer
 
 
@@ -191,7 +178,7 @@ def _params_for_master(
 ) -> Layer[tuple[object, ...] | None]:
     """The parameters for the secured master; None: the address is not the program's own."""
     name = caller
-    if rule.unregisters is None:  # `rosnode cleanup` names dead nodes; the master authorizes it
+    if method not in UNREGISTERS:  # `rosnode cleanup` names dead nodes; the master authorizes it
         name = agent.name_for(caller)
     changed = list(params if name == caller else resolve_params(method, params, caller))
     changed[0] = name
@@ -201,12 +188,12 @@ def _params_for_master(
         given = parse_endpoint(params[index], protocol)
         if given is None:
             continue  # the master refuses it with a reason
-        address = yield from _address(agent, rule, given)
+        address = yield from _address(agent, method, given)
         if address is None:
             return None
         changed[index] = address
     own_api = _own_api(rule, params)
-    if own_api is not None and rule.registers:
+    if own_api is not None and method in REGISTERS:
         agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
         known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
@@ -214,7 +201,7 @@ def _params_for_master(
     return tuple(changed)
 
 
-def _address(agent: AgentState, rule: CallRule, given: Endpoint) -> Layer[str | None]:
+def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | None]:
     """The address, for the master, of an endpoint that a program names.
 
     An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No
@@ -223,7 +210,7 @@ def _address(agent: AgentState, rule: CallRule, given: Endpoint) -> Layer[str | 
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
     if remote is not None:
-        return None if rule.registers else remote.uri
+        return None if method in REGISTERS else remote.uri
     return (yield from agent.ingress_endpoint(local)).uri
 
 
@@ -239,48 +226,16 @@ def _record_registration(
     rule: CallRule,
     params: tuple[object, ...],
     master_params: tuple[object, ...],
+    *,
+    refused: bool = False,
 ) -> None:
-    program, key = _registration(agent, method, rule, params, master_params)
-    if program is not None:
-        program.accept(method, key, master_params)
-    elif rule.unregisters is not None:
-        _remove_registration(agent, rule, rule.unregisters, key, master_params)
-
-
-def _registration(
-    agent: AgentState,
-    method: str,
-    rule: CallRule,
-    params: tuple[object, ...],
-    master_params: tuple[object, ...],
-) -> tuple[Program | None, str]:
-    """The program that a call registers, None for another call, and the name it is about."""
-    index = RELATIVE_NAME.get(method, len(master_params))
-    key = str(master_params[index]) if index < len(master_params) else ""
     own_api = _own_api(rule, params)
-    if not rule.registers or own_api is None:
-        return None, key
-    return agent.programs.setdefault(own_api, Program(str(params[0]))), key
-
-
-def _remove_registration(
-    agent: AgentState,
-    rule: CallRule,
-    registering: str,
-    key: str,
-    master_params: tuple[object, ...],
-) -> None:
-    """Remove the registration with this address; a new program of the same name keeps its own."""
-    index, registered_index = rule.address_index, RULES[registering].address_index
-    for program in agent.programs.values():
-        for calls in (program.registrations, program.refused):
-            registration = calls.get((registering, key))
-            if (
-                registration is not None
-                and len(master_params) > index
-                and registration[registered_index] == master_params[index]
-            ):
-                del calls[registering, key]
+    if method in REGISTERS and own_api is not None:
+        program = agent.programs.setdefault(own_api, Program(str(params[0])))
+        program.registrations.record(method, master_params, refused=refused)
+    elif method in UNREGISTERS:
+        for program in agent.programs.values():
+            program.registrations.record(method, master_params)
 
 
 def _answer_for_program(

@@ -15,13 +15,8 @@ from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.slave_api import NO_TRANSPORT, RULES, TCPROS, offers_tcpros, without_caller
-from rossec.participant.slave_rights import (
-    MASTER_ONLY,
-    OPEN,
-    PRESENT,
-    SLAVE_CALLS,
-    check_slave_call,
-)
+from rossec.participant.slave_rights import MASTER_ONLY, OPEN, SLAVE_CALLS, check_slave_call
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
 from rossec.sidecar.core.commands import CallPeer, CallProgram, Probe, Suspend
@@ -51,7 +46,7 @@ def handle_peer_call(
         HangUp: the program does not answer.
     """
     node = agent.identity.name
-    if method == PRESENT:
+    if method == PRESENT_GRANTS:
         agent.access.check_peer(peer, now)
         yield from _require_alive(agent, local, (yield Probe(local)))
         return [1, "", 0]

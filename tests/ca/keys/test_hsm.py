@@ -104,7 +104,7 @@ def test_a_key_that_can_be_taken_out_is_refused() -> None:
         TokenSigner.open(uri, PIN)
 
 
-def test_only_p256() -> None:
+def test_a_key_in_a_token_is_a_p256_key() -> None:
     uri = fresh()
     generate(uri, "secp384r1", EXTRACTABLE=False)
     with pytest.raises(KeyRefused, match="is not a P-256 key"):
@@ -135,7 +135,7 @@ def test_a_token_that_was_pulled_out(monkeypatch: pytest.MonkeyPatch) -> None:
         TokenSigner.create(fresh(), PIN)
 
 
-def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_token_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pkcs11", None)
     with pytest.raises(TokenRefused, match="python-pkcs11 is not installed") as caught:
         TokenSigner.open(fresh(), PIN)

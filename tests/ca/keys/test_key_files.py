@@ -149,7 +149,7 @@ def test_a_file_without_a_key_is_refused(tmp_path: Path, data: bytes) -> None:
 @pytest.mark.parametrize(
     "key", [ec.generate_private_key(ec.SECP384R1()), ed25519.Ed25519PrivateKey.generate()]
 )
-def test_only_p256(
+def test_a_key_file_holds_a_p256_key(
     tmp_path: Path, key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey
 ) -> None:
     pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())

@@ -19,7 +19,7 @@ def test_signs_through_the_signer(data: bytes | bytearray | memoryview) -> None:
     assert ADAPTER.public_key() == SIGNER.public_key
 
 
-def test_only_sha256() -> None:
+def test_a_certificate_is_signed_with_sha256_alone() -> None:
     with pytest.raises(TypeError, match="a Signer signs with SHA-256 only"):
         ADAPTER.sign(b"tbs", ec.ECDSA(hashes.SHA384()))
 

@@ -1,5 +1,4 @@
 import pytest
-from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -10,44 +9,21 @@ from ca.revocation.state import (
     SKEW,
     RevocationList,
     Revocations,
-    Timestamp,
-    digest,
     sign_list,
 )
+from tests.ca.revocation.signed_lists import (
+    KEY,
+    LIFE,
+    SIGNER,
+    A,
+    B,
+    fresh,
+    never,
+    signed,
+    stamp,
+    twisted,
+)
 from tests.support.pki import NOW, new_signer
-
-SIGNER = new_signer()
-A, B, KEY = b"a" * 16, b"b" * 16, b"k" * 32
-LIFE = 86_400
-# The order of P-256: (r, n - s) is the second valid form of the signature (r, s).
-N = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
-
-
-def signed(seq: int, *entries: bytes, epoch: int = 1, issued: int = NOW) -> bytes:
-    return sign_list(SIGNER, RevocationList(epoch, seq, issued, issued + LIFE, frozenset(entries)))
-
-
-def stamp(seq: int, data: bytes, issued: int = NOW, max_age: int = MAX_AGE) -> Timestamp:
-    return Timestamp(seq, digest(data), issued, max_age)
-
-
-def fresh(*entries: bytes) -> Revocations:
-    state = Revocations(SIGNER.public_key)
-    data = signed(1, *entries)
-    state.update(data, NOW)
-    state.confirm(stamp(1, data), NOW)
-    return state
-
-
-def never(_: bytes) -> None:
-    pytest.fail("nothing to persist")
-
-
-def twisted(data: bytes) -> bytes:
-    """The same list with the other valid signature: ECDSA is malleable."""
-    r, s = data[-64:-32], int.from_bytes(data[-32:])
-    assert encode_dss_signature(int.from_bytes(r), s)
-    return data[:-64] + r + (N - s).to_bytes(32)
 
 
 def test_a_fresh_list_lets_others_pass() -> None:
@@ -72,7 +48,7 @@ def test_nothing_known_means_no() -> None:
     assert "master" in caught.value.hint
 
 
-def test_never_confirmed_means_no() -> None:
+def test_a_list_never_confirmed_means_no() -> None:
     state = Revocations(SIGNER.public_key)
     state.update(signed(1, A), NOW)
     assert state.fresh_until == 0

@@ -10,10 +10,10 @@ import pytest
 from ca.errors import LogDamaged, StoreError
 from ca.requests import build_request, check_request
 from ca.revocation.merkle import EMPTY_ROOT
-from ca.store.identities import CertificateRow
 from ca.store.lifecycle import DAY
 from ca.store.log_entries import extend_peaks, sign_head
-from ca.store.record import GrantRow, Store
+from ca.store.record import Store
+from ca.store.rows import CertificateRow, GrantRow
 from tests.support.pki import NOW, new_signer
 
 KEY = new_signer()

@@ -85,7 +85,7 @@ def test_a_head_the_log_had() -> None:
         check_head(tree, Head(10, tree.root(), NOW))
 
 
-def test_only_heads_of_this_authority() -> None:
+def test_heads_of_another_authority_are_refused() -> None:
     head = Head(7, b"r" * 32, NOW)
     for data in (b"", sign_head(new_signer(), head), Profile("x+cwt").sign(KEY, {}), bytes(513)):
         with pytest.raises(LogDamaged, match="this is not a signed head"):

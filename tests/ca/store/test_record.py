@@ -7,8 +7,7 @@ import pytest
 
 from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
-from ca.store.identities import CertificateRow
-from ca.store.record import GrantRow, Store
+from ca.store.record import CertificateRow, GrantRow, Store
 from tests.support.pki import Site, new_signer
 
 NOW, DAY = 1_800_000_000, 86_400

@@ -7,9 +7,9 @@ import pytest
 from ca.errors import KeyChanged, NameContested, NameCovered, RequestClosed, StoreError
 from ca.requests import IdentityRequest, build_request, check_request
 from ca.store import requests as request_record
-from ca.store.identities import CertificateRow
 from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
+from ca.store.rows import CertificateRow
 from tests.support.pki import NOW, new_signer
 
 
@@ -42,7 +42,7 @@ def log_of(store: Store) -> list[tuple[str, str, str]]:
     return [entry[2:5] for entry in store.log.entries()]
 
 
-def test_from_pending_to_issued(store: Store) -> None:
+def test_a_request_goes_from_pending_to_issued(store: Store) -> None:
     request = pending(store)
     (row,) = store.requests.all()
     assert (row.name, row.source, row.state) == ("/a", "192.0.2.7", RequestState.PENDING)
@@ -64,7 +64,7 @@ def test_one_request_is_recorded_once(store: Store) -> None:
     assert len(store.requests.all()) == 1
 
 
-def test_never_two_certificates_for_one_request(store: Store) -> None:
+def test_a_request_gets_one_certificate(store: Store) -> None:
     request = pending(store)
     store.requests.approve(request.digest, NOW)
     issue(store, request)

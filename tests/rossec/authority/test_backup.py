@@ -93,7 +93,7 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     data = back_up(home, PASSPHRASE)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
-    tree, entries = home.revocation_list(), home.tree_entries()
+    tree, entries = home.revocation_list(), home.newest_statement()[1]
     assert is_tree(tree)
     with pytest.raises(BackupRefused, match="a tree, which does not contain") as caught:
         restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree)
@@ -106,7 +106,7 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     assert done.restored_revocations == 1
     with closing(done.home.store()) as store:
         assert store.revoked_entries() == {b"k" * 32}
-    assert TreeEntries.read(done.home.tree_entries()).entries == {b"k" * 32}
+    assert TreeEntries.read(done.home.newest_statement()[1]).entries == {b"k" * 32}
 
 
 def test_a_wrong_passphrase(home: AuthorityHome, tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_an_interrupted_restoration_changes_nothing(
     assert not list((tmp_path / "new").iterdir())
 
 
-def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
+def test_the_command_line_backs_up_and_restores(shell: Shell, tmp_path: Path) -> None:
     target = str(tmp_path / "backup")
     said = shell.unlocked("ca", "backup", target)
     assert said.out.startswith(f"backup of home: {target}\nfingerprint ")
@@ -237,7 +237,7 @@ def test_the_entries_beside_a_tree_are_found(
     forget = shell.unlocked(*plain).err.partition("--forget ")[2].split()[0]
     over = (*plain, "--forget", forget, "--list", str(kept / "revocations.cose"))
     refused(shell.unlocked(*over), "a tree", "--entries")
-    (kept / "other").write_bytes(home.tree_entries())
+    (kept / "other").write_bytes(home.newest_statement()[1])
     refused(
         shell.unlocked(*over, "--entries", str(shell.secret)),
         "not the entries of a revocation tree",

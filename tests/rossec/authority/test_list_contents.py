@@ -103,16 +103,16 @@ def test_the_entries_of_a_tree_are_in_the_record(
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     opened.revoke(KEY, "", NOW)
     tree = open_tree(home.revocation_list(), home.own_key())
-    before = home.tree_entries()
+    before = home.newest_statement()[1]
     assert list_contents.tree_entries(opened.store, tree).entries == {KEY}
     opened.store.revoke(OTHER, "killed before it signed", NOW)
     with pytest.raises(RevocationRefused, match="are not those of the signed tree"):
         list_contents.tree_entries(opened.store, tree)
     assert missing(opened) == {KEY, OTHER}
     with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
-        home.tree_entries()
+        home.newest_statement()[1]
     (home.path / ENTRIES).write_bytes(before)  # where 180d0d3 kept them
-    assert home.tree_entries() == before
+    assert home.newest_statement()[1] == before
     assert home.count_unlisted(NOW) == 2
     opened.refresh_list(NOW)
     assert home.count_unlisted(NOW) == 0

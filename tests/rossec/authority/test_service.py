@@ -231,7 +231,7 @@ def test_a_tree_is_published_with_its_entries(
     office.service.publish()
     (call,) = office.calls
     assert call.method == "rossec.updateRevocationTree"
-    assert call.statement == (office.home.revocation_list(), office.home.tree_entries())
+    assert call.statement == (office.home.revocation_list(), office.home.newest_statement()[1])
 
 
 def test_an_old_list_is_noted_and_an_expired_one_refused(office: Office) -> None:

@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from rossec.channel.edhoc.credentials import Credentials
+from rossec.discovery import announcer, finder
 from rossec.discovery.announcement import Announcement, sign
+from tests.rossec.discovery import links
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -49,3 +51,19 @@ def elsewhere(tmp_path: Path) -> Site:
     made = Site(tmp_path / "elsewhere", clock=lambda: NOW)
     made.enroll("/master")
     return made
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Site:
+    site = Site(tmp_path_factory.mktemp("finding") / "home")
+    for name in ("/master", "/robot"):
+        site.enroll(name)
+    return site
+
+
+@pytest.fixture
+def link(monkeypatch: pytest.MonkeyPatch) -> None:
+    links.links.clear()
+    links.said.clear()
+    for module in (finder, announcer):
+        monkeypatch.setattr(module, "MulticastSocket", links.Link)

@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.discovery.budget import MAX_SOURCES, MAX_VERIFIED, AttemptBucket, Budget
+from rossec.discovery.budget import MAX_SOURCES, MAX_VERIFIED, Budget
 from rossec.errors import AnnouncementRefused
 
 
@@ -14,17 +14,6 @@ def spend(
         except AnnouncementRefused:
             return count
     return times
-
-
-def test_a_bucket_fills_at_its_rate() -> None:
-    bucket = AttemptBucket(10.0)
-    assert bucket.has(10, 1.0)
-    bucket.take(10)
-    assert not bucket.has(1, 1.05)
-    assert bucket.has(1, 1.2)
-    assert not bucket.has(3, 0.0)  # a clock that goes back earns nothing
-    assert bucket.has(10, 99.0)
-    assert not bucket.has(11, 999.0)
 
 
 def test_an_address_has_a_share_and_all_have_a_total() -> None:

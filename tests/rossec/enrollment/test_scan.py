@@ -38,7 +38,7 @@ def test_a_file_or_standard_input(tmp_path: Path) -> None:
     assert scan.code_in_file(Path("-"), io.BytesIO(picture(qr.png(OTHER)))) == OTHER
 
 
-def test_not_exactly_one_code() -> None:
+def test_a_picture_has_exactly_one_code() -> None:
     with pytest.raises(ConfigurationError, match="there are 2 codes"):
         scan.code_in(picture(qr.png(TEXT), qr.png(OTHER)))
     foreign = io.BytesIO()

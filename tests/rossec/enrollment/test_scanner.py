@@ -45,7 +45,7 @@ def test_a_picture_that_unpacks_to_too_much(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("module", ["zxingcpp", "PIL"])
-def test_without_the_extra(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+def test_a_scanner_needs_the_extra(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
     data = picture(qr.png(TEXT))
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigurationError, match="needs pillow and zxing-cpp") as caught:

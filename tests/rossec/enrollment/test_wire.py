@@ -31,3 +31,19 @@ async def test_a_length_beyond_the_limit() -> None:
 async def test_a_frame_cut_short(size: int) -> None:
     with pytest.raises(EOFError):
         await wire.receive(fed(frame(b"abc")[:size]))
+
+
+async def test_what_is_sent_is_received() -> None:
+    received: asyncio.Queue[bytes] = asyncio.Queue()
+
+    async def take(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        received.put_nowait(await wire.receive(reader))
+        writer.close()
+
+    server = await asyncio.start_server(take, "127.0.0.1", 0)
+    async with server:
+        _, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+        wire.send(writer, b"a request")
+        assert await received.get() == b"a request"
+        writer.close()
+        await writer.wait_closed()

@@ -10,7 +10,7 @@ from grants.model import Right
 from rossec.channel.opening import REFUSAL
 from rossec.errors import ConfigurationError
 from rossec.inprocess.allow_plain import PlainPeers
-from rossec.inprocess.live_connections import PEER_CONNECTIONS
+from rossec.inprocess.background import PEER_CONNECTIONS
 from rossec.net.halfopen import HalfOpen
 from rossec.ros import header
 from tests.support import stock

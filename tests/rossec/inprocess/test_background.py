@@ -144,13 +144,13 @@ CRASHING = (
     SECURE
     + """
 import rospy
-from rossec.inprocess.process import SecuredProcess
+from rossec.participant.connections import ConnectionTable
 from std_msgs.msg import String
 rospy.init_node("robot")
 rospy.Publisher("/robot/words", String, queue_size=1)
-def fail(process):
+def fail(connections, now):
     raise RuntimeError("a fault of ours")
-SecuredProcess.close_ended_connections = fail
+ConnectionTable.cut_ended = fail
 rospy.spin()
 try:
     rospy.get_param("/x")

@@ -1,4 +1,3 @@
-import dataclasses
 import inspect
 import time
 from pathlib import Path
@@ -9,16 +8,13 @@ from unittest.mock import create_autospec
 import pytest
 
 from ca.certificates import Identity
-from ca.errors import CAError, RevocationsStale
+from ca.errors import CAError, Revoked
 from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
 from grants.errors import GrantMissing
 from grants.model import Right
-from rossec.clock import Clock
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.identity import LocalIdentity, LockedAccess, now
-from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.reporting import Reporter
 from rossec.participant.access import Access
 from tests.support.site import Site
 
@@ -63,12 +59,12 @@ def test_a_list_is_fresh_only_with_its_confirmation(site: Site) -> None:
     local_identity.access.check_peer(peer, int(time.time()))
     with pytest.raises(GrantMissing):
         local_identity.access.authorize(peer, None, Right.CALL, "/x", int(time.time()))
-    assert not local_identity.is_revoked(peer)
     again = LocalIdentity(site.enroll("/robot"), "/robot")
     assert again.revocations.data == data, "the newest list is on disk"
     revoked = site.revoke(peer.thumbprint)
     update_revocations(local_identity, revoked, stamped(site, revoked), master)
-    assert local_identity.is_revoked(peer)
+    with pytest.raises(Revoked):
+        local_identity.access.check_peer(peer, int(time.time()))
 
 
 def test_a_renewed_identity_is_used(site: Site) -> None:
@@ -83,37 +79,6 @@ def test_a_renewed_identity_is_used(site: Site) -> None:
     assert local_identity.context.half_open is context.half_open
     assert context.credentials is before, "a handshake under way has the credentials it began with"
     assert local_identity.identity.not_after <= site.now() + 3600
-
-
-def test_a_peer_is_revoked_with_its_issuer(site: Site) -> None:
-    local_identity = LocalIdentity(site.enroll("/robot"), "/robot")
-    peer = dataclasses.replace(site.identity("/viewer"), issuers=(b"i" * 32,))
-    assert not local_identity.is_revoked(peer)
-    local_identity.revocations.update(site.revoke(b"i" * 32), site.now())
-    assert local_identity.is_revoked(peer)
-    assert not local_identity.is_revoked(site.identity("/viewer"))
-
-
-def test_a_clock_that_went_back_expires_the_confirmation(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shows = time.time()
-    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: shows, lambda: 0.0))
-    logged: list[str] = []
-    process = SecuredProcess(Reporter(print))
-    monkeypatch.setattr(process.reporter, "warn", logged.append)
-    local_identity = LocalIdentity(site.enroll("/robot"), "/robot")
-    monkeypatch.setattr(SecuredProcess, "local_identity", local_identity)
-    data = site.authority.store.newest_list()
-    assert data is not None
-    update_revocations(local_identity, data, stamped(site, data), site.identity("/master"))
-    process.close_ended_connections()
-    local_identity.revocations.check_fresh(now())
-    shows -= 3600
-    process.close_ended_connections()
-    with pytest.raises(RevocationsStale, match="not confirmed"):
-        local_identity.revocations.check_fresh(now())
-    assert "the host's clock went back" in "".join(logged)
 
 
 def public_names(kind: type) -> set[str]:

@@ -13,7 +13,7 @@ from tests.support import stock
 from tests.support.fleet import entitle, environment, program
 from tests.support.matrix import SECRET, VARIANTS, play
 from tests.support.site import Site, coarse
-from tests.support.victim import STATE, attacked
+from tests.support.victim import attacked
 from tests.support.witness import POSE, until
 
 pytestmark = pytest.mark.ros
@@ -174,38 +174,6 @@ async def test_a_program_that_uses_all_of_rospy_works(tmp_path: Path) -> None:
         lines = await play(site, tmp_path / "logs", VARIANTS["namespaced"])
     assert f"SEEN latched {SECRET} latched" in lines
     assert "SEEN ordered True" in lines
-
-
-ASKER = """
-import rospy, rossec
-rossec.secure()
-from std_msgs.msg import String
-rospy.init_node("asker", anonymous=True)
-words = rospy.Subscriber("/robot/state", String, lambda m: print("HEARD", flush=True))
-print("HAS", rossec.ask("subscribe", "/robot/state", why="to look", wait=0.2), flush=True)
-print("HAS", rossec.ask("subscribe", "/robot/state", why="to look", wait=20), flush=True)
-try:
-    rossec.ask("dance", "/x", why="")
-except Exception as error:
-    print("NO", error, flush=True)
-rospy.spin()
-"""
-
-
-async def test_a_program_requests_a_grant_and_gets_it(tmp_path: Path) -> None:
-    """Under an anonymous name: the identity is that for all such nodes."""
-    async with attacked(tmp_path) as victim:
-        site = victim.site
-        site.enroll("/asker", wildcard=True)
-        async with program(environment(site, tmp_path / "a"), ASKER) as asker:
-            assert (await asker.read_until("HAS")) == "HAS False"
-            requests = list((site.root / "nodes" / "asker" / "requests").iterdir())
-            assert requests
-            site.subscribe("/asker", STATE)
-            assert (await asker.read_until("HAS")) == "HAS True"
-            await asker.read_until("NO there is no right 'dance'")
-            await asker.read_until("HEARD")
-        await victim.goes_on()
 
 
 FILTERING = """

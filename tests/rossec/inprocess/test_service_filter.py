@@ -36,7 +36,11 @@ class Server(ServerFilter):
         self.reason: str | None = None
         self.refusals: list[HintedError] = []
         restricted = guard(*restrictions) if restrictions else None
-        super().__init__(lambda: self.reason, restricted, self.refusals.append, lambda: NOW)
+        super().__init__(self.check, restricted, self.refusals.append, lambda: NOW)
+
+    def check(self) -> None:
+        if self.reason is not None:
+            raise ChannelClosed(self.reason)
 
 
 def test_only_whole_requests_pass() -> None:

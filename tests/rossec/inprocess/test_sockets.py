@@ -16,7 +16,6 @@ from rossec.inprocess import plain_stream, sockets
 from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.connector import Connector
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.module_proxy import ModuleProxy
 from rossec.inprocess.sockets import RosSocket
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.ros.framing import Framing
@@ -272,12 +271,6 @@ def test_the_first_bytes_of_a_plain_caller_are_not_consumed(local_identity: Loca
     assert plain_stream.plain_fields(b"\x06\0\0\0\x02\0\0\0a=") == {"a": b""}
     assert plain_stream.plain_fields(b"abc") == {}
     assert plain_stream.plain_fields(b"\x01\0\0\0a") == {}
-
-
-def test_a_module_proxy_replaces_some_names() -> None:
-    proxy = ModuleProxy(socket, socket=dict)
-    assert proxy.socket is dict
-    assert proxy.AF_INET == socket.AF_INET
 
 
 def test_a_caller_that_is_gone_does_not_end_accept(

@@ -170,7 +170,7 @@ async def test_a_node_ends_when_its_watchdog_fails(
         def break_down(_: int) -> None:
             raise ValueError("boom")
 
-        monkeypatch.setattr(robot._watchdog, "close_terminated", break_down)
+        monkeypatch.setattr(robot._context.connections, "cut_ended", break_down)
         with pytest.raises(ValueError, match="boom"):
             async with asyncio.timeout(30):
                 await robot.wait_ended()

@@ -1,5 +1,6 @@
 import asyncio
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import Publisher, SubscriberConnection
+from rossec.node.publisher import Publisher, SubscriberQueue
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
 from rossec.participant.topic_handshake import TopicEndpoint
@@ -56,13 +57,12 @@ def no_keys(name: str) -> bytes:
 
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
-    return Publisher(
-        TopicEndpoint("/t", STRING),
-        shape,
-        no_keys,
-        memory_scope("/robot"),
-        **{"latch": False, **options},
+    context: Any = SimpleNamespace(
+        filter_key=no_keys,
+        memory_scope=memory_scope("/robot"),
+        connections=SimpleNamespace(track=lambda _: nullcontext()),
     )
+    return Publisher(TopicEndpoint("/t", STRING), shape, context, **{"latch": False, **options})
 
 
 def decision(seconds: int = 99) -> Any:
@@ -99,7 +99,7 @@ async def test_queued_messages_share_a_unit() -> None:
     assert stream.sent[1:] == [framed("one", "two")]
     stream.closed.set()
     await task
-    assert topic.links == set()
+    assert topic.links == {}
 
 
 async def test_the_oldest_messages_of_a_slow_subscriber_are_dropped() -> None:
@@ -110,8 +110,8 @@ async def test_the_oldest_messages_of_a_slow_subscriber_are_dropped() -> None:
     await settle()
     for data in ("a", "b", "c"):
         topic.publish_bytes(text(data))
-    (connection,) = topic.links
-    assert connection.dropped == 1
+    (queue,) = topic.links.values()
+    assert queue.dropped == 1
     stream.open.set()
     await settle()
     assert stream.sent[1:] == [framed("first"), framed("b", "c")]
@@ -125,7 +125,7 @@ async def test_subscribers_with_equal_filters_share_the_filtered_message() -> No
     tasks = [await serve(topic, Stream(), guard) for guard in guards]
     topic.publish_bytes(text("x"))
     assert sorted(guard.applied for guard in guards) == [0, 1, 1]
-    assert sorted(connection.withheld for connection in topic.links) == [0, 0, 1]
+    assert sorted(queue.withheld for queue in topic.links.values()) == [0, 0, 1]
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
@@ -185,10 +185,10 @@ async def test_wait_for_subscribers_returns_when_they_are_connected() -> None:
 
 async def test_a_batch_is_bounded() -> None:
     topic, stream = publisher(queue_size=100), Stream()
-    connection = SubscriberConnection(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
+    queue = SubscriberQueue(stream, 100)  # type: ignore[arg-type]  # a stand-in
     for _ in range(5):
-        connection.enqueue([bytes(100_000)])
-    assert [len(connection._next_batch()) for _ in range(2)] == [6, 4]
+        queue.enqueue([bytes(100_000)])
+    assert [len(queue._next_batch()) for _ in range(2)] == [6, 4]
     assert topic.topic == "/t"
 
 

@@ -91,7 +91,7 @@ async def test_each_call_is_authorized_again(
     client = hall.client(LAMP, BOOL, persistent=True)
     await called(client, data=True)
     for node in (lamp, hall):
-        monkeypatch.setattr(node._watchdog, "close_terminated", lambda _: None)
+        monkeypatch.setattr(node._context.connections, "cut_ended", lambda _: None)
     (connection,) = (client if side == "caller" else service).links
     monkeypatch.setattr(connection, "ends", 0)
     with pytest.raises(ChannelError, match="expired" if side == "caller" else None):

@@ -111,7 +111,7 @@ async def test_pseudonyms_are_equal_and_rates_count_per_subscriber(site: Site) -
         for _ in range(3):
             publisher.publish(pose(publisher))
         seen = [(await first(subscriber)).header.frame_id for subscriber in subscribers]
-        assert [connection.withheld for connection in publisher.links] == [2, 2]
+        assert [connection.withheld for connection in publisher.links.values()] == [2, 2]
     assert seen[0] == seen[1]
     assert len(seen[0]) == 12
 

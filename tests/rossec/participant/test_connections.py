@@ -1,12 +1,20 @@
+"""The table of connections: limits, what ends a connection, and what arrives meanwhile."""
+
 import time
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
+from threading import Event, RLock, Thread
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from ca.revocation.state import Revocations, Timestamp, digest
-from rossec.participant.connections import STALE_GRACE, termination_reason
+from rossec.clock import Clock
+from rossec.errors import ChannelClosed, LimitExceeded
+from rossec.participant.connections import STALE_GRACE, AuthorizedConnection, ConnectionTable
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -14,11 +22,34 @@ GRANT = b"g" * 16
 KEY, ABOVE = b"k" * 32, b"i" * 32
 
 
-class FakeConnection:
-    def __init__(self, ends: int = NOW + 1000, keep: bool = False) -> None:
-        self.stream: Any = SimpleNamespace(peer=SimpleNamespace(keys=(KEY, ABOVE)))
-        self.decision: Any = SimpleNamespace(grant_ids=(GRANT,), keep_when_stale=keep)
-        self.ends = ends
+class FakeStream:
+    """A connection that records why it was aborted."""
+
+    def __init__(self, name: str = "/viewer", ends: int = NOW + 1000) -> None:
+        self.reasons: list[str] = []
+        self.peer: Any = SimpleNamespace(name=name, keys=(KEY, ABOVE), not_after=ends)
+        self.on_closed: Callable[[], None] = lambda: None
+
+    def abort(self, reason: str) -> None:
+        self.reasons.append(reason)
+
+    def when_closed(self, callback: Callable[[], None]) -> None:
+        self.on_closed = callback
+
+
+Connection = AuthorizedConnection[FakeStream, None]
+
+
+def make_connection(ends: int = NOW + 1000, keep: bool = False) -> Connection:
+    decision: Any = SimpleNamespace(
+        grant_ids=(GRANT,), keep_when_stale=keep, expires=ends, name="/word"
+    )
+    return AuthorizedConnection(FakeStream(), decision, None)
+
+
+@pytest.fixture(autouse=True)
+def _clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: NOW))
 
 
 @pytest.fixture
@@ -37,13 +68,13 @@ def revocations(site: Site) -> Revocations:
 
 
 def test_a_valid_connection_stays_open(site: Site) -> None:
-    assert termination_reason(FakeConnection(), revocations(site), NOW) is None
+    assert make_connection().termination_reason(revocations(site), NOW) is None
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_connection_is_closed_in_the_second_it_expires(site: Site, late: int) -> None:
-    assert termination_reason(FakeConnection(ends=NOW), revocations(site), NOW - 1) is None
-    reason = termination_reason(FakeConnection(ends=NOW), revocations(site), NOW + late)
+    assert make_connection(ends=NOW).termination_reason(revocations(site), NOW - 1) is None
+    reason = make_connection(ends=NOW).termination_reason(revocations(site), NOW + late)
     assert reason == "its grant or its certificate has expired"
 
 
@@ -51,36 +82,36 @@ def test_a_connection_is_closed_in_the_second_it_expires(site: Site, late: int) 
 def test_a_revoked_grant_or_key_closes_the_connection(site: Site, entry: bytes) -> None:
     site.authority.revoke(entry, "", NOW)
     assert (
-        termination_reason(FakeConnection(), revocations(site), NOW) == f"{entry.hex()} is revoked"
+        make_connection().termination_reason(revocations(site), NOW) == f"{entry.hex()} is revoked"
     )
 
 
 def test_a_connection_outlives_stale_revocations_for_the_grace_period(site: Site) -> None:
     held = revocations(site)
     last = held.fresh_until + STALE_GRACE
-    assert termination_reason(FakeConnection(), held, last - 1) is None
+    assert make_connection().termination_reason(held, last - 1) is None
     assert "the last confirmation expired" in (
-        termination_reason(FakeConnection(), held, last) or ""
+        make_connection().termination_reason(held, last) or ""
     )
 
 
 def test_a_connection_is_closed_without_a_revocation_list(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
-    assert termination_reason(FakeConnection(), never, NOW) is not None
+    assert make_connection().termination_reason(never, NOW) is not None
 
 
 def test_a_connection_with_on_stale_keep_ends_by_revocation_or_expiry_only(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
     held = revocations(site)
     long_after = held.fresh_until + 10 * STALE_GRACE
-    assert termination_reason(FakeConnection(keep=True), never, NOW) is None
+    assert make_connection(keep=True).termination_reason(never, NOW) is None
     assert (
-        termination_reason(FakeConnection(ends=long_after + 1, keep=True), held, long_after) is None
+        make_connection(ends=long_after + 1, keep=True).termination_reason(held, long_after) is None
     )
-    assert termination_reason(FakeConnection(keep=True), held, NOW + 1000) is not None
+    assert make_connection(keep=True).termination_reason(held, NOW + 1000) is not None
     site.authority.revoke(GRANT, "", NOW)
-    assert termination_reason(
-        FakeConnection(ends=long_after + 1, keep=True), revocations(site), long_after
+    assert make_connection(ends=long_after + 1, keep=True).termination_reason(
+        revocations(site), long_after
     ) == (f"{GRANT.hex()} is revoked")
 
 
@@ -88,6 +119,171 @@ def test_a_revoked_grant_closes_the_connection_during_the_grace_period(site: Sit
     site.authority.revoke(GRANT, "", NOW)
     held = revocations(site)
     assert (
-        termination_reason(FakeConnection(), held, held.fresh_until + 1)
+        make_connection().termination_reason(held, held.fresh_until + 1)
         == f"{GRANT.hex()} is revoked"
     )
+
+
+def table(held: Revocations, lock: Any = None, most: int = 2) -> ConnectionTable[FakeStream]:
+    return ConnectionTable(held, lock or nullcontext(), most)
+
+
+def test_a_connection_is_in_the_table_while_the_block_runs(site: Site) -> None:
+    connections, connection = table(revocations(site)), make_connection()
+    with connections.track(connection):
+        assert list(connections) == [connection]
+        assert connections.next_expiry == connection.ends == NOW + 1000
+    assert list(connections) == []
+    assert not connections.discard(connection)
+    assert connection.stream.reasons == []
+
+
+def test_an_empty_table_has_no_expiry(site: Site) -> None:
+    assert table(revocations(site)).next_expiry is None
+
+
+def test_a_connection_that_must_end_is_not_added(site: Site) -> None:
+    connections, connection = table(revocations(site)), make_connection(ends=NOW - 1)
+    with pytest.raises(ChannelClosed, match="has expired"), connections.track(connection):
+        pytest.fail("it began")
+    assert list(connections) == []
+    assert connection.stream.reasons == ["its grant or its certificate has expired"]
+
+
+class ListChanges:
+    """A lock of revocations: another thread takes a new list before it is acquired first."""
+
+    def __init__(self, site: Site, held: Revocations) -> None:
+        self._site, self._held = site, held
+        self.on_changed: Callable[[], None] = lambda: None
+
+    def __enter__(self) -> None:
+        if not self._held.entries:
+            self._held.update(self._site.revoke(KEY), NOW)
+            self.on_changed()
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("cut_first", [True, False])
+def test_a_revocation_during_the_admission_cuts_the_connection(site: Site, cut_first: bool) -> None:
+    """The list changes when the connection is in the table, and not checked yet."""
+    held = revocations(site)
+    lock = ListChanges(site, held)
+    connections, connection = table(held, lock), make_connection()
+    if cut_first:
+        lock.on_changed = lambda: connections.cut_ended(NOW)
+    with pytest.raises(ChannelClosed, match="is revoked"):
+        connections.add(connection)
+    assert set(connection.stream.reasons) == {f"{KEY.hex()} is revoked"}
+    assert list(connections) == []
+
+
+def test_no_connection_of_another_thread_outlives_a_revocation(site: Site) -> None:
+    held, lock = revocations(site), RLock()
+    connections = table(held, lock)
+    admitted: list[Connection] = []
+    revoked = Event()
+
+    def admit() -> None:
+        with suppress(ChannelClosed):
+            while not revoked.is_set():
+                admitted.append(make_connection())
+                connections.add(admitted[-1])
+
+    threads = [Thread(target=admit) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    data = site.revoke(KEY)
+    with lock:
+        held.update(data, NOW)
+    connections.cut_ended(NOW)
+    revoked.set()
+    for thread in threads:
+        thread.join()
+    assert admitted
+    assert all(connection.stream.reasons for connection in admitted)
+    assert list(connections) == []
+
+
+def test_what_must_end_is_cut_once(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    held = revocations(site)
+    connections = table(held)
+    expired, valid = make_connection(ends=NOW + 5), make_connection()
+    connections.add(expired)
+    connections.add(valid)
+    for _ in range(2):
+        connections.cut_ended(NOW + 5)
+    reason = "its grant or its certificate has expired"
+    assert expired.stream.reasons == [reason]
+    assert caplog.messages == [f"closed the connection with /viewer (/word): {reason}"]
+    assert list(connections) == [valid]
+
+
+def test_a_closed_table_admits_nothing(site: Site) -> None:
+    connections = table(revocations(site))
+    before, after = make_connection(), make_connection()
+    connections.add(before)
+    connections.close("a task failed")
+    with pytest.raises(ChannelClosed, match="a task failed"):
+        connections.add(after)
+    assert before.stream.reasons == after.stream.reasons == ["a task failed"]
+    assert list(connections) == []
+
+
+def test_the_connections_of_one_peer_are_limited(site: Site) -> None:
+    connections = table(revocations(site))
+    eve, other = site.identity("/eve"), site.identity("/other")
+    for peer in (eve, other, "10.0.0.1", "10.0.0.2"):
+        for number in range(2):
+            connections.accept((str(peer), number), peer, lambda _: None)
+    for peer, name in ((eve, "/eve"), ("10.0.0.1", "10.0.0.1")):
+        with pytest.raises(LimitExceeded, match=f"{name} has 2 connections already"):
+            connections.accept("more", peer, lambda _: None)
+        for _ in range(2):
+            connections.forget((str(peer), 0))
+        connections.accept((str(peer), 2), peer, lambda _: None)
+
+
+def test_every_connection_of_a_revoked_identity_is_cut(site: Site) -> None:
+    """For whatever purpose it was accepted; plain peers have no identity."""
+    held = revocations(site)
+    connections = table(held, most=3)
+    eve = replace(site.identity("/eve"), issuers=(ABOVE,))
+    reasons: dict[str, list[str]] = {"eve": [], "other": [], "plain": []}
+    connections.accept(1, eve, reasons["eve"].append)
+    connections.accept(2, site.identity("/other"), reasons["other"].append)
+    connections.accept(3, "10.0.0.1", reasons["plain"].append)
+    connections.cut_ended(NOW)
+    assert reasons == {"eve": [], "other": [], "plain": []}
+    held.update(site.revoke(ABOVE), NOW)
+    connections.cut_ended(NOW)
+    assert reasons == {"eve": ["the peer's identity is revoked"], "other": [], "plain": []}
+
+
+@pytest.mark.parametrize("name", ["/viewer", "/master"])
+async def test_accepted_streams_are_served_within_the_limit(
+    site: Site, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The master may have more; a connection counts until its socket is closed."""
+    connections = table(revocations(site))
+    peer, served = site.identity(name), []
+
+    async def handler(stream: Any) -> None:
+        served.append(stream)
+
+    streams: list[Any] = [FakeStream(name) for _ in range(4)]
+    for stream in streams:
+        stream.peer = peer
+    for stream in streams[:3]:
+        await connections.bounded(handler)(stream)
+    if name == "/master":
+        assert served == streams[:3]
+        return
+    assert served == streams[:2]
+    assert streams[2].reasons == ["too many connections of one identity"]
+    assert caplog.messages == ["/viewer has too many connections"]
+    streams[0].on_closed()
+    await connections.bounded(handler)(streams[3])
+    assert served[2:] == [streams[3]]

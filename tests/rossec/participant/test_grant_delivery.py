@@ -27,7 +27,7 @@ from rossec.participant.grant_delivery import (
 )
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.membership import LoadedIdentity
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until

@@ -1,12 +1,17 @@
-"""The session with a master whose revocation list is older than the node's."""
+"""The session with the master: its life, and a master whose list is older than the node's."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from ca.certificates import Identity
 from ca.errors import RevocationRefused
 from ca.revocation.tree import RevocationTree, sign_tree
-from rossec.participant.slave_api import MASTER
+from rossec.errors import ConfigurationError, RossecError
+from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.participant.master_session import MasterSession
+from rossec.ros.names import MASTER
 from rossec.ros.settings import parse_uri
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -48,3 +53,48 @@ async def test_a_list_that_is_missing_a_tree_or_not_newer_is_not_sent(
         monkeypatch.setattr(session, "_refresh", refuse)
         with pytest.raises(RevocationRefused, match="something else"):
             await session._heartbeat()
+
+
+def session_of(site: Site, name: str, port: int) -> tuple[MasterSession, list[MasterSession]]:
+    """A session of `name` with what listens on `port`, and each time it was restored."""
+    context = SecureContext(site.enroll(name).credentials(), site.anchor.verify)
+    restored: list[MasterSession] = []
+
+    async def restore(session: MasterSession) -> None:
+        restored.append(session)
+
+    async def prove(_: object) -> int:
+        return 0
+
+    def refresh(_list: bytes, _timestamp: bytes, _master: Identity) -> None:
+        pass
+
+    dial = partial(connect, "127.0.0.1", port, context, WireProtocol.HTTP)
+    return MasterSession(name, dial, refresh, restore, lambda: b"", prove), restored
+
+
+async def test_a_session_is_used_between_its_opening_and_its_end(tmp_path: Path) -> None:
+    async with Site(tmp_path / "site").running() as site:
+        assert site.master is not None
+        session, restored = session_of(site, "/robot", parse_uri(site.master.uri)[1])
+        for use in (session.call, session.forward):
+            with pytest.raises(RossecError, match="the master is out of reach") as caught:
+                await use("getPid", "/robot")
+            assert "rossec master" in caught.value.hint
+        await session.open()
+        assert restored == [session]
+        assert await session.call("getUri") == site.master.uri
+        assert await session.forward("getUri", "/robot") == [1, "", site.master.uri]
+        await session.close()
+        with pytest.raises(RossecError, match="the master is out of reach"):
+            await session.call("getUri")
+
+
+async def test_another_node_at_the_address_is_not_the_master(tmp_path: Path) -> None:
+    async with Site(tmp_path / "site").running() as site, site.node("/other") as other:
+        session, restored = session_of(site, "/robot", parse_uri(other.uri)[1])
+        with pytest.raises(ConfigurationError, match="is /other, not /master") as caught:
+            await session.open()
+        assert (caught.value.hint, restored) == ("check ROS_MASTER_URI", [])
+        with pytest.raises(RossecError, match="the master is out of reach"):
+            await session.call("getUri")

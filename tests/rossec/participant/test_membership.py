@@ -5,6 +5,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,7 +22,7 @@ from rossec.participant.access import Access
 from rossec.participant.dialer import Dialer
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
@@ -33,7 +34,7 @@ REGISTER = ("registerPublisher", TOPIC, "std_msgs/String", "http://127.0.0.1:1")
 
 
 class Form:
-    """A form of a node, and its watchdog, which closes nothing."""
+    """A form of a node, the table of its connections, and their watchdog; it cuts nothing."""
 
     def __init__(self, site: Site) -> None:
         self.site = site
@@ -44,7 +45,8 @@ class Form:
         self.grace = PublisherGrace(clock.counter())
         self.calls: list[str] = []
         self.fault = asyncio.Event()
-        self.membership = Membership(self.loaded, self.access, self, self.grace, self)
+        connections: Any = self
+        self.membership = Membership(self.loaded, self.access, connections, self.grace, self)
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["Form"]:
@@ -84,7 +86,7 @@ class Form:
         await self.fault.wait()
         raise ArithmeticError("a fault")
 
-    def close_terminated(self, now: int) -> None:
+    def cut_ended(self, now: int) -> None:
         assert now <= clock.now()
         self.calls.append("close")
 
@@ -93,8 +95,11 @@ class Form:
 
 
 @pytest.fixture(autouse=True)
-def _short_period(monkeypatch: pytest.MonkeyPatch) -> None:
+def _periods(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.participant.membership.PERIOD", 0.05)
+    monkeypatch.setattr(
+        "rossec.participant.membership.ConnectionWatchdog", lambda connections, _: connections
+    )
 
 
 @pytest.fixture

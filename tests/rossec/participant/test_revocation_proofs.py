@@ -12,10 +12,10 @@ from ca.revocation.state import Revocations, Timestamp, digest
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from grants.model import Right
 from rossec.errors import AnswerMalformed
-from rossec.participant.connections import STALE_GRACE, termination_reason
+from rossec.participant.connections import STALE_GRACE
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
-from tests.rossec.participant.test_connections import FakeConnection
+from tests.rossec.participant.test_connections import make_connection
 from tests.support.authority import Site as Authority
 from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import Site
@@ -89,11 +89,12 @@ def test_a_connection_without_a_proof_has_the_same_grace_period_as_without_times
 ) -> None:
     now = int(time.time())
     last = held.status_valid_until(b"g" * 16) + STALE_GRACE
-    assert termination_reason(FakeConnection(ends=last + 99), held, now) is None
+    connection = make_connection(ends=last + 99)
+    assert connection.termination_reason(held, now) is None
     assert held.current is not None
     held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # but no new proof
-    assert termination_reason(FakeConnection(ends=last + 99), held, last - 1) is None
-    assert "no proof" in (termination_reason(FakeConnection(ends=last + 99), held, last) or "")
+    assert connection.termination_reason(held, last - 1) is None
+    assert "no proof" in (connection.termination_reason(held, last) or "")
 
 
 @pytest.fixture
@@ -114,8 +115,10 @@ async def test_nodes_work_with_proofs(site: Site) -> None:
     async with nodes[0] as robot, nodes[1] as viewer, nodes[2] as other:
         publisher = await robot.publisher("/robot/pose", POSE, latch=True)
         publisher.publish(pose(publisher))
-        for node in (viewer, other):
-            await first(await node.subscriber("/robot/pose", POSE), within=20)
+        # Each connects when the proofs it needs have come: both wait at the same time.
+        subscribers = [await node.subscriber("/robot/pose", POSE) for node in (viewer, other)]
+        for subscriber in subscribers:
+            await first(subscriber, within=30)
         assert len(publisher.links) == 2
         await tell_master(site, robot, site.revoke(right))
         await until(lambda: len(publisher.links) == 1, within=20)

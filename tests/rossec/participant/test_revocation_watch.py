@@ -14,42 +14,30 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 
-class Connection:
-    """A connection that a task still serves after it was aborted."""
+class Connections:
+    """A table with one connection, which is cut when it expires."""
 
-    def __init__(self, ends: int) -> None:
-        self.aborts: list[str] = []
-        peer = SimpleNamespace(name="/eve", keys=(b"k" * 32,))
-        self.stream: Any = SimpleNamespace(peer=peer, abort=self.aborts.append)
-        self.decision: Any = SimpleNamespace(grant_ids=(), keep_when_stale=False)
-        self.ends = ends
+    def __init__(self, ends: float) -> None:
+        self.next_expiry: float | None = ends
+        self.checks = 0
 
-
-@pytest.fixture
-def revocations(site: Site) -> Revocations:
-    return Revocations(site.anchor.public_key)
+    def cut_ended(self, now: int) -> None:
+        self.checks += 1
+        if self.next_expiry is not None and now >= self.next_expiry:
+            self.next_expiry = None
 
 
-async def test_an_expired_connection_is_aborted_once(
-    revocations: Revocations,
-) -> None:
-    connection = Connection(ends=int(time.time()) - 1)
-    ports: Any = SimpleNamespace(abort_revoked=lambda _: None)
-    checks = 0
-
-    def connections() -> tuple[Connection, ...]:
-        nonlocal checks
-        checks += 1
-        return (connection,)
-
+@pytest.mark.parametrize("left", [-1, 0.3])
+async def test_an_expired_connection_is_cut_at_once(left: float) -> None:
+    connections: Any = Connections(time.time() + left)
+    connections.next_expiry = int(connections.next_expiry)
     async with asyncio.TaskGroup() as group:
-        watching = group.create_task(ConnectionWatchdog(revocations, connections, ports).run())
-        await until(lambda: connection.aborts)
+        watching = group.create_task(ConnectionWatchdog(connections, lambda _: None).run())
+        await until(lambda: connections.next_expiry is None)
         for _ in range(1000):
             await asyncio.sleep(0)
         watching.cancel()
-    assert len(connection.aborts) == 1
-    assert checks < 10, "it waits for the next period"
+    assert connections.checks < 10, "it waits for the next period"
 
 
 def test_revocations_are_stale_after_the_clock_was_set_back(
@@ -64,16 +52,14 @@ def test_revocations_are_stale_after_the_clock_was_set_back(
     assert held.current is not None
     timestamp = Timestamp(held.current.seq, digest(data), now, 30)
     held.confirm(timestamp, now)
-    ports: Any = SimpleNamespace(abort_revoked=lambda _: None)
-    connection = Connection(ends=now + 3600)
-    watchdog = ConnectionWatchdog(held, lambda: (connection,), ports)
+    connections: Any = SimpleNamespace(cut_ended=lambda _: None)
+    watchdog = ConnectionWatchdog(connections, held.expire_confirmation)
     watchdog.check(now)
     held.check_fresh(now)
     shows -= 3600
     watchdog.check(clock.now())
     with pytest.raises(RevocationsStale, match="not confirmed"):
         held.check_fresh(clock.now())
-    assert connection.aborts == [], "new connections only are refused at once"
     held.confirm(timestamp, now)
     watchdog.check(clock.now())
     held.check_fresh(clock.now())

@@ -37,7 +37,9 @@ async def test_an_expired_grant_closes_the_connection(
     stream, source = await connect(pair)
     monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: time.time() + 60))
     await wait_closed(stream)
-    assert "cut /listener: its grant or its certificate has expired" in caplog.text
+    assert (
+        "closed the connection with /listener (/word): its grant or its certificate" in caplog.text
+    )
     await wait_closed(source)
 
 
@@ -61,7 +63,7 @@ async def test_an_agent_whose_task_crashes_closes_everything(
         raise ArithmeticError
 
     owner, name = {
-        "watchdog": (agent._watchdog, "close_terminated"),
+        "watchdog": (agent._connections, "cut_ended"),
         "maintenance": (agent, "maintain"),
         "resubscriber": (agent._resubscriber._to_resubscribe, "take_due"),
     }[part]

@@ -36,7 +36,10 @@ async def start_agent(running: Sidecar, name: str) -> None:
         await program.ask(running.uri, "getPid")
 
 
-async def test_a_revoked_peer_is_refused_before_anything_is_sent(site: Site) -> None:
+async def test_a_revoked_peer_is_refused_before_anything_is_sent(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.participant.master_session.HEARTBEAT", 0.5)
     async with site.running(), sidecar(site) as running:
         robot, viewer = running._agent_for("/robot"), running._agent_for("/viewer")
         await start_agent(running, "/robot")

@@ -1,6 +1,7 @@
 """Forwarding between a program and a peer: headers, guards, lagging peers."""
 
 import asyncio
+import logging
 import struct
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +17,7 @@ from rossec.errors import ChannelClosed, HeaderRefused
 from rossec.ros import header
 from rossec.sidecar.core.copies import CopyTracker
 from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.pump import outgoing, send_filtered, split_header
+from rossec.sidecar.pump import log_end, outgoing, send_filtered, split_header
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.witness import until
 
@@ -139,3 +140,17 @@ async def test_a_lagging_peer_misses_messages() -> None:
         right.abort()
         await closing
     assert peer.received == [header.frame(b"one"), header.frame(b"two")]
+
+
+async def test_an_error_ends_only_the_block(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+
+    async def expire() -> None:
+        raise GrantExpired("the grant has expired")
+
+    with log_end("/viewer"):
+        async with asyncio.TaskGroup() as group:
+            group.create_task(expire())
+    assert caplog.messages == ["the connection with /viewer ended: the grant has expired"]
+    with pytest.raises(ExceptionGroup), log_end("/viewer"):
+        raise ExceptionGroup("mistakes are not hidden", [ArithmeticError()])

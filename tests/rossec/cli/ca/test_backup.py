@@ -1,5 +1,7 @@
 from pathlib import Path
 
+from ca.revocation.tree import is_tree
+from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell, refused
 
 
@@ -28,3 +30,19 @@ def test_an_authority_is_replaced_only_by_name(shell: Shell, tmp_path: Path) -> 
 def test_a_file_that_is_no_backup_is_refused(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"nothing of the kind")
     assert shell.unlocked("ca", "restore", str(tmp_path / "x"), "--over", "home").code == 1
+
+
+def test_what_was_revoked_since_comes_back_from_a_newer_list(shell: Shell, tmp_path: Path) -> None:
+    shell.enroll("/robot")
+    target, listed = tmp_path / "backup", tmp_path / "revocations.cose"
+    shell.unlocked("ca", "backup", str(target))
+    shell.unlocked("ca", "revoke", "/robot", "--master", "http://127.0.0.1:1")
+    data = AuthorityHome.at(shell.root).revocation_list()
+    assert not is_tree(data)
+    listed.write_bytes(data)
+    (tmp_path / "revocations.entries").write_bytes(b"of a tree")
+    (shell.root / "ca").rename(shell.root / "aside")
+    done = shell.unlocked("ca", "restore", str(target), "--list", str(listed))
+    assert "1 revocations newer than the backup were taken over" in done.out
+    assert "valid again" not in done.err
+    assert len(AuthorityHome.at(shell.root).store().revoked_entries()) == 1

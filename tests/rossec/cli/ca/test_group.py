@@ -3,6 +3,7 @@ import pytest
 
 from rossec.cli.ca.group import ca, intermediate, invitations, log
 from tests.rossec.cli.tables import check_table
+from tests.support.commands import Shell
 
 
 @pytest.mark.parametrize(
@@ -10,3 +11,10 @@ from tests.rossec.cli.tables import check_table
 )
 def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
     check_table(group)
+
+
+def test_the_log_is_shown_by_its_group_and_checked_by_a_verb(shell: Shell) -> None:
+    lines = shell("ca", "log").out.splitlines()
+    assert len(lines) > 1
+    assert shell("ca", "log", "--last", "1").out.splitlines() == lines[-1:]
+    assert shell("ca", "log", "verify").out.splitlines() != lines

@@ -1,3 +1,12 @@
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from rossec import clock
+from rossec.authority.home import OWN_LIFETIME, AuthorityHome
+from rossec.home import NodeHome
+from rossec.master.server.start import master_of
 from tests.rossec.cli.ca.record import key_of, listed
 from tests.support.commands import Shell, refused
 
@@ -46,3 +55,38 @@ def test_an_anonymous_node_is_revoked_with_its_identity(shell: Shell) -> None:
     refused(
         shell.unlocked(*revoke), "/rviz_17 has no valid", "nodes of /rviz: revoking that revokes"
     )
+
+
+def test_a_revocation_in_no_list_is_signed_before_it_is_delivered(shell: Shell) -> None:
+    AuthorityHome.at(shell.root).store().revoke(b"k" * 32, "then it was killed", clock.now())
+    said = shell.unlocked("ca", "publish", "--master", "http://127.0.0.1:1")
+    assert said.err.startswith("rossec: 1 revocation in no signed list yet")
+    assert listed(shell) == {b"k" * 32}
+    assert AuthorityHome.at(shell.root).count_unlisted(clock.now()) == 0
+
+
+def test_the_authoritys_own_node_is_renewed_when_due(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    due = clock.now() + OWN_LIFETIME * 3 // 4
+    monkeypatch.setattr(clock, "now", lambda: due)
+    said = shell.unlocked("ca", "refresh", "--master", "http://127.0.0.1:1")
+    assert said.out.splitlines()[0].startswith("renewed /ca until ")
+
+
+async def test_a_master_takes_the_newest_list(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shell = Shell(tmp_path / "home", capsys)
+    shell.unlocked("ca", "init", "home")
+    shell.enroll("/master")
+    home = NodeHome.of(shell.root, "/master")
+    newest = AuthorityHome.at(shell.root).revocation_list()
+    server = master_of(home, host="127.0.0.1", port=0, newest=newest, now=clock.now())
+    await server.start()
+    shell.environ["ROS_MASTER_URI"] = server.uri
+    try:
+        said = await asyncio.to_thread(shell, "ca", "publish")
+        assert (said.code, said.out) == (0, "the master has the newest list\n")
+    finally:
+        await server.close()

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from grants.filters.presets import PRESETS
 from tests.support.commands import Shell, refused
 
 POSE = ("--type", "geometry_msgs/PoseStamped")
@@ -114,3 +115,10 @@ def test_an_unusable_file_lifetime_or_name_is_found_before_signing(
     refused(said, "'robot' is not an absolute ROS name", "write it as /robot1/camera")
     assert robot("grant", "list").out == ""
     assert taken.read_text() == "mine"
+
+
+def test_each_preset_says_what_it_hides_and_discloses(robot: Shell) -> None:
+    lines = robot("grant", "presets").out.splitlines()
+    assert lines[::3] == list(PRESETS)
+    assert all(line.startswith("  hides ") for line in lines[1::3])
+    assert all(line.startswith("  still discloses ") for line in lines[2::3])

@@ -39,3 +39,36 @@ def test_a_filter_that_is_not_text_is_refused(
     signer = KeySigner(ec.generate_private_key(ec.SECP256R1()))
     (tmp_path / "odd.grant").write_bytes(GRANT.sign(signer, claims))
     refused(robot("grant", "show", str(tmp_path / "odd.grant")), "in a grant: ")
+
+
+def test_a_grant_is_shown_and_installed_from_its_file(robot: Shell, tmp_path: Path) -> None:
+    out, pose = tmp_path / "p.grant", ("--type", "geometry_msgs/PoseStamped")
+    sign = ("grant", "sign", "/robot", "--subscribe", "/pose", *pose, "--clear", "header.frame_id")
+    robot.unlocked(*sign, "--out", str(out))
+    number = robot("grant", "list").out.split()[0]
+    shown = robot("grant", "show", str(out)).out.splitlines()
+    assert shown[0] == f"grant {number} of home for /robot"
+    assert shown[1].startswith("holds from ")
+    assert shown[2:4] == ["may subscribe /pose", "  header.frame_id: clear"]
+    (installed,) = (robot.node("/robot") / "grants").iterdir()
+    installed.unlink()
+    assert robot("grant", "install", str(out)).out == f"/robot holds grant {number}\n"
+    assert installed.read_bytes() == out.read_bytes()
+
+
+def test_a_changed_grant_is_not_installed(robot: Shell, tmp_path: Path) -> None:
+    out = tmp_path / "p.grant"
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p", "--out", str(out))
+    (installed,) = (robot.node("/robot") / "grants").iterdir()
+    installed.unlink()
+    out.write_bytes(out.read_bytes()[:-1] + b"\0")
+    refused(robot("grant", "install", str(out)), "signature")
+    assert list((robot.node("/robot") / "grants").iterdir()) == []
+
+
+def test_a_revoked_grant_is_published(robot: Shell) -> None:
+    robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
+    grant_id = robot("grant", "list", "--master", "http://127.0.0.1:1").out.split()[0]
+    said = robot.unlocked("grant", "revoke", grant_id[:8], "--master", "http://127.0.0.1:1")
+    assert f"revoked {grant_id}" in said.out
+    refused(said, "did not take the list", "rossec ca publish", code=3)

@@ -1,7 +1,12 @@
+import asyncio
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.master.operation.admin import AdminPort, Commands
 from tests.support.commands import Shell, refused
 
 
@@ -13,3 +18,29 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
 def test_without_a_running_master_there_is_no_answer(shell: Shell) -> None:
     for verb in ("status", "stop"):
         refused(shell("master", verb), "the master does not answer", "--admin")
+
+
+async def test_the_running_master_is_asked_at_its_socket(shell: Shell) -> None:
+    stopped: list[bool] = []
+
+    def stop() -> Mapping[str, Any]:
+        stopped.append(True)
+        return {"stopping": True}
+
+    shell.node("/master").mkdir(parents=True)
+    commands: Commands = {
+        "status": lambda: {"uri": "http://h:1/", "open_connections": 3},
+        "stop": stop,
+    }
+    port = AdminPort(shell.node("/master") / ADMIN_SOCKET, commands)
+    await port.start()
+    try:
+        said = [
+            await asyncio.to_thread(shell, "master", *words)
+            for words in (("status",), ("status", "--json"), ("stop",))
+        ]
+    finally:
+        await port.close()
+    assert said[0].out.splitlines()[1] == "open connections     3"
+    assert said[1].out == '{"open_connections": 3, "uri": "http://h:1/"}\n'
+    assert (said[2].out, stopped) == ("the master ends\n", [True])

@@ -78,7 +78,7 @@ async def test_a_tree_is_delivered_with_its_entries(
         command = ("ca", "revoke", "/robot", "--master", server.uri)
         said = await asyncio.to_thread(site.unlocked, *command)
         assert said.out.endswith("the master has the new list\n"), said
-        assert home.load_entries() == AuthorityHome.at(site.root).tree_entries()
+        assert home.load_entries() == AuthorityHome.at(site.root).newest_statement()[1]
     finally:
         await server.close()
 
@@ -99,7 +99,7 @@ def test_a_master_begins_with_the_tree_it_had(
 
     begin(authority.revocation_list(), None)
     assert "the entries of the revocation tree are missing" in caplog.text
-    begin(authority.revocation_list(), authority.tree_entries())
+    begin(authority.revocation_list(), authority.newest_statement()[1])
     assert caplog.text == ""
     begin(None, None)  # it has kept both
     assert caplog.text == ""

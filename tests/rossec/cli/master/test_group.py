@@ -1,10 +1,41 @@
+from typing import Any
+
 import click
 import pytest
 
+from rossec.cli.master import serve
 from rossec.cli.master.group import master
 from tests.rossec.cli.tables import check_table
+from tests.support.commands import Shell
 
 
 @pytest.mark.parametrize("group", [master], ids=lambda group: group.name)
 def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
     check_table(group)
+
+
+@pytest.mark.parametrize(
+    ("words", "given"),
+    [
+        ((), {}),
+        (("--port", "0"), {"port": 0}),
+        (
+            ("--admin", "--announce", "--log", "json"),
+            {"admin": True, "announce": True, "log": "json"},
+        ),
+    ],
+)
+def test_options_that_are_not_given_leave_the_configuration(
+    empty: Shell, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], given: dict[str, Any]
+) -> None:
+    ran = []
+    monkeypatch.setattr(serve, "run", lambda *words, **options: ran.append((words, options)))
+    assert empty("master", *words).code == 0
+    ((arguments, options),) = ran
+    assert arguments[1:] == (None, given, None)
+    assert options == {"renew_identities": False, "post_quantum": None, "as_json": False}
+
+
+def test_a_verb_runs_no_master(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serve, "run", lambda *_, **__: pytest.fail("it runs"))
+    assert empty("master", "status").code == 1

@@ -129,7 +129,7 @@ def test_a_revocation_in_a_signed_list_is_not_ok(
     place.path.mkdir(exist_ok=True)
     place.save_revocations(authority.revocation_list())
     if tree:
-        place.save_entries(authority.tree_entries())
+        place.save_entries(authority.newest_statement()[1])
     (shell.root / "ca").rename(shell.root / "elsewhere")
     assert f"not ok  the key of /robot is revoked according to the list in {place.path}" in doctor(
         shell

@@ -3,10 +3,12 @@ import stat
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from ca.enrollment import invitation
 from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
+from ca.errors import CertificateExpired
 from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE, Shell, refused
 from tests.support.joining import JoinPort
@@ -205,3 +207,31 @@ def test_a_terminal_is_asked_and_shows_nothing(
             "err": True,
         }
     ]
+
+
+def test_nothing_is_typed(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prompt(*_: object, **__: object) -> str:
+        raise click.Abort
+
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("click.prompt", prompt)
+    refused(shell("node", "join"), "no code was given", "--file")
+
+
+def test_an_identity_that_has_expired_is_renewed_by_another_invitation(
+    shell: Shell, pasted: Pasted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the key that the node has: it is the name's own, so no person is needed."""
+
+    def expired(*_: object) -> None:
+        raise CertificateExpired("the certificate expired")
+
+    with JoinPort(shell.root, PASSPHRASE) as port:
+        pasted(invited(shell, port, "/robot"))
+        assert shell("node", "join").code == 0
+        key = (shell.node("/robot") / "node.key").read_bytes()
+        pasted(invited(shell, port, "/robot"))
+        monkeypatch.setattr(NodeHome, "identity", expired)
+        said = shell("node", "join")
+        assert "/robot is enrolled until" in said.out, said.err
+    assert (shell.node("/robot") / "node.key").read_bytes() == key

@@ -7,7 +7,7 @@ import pytest
 from rossec.authority.home import AuthorityHome
 from rossec.cli.node.known_revocations import known_revocations
 from rossec.home import NodeHome
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.support.site import Site
 
 KEY, OTHER = b"k" * 32, b"o" * 32

@@ -1,8 +1,11 @@
+import time
+from pathlib import Path
 from typing import Any
 
 import click
 import pytest
 
+from ca.errors import PathRefused
 from rossec.cli.shared import context
 from rossec.errors import ConfigurationError
 
@@ -51,3 +54,24 @@ def test_a_time_to_unlock_may_have_no_end(text: str, seconds: int) -> None:
 def test_a_time_to_unlock_is_bounded(text: str) -> None:
     with pytest.raises(click.BadParameter):
         context.UnlockTime(7 * 86400).convert(text, None, None)
+
+
+def test_an_answer_is_asked_for_unless_it_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter(["y", "n", ""])
+    monkeypatch.setattr("click.termui.visible_prompt_func", lambda _: next(answers))
+    context.confirm("really?", yes=True)
+    context.confirm("really?", yes=False)
+    for _ in "no", "":
+        with pytest.raises(ConfigurationError, match="nothing was done"):
+            context.confirm("really?", yes=False)
+
+
+def test_the_home_of_a_command_is_its_users_alone(tmp_path: Path) -> None:
+    environment = context.Environment({"ROSSEC_HOME": str(tmp_path)})
+    assert environment.home == tmp_path
+    tmp_path.chmod(0o777)
+    with pytest.raises(PathRefused):
+        _ = environment.home
+    with pytest.raises(ConfigurationError):
+        _ = context.Environment({"ROSSEC_HOME": "here"}).home
+    assert abs(context.now() - time.time()) < 60

@@ -78,3 +78,27 @@ def test_arguments_of_other_types() -> None:
     with pytest.raises(arg.ArgumentRefused, match="must be specified"):
         arg.not_none("value")(None, "/n")
     assert arg.anything(None, "/n") is None
+
+
+@pytest.mark.parametrize(
+    ("check", "good", "wrong"),
+    [
+        (arg.text("reason"), ["", "because"], [None, 5, b"x"]),
+        (arg.number("port"), [0, 7], [-1, True, 1.5, "7", None]),
+        (arg.binary("list"), [b"", b"x"], ["x", None, [b"x"]]),
+        (arg.binaries("grants", 2), [[], [b"a", b"b"]], [[b"a"] * 3, ["a"], b"a", None]),
+        (arg.type_name("type"), ["*", "std_msgs/String"], [None, "", "String"]),
+        (arg.node("node"), ["/n"], [None, "", 5, "http://h:1/", "/a b"]),
+        (arg.topic("topic"), ["/t"], [None, "", 5, "/", "http://h:1/"]),
+        (arg.key("key"), ["/k"], [None, "", 5]),
+        (arg.search_key("key"), ["k"], [None, "", 5]),
+        (arg.subgraph("subgraph"), ["", "/ns"], [None, 5]),
+    ],
+)
+def test_each_kind_of_argument_has_its_values(
+    check: arg.Check, good: list[object], wrong: list[object]
+) -> None:
+    assert [check(value, "/n") for value in good] == good
+    for value in wrong:
+        with pytest.raises(arg.ArgumentRefused, match=r"^ERROR: parameter \["):
+            check(value, "/n")

@@ -1,10 +1,13 @@
 """The dispatch: rossec's own methods and limits, which stock does not have."""
 
 from typing import Any
+from xmlrpc.client import Fault
 
 import pytest
 
+from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.methods import CallDenied, Denied, StopMaster
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
@@ -61,3 +64,48 @@ def test_one_node_cannot_fill_the_registry(
     refused = ask(api, everything("/a"), method, "/a", *[text.format("x") for text in params])
     assert refused[0] == -1
     assert refused[1] == f"rossec: /a has 1024 registrations as {kind}, the limit of a node"
+
+
+@pytest.mark.parametrize(
+    ("params", "status"),
+    [
+        ((), "missing required caller_id parameter"),
+        (("/a",), "Error: bad call arity"),
+        (("/a", "/t", "more"), "Error: bad call arity"),
+        ((5, "/t"), "caller_id must be a string"),
+        (("/a", ""), "ERROR: parameter [service] must be a non-empty string"),
+    ],
+)
+def test_a_call_with_other_arguments_gets_the_default(
+    api: MasterApi, params: tuple[object, ...], status: str
+) -> None:
+    assert ask(api, everything("/a"), "lookupService", *params) == [-1, status, ""]
+
+
+def test_an_unknown_method_is_a_fault(api: MasterApi) -> None:
+    with pytest.raises(Fault, match='method "dance" is not supported'):
+        ask(api, everything("/a"), "dance", "/a")
+
+
+def test_a_refused_call_is_reported_with_the_missing_right(api: MasterApi) -> None:
+    params = ("/a", "/t", "*", "http://a:1/")
+    outcome = call_api(api, "registerPublisher", params, caller("/a"), 0)
+    assert isinstance(outcome.answer, list)
+    assert (outcome.answer[0], outcome.answer[2]) == (-1, [])
+    reported, denied = outcome.events
+    assert denied == Denied("/a", Right.PUBLISH, "/t")
+    assert isinstance(reported, CallDenied)
+    assert (reported.node, reported.method) == ("/a", "registerPublisher")
+
+
+def test_nobody_calls_under_another_name(api: MasterApi) -> None:
+    code, status, default = ask(api, everything("/a"), "lookupService", "/b", "/s")
+    assert (code, default) == (-1, "")
+    assert "/a" in status
+
+
+def test_only_an_administrator_stops_the_master(api: MasterApi) -> None:
+    stopped = call_api(api, "shutdown", ("/op", "maintenance"), everything("/op"), 0)
+    assert StopMaster("/op: maintenance") in stopped.events
+    refused = call_api(api, "shutdown", ("/a", "maintenance"), caller("/a"), 0)
+    assert not any(isinstance(event, StopMaster) for event in refused.events)

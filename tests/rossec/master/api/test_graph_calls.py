@@ -1,4 +1,4 @@
-"""The caches of graph queries; the answers are compared in test_differential."""
+"""What is registered, found and shown; test_differential compares the answers with stock's."""
 
 from typing import Any
 
@@ -59,3 +59,51 @@ def test_the_caches_are_bounded(
     handler: Any = api.methods["getSystemState"].handler
     assert len(handler.__self__._states) <= (2 if limit == "_MAX_CACHED_STATES" else 5)
     assert len(handler.__self__._entries) <= (2 if limit == "_MAX_CACHED_ENTRIES" else 5)
+
+
+def answer(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
+    return call_api(api, method, [who.name, *params], who, 0).answer
+
+
+def test_publishers_and_subscribers_find_each_other(api: MasterApi) -> None:
+    a, b = everything("/a"), everything("/b")
+    uri_a, uri_b = "http://a:1/", "http://b:1/"
+    assert answer(api, b, "registerSubscriber", "/t", "*", uri_b) == [1, "Subscribed to [/t]", []]
+    registered = [1, "Registered [/a] as publisher of [/t]", [uri_b]]
+    assert answer(api, a, "registerPublisher", "/t", "std_msgs/String", uri_a) == registered
+    assert answer(api, b, "registerSubscriber", "/t", "*", uri_b)[2] == [uri_a]
+    assert answer(api, b, "unregisterSubscriber", "/t", uri_b)[2] == 1
+    assert answer(api, b, "unregisterSubscriber", "/t", uri_b)[2] == 0
+    assert answer(api, a, "unregisterPublisher", "/t", "http://elsewhere:1/")[2] == 0
+    assert answer(api, a, "unregisterPublisher", "/t", uri_a)[2] == 1
+
+
+def test_a_service_has_one_provider_until_it_is_unregistered(api: MasterApi) -> None:
+    a, uri = everything("/a"), "rosrpc://a:2"
+    assert answer(api, a, "lookupService", "/s") == [-1, "no provider", ""]
+    registered = [1, "Registered [/a] as provider of [/s]", 1]
+    assert answer(api, a, "registerService", "/s", uri, "http://a:1/") == registered
+    assert answer(api, a, "lookupService", "/s") == [1, f"rosrpc URI: [{uri}]", uri]
+    assert answer(api, a, "unregisterService", "/s", uri)[2] == 1
+    assert answer(api, a, "lookupService", "/s")[0] == -1
+
+
+def test_a_node_is_found_by_those_who_may_see_it(api: MasterApi) -> None:
+    register(api, "/a", "/t")
+    viewer = everything("/viewer")
+    assert answer(api, viewer, "lookupNode", "/a") == [1, "node api", "http://a:1/"]
+    unknown = [-1, "unknown node [/a]", ""]
+    assert answer(api, caller("/poor"), "lookupNode", "/a") == unknown
+    assert answer(api, viewer, "lookupNode", "/b") == [-1, "unknown node [/b]", ""]
+
+
+def test_topics_are_shown_with_their_types_to_those_who_may_see_them(api: MasterApi) -> None:
+    for topic in ("/ns/t", "/other"):
+        register(api, "/a", topic)
+    viewer, types = everything("/viewer"), [["/ns/t", "*"], ["/other", "*"]]
+    assert sorted(answer(api, viewer, "getTopicTypes")[2]) == types
+    assert sorted(answer(api, viewer, "getPublishedTopics", "")[2]) == types
+    assert answer(api, viewer, "getPublishedTopics", "/ns")[2] == [["/ns/t", "*"]]
+    assert answer(api, caller("/poor"), "getTopicTypes")[2] == []
+    own = caller("/a")
+    assert sorted(answer(api, own, "getTopicTypes")[2]) == types  # what it registered itself

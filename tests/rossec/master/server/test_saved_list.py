@@ -6,7 +6,7 @@ import pytest
 
 from ca.revocation.state import open_list
 from rossec.master.server.saved_list import ListFile
-from rossec.participant.slave_api import MASTER
+from rossec.ros.names import MASTER
 from tests.rossec.test_files import no_room
 from tests.support.site import Site
 

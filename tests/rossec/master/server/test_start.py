@@ -16,6 +16,7 @@ from rossec.master.rights.deposits import Deposits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
 from rossec.master.state.deposit_journal import MAGIC, GrantDeposited, encode
+from tests.support import site as trust_domains
 from tests.support.authority import Site
 
 
@@ -97,6 +98,35 @@ async def test_an_expired_identity_is_refused(tmp_path: Path) -> None:
     home = home_of_master(tmp_path, site)
     with pytest.raises(CertificateExpired):
         make(home, None, site.now + 40 * 86400)
+
+
+def test_a_delegation_for_another_key_is_not_used(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    site = trust_domains.Site(tmp_path / "site")
+    site.delegate()
+    home = site.enroll("/master")
+    make(home, "127.0.0.1", site.now())
+    assert caplog.messages == []
+    home.save_delegation(site.authority.issue_delegation(bytes(32), 86_400, 60, site.now()))
+    make(home, "127.0.0.1", site.now())
+    (line,) = caplog.messages
+    assert line.startswith("grants are not renewed: ")
+
+
+def test_a_tree_of_revocations_is_complete_with_its_entries(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    site = trust_domains.Site(tmp_path / "site")
+    newest, home = site.revoke(bytes(32)), site.enroll("/master")
+    assert site.entries is not None
+    for entries, warned in ((None, True), (b"other", True), (site.entries, False), (None, False)):
+        caplog.clear()
+        master_of(
+            home, host="127.0.0.1", port=11311, newest=newest, now=site.now(), entries=entries
+        )
+        assert ("entries of the revocation tree are missing" in caplog.text) is warned
 
 
 async def test_a_restarted_master_has_the_deposits_that_are_in_force(tmp_path: Path) -> None:

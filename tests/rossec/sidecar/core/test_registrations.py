@@ -9,6 +9,7 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.publisher_grace import GRACE
+from rossec.participant.registrations import MAX_REFUSED
 from rossec.sidecar.core.commands import (
     CallMaster,
     CallProgram,
@@ -19,7 +20,6 @@ from rossec.sidecar.core.commands import (
 )
 from rossec.sidecar.core.endpoints import local_endpoint
 from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
-from rossec.sidecar.core.layers import MAX_REFUSED
 from rossec.sidecar.core.master_calls import handle_call
 from rossec.sidecar.core.registrations import (
     drop_expired_publishers,
@@ -204,7 +204,7 @@ def test_a_refused_registration_is_made_again_with_the_right(setup: AgentSetup) 
     run_layer(rights_changed(setup.agent, may), ALIVE, (again, REFUSED))
     run_layer(restore(setup.agent, may), ALIVE, (again, REFUSED))
     run_layer(rights_changed(setup.agent, may), ALIVE, (again, Answered([1, "", []])))
-    assert setup.agent.programs[SLAVE].refused == {}
+    assert setup.agent.programs[SLAVE].registrations.refused() == []
     run_layer(restore(setup.agent, has()), ALIVE, (again, Answered([1, "", []])))
 
 
@@ -229,14 +229,14 @@ def test_a_refused_registration_that_is_undone_is_not_made_again(setup: AgentSet
         (OpenIngress(SLAVE), Opened(7000)),
         (CallMaster("unregisterPublisher", ("/robot", "/pose", INGRESS_URI)), OK),
     )
-    assert setup.agent.programs[SLAVE].refused == {}
+    assert list(setup.agent.programs[SLAVE].registrations) == []
 
 
 def test_refusals_are_bounded_and_those_of_the_stock_master_are_not_stored(
     setup: AgentSetup,
 ) -> None:
     refuse(setup, answer=Answered([-1, "ERROR: parameter [topic] contains illegal chars", 0]))
-    assert setup.agent.programs[SLAVE].refused == {}
+    assert list(setup.agent.programs[SLAVE].registrations) == []
     for number in range(MAX_REFUSED + 1):
         refuse(setup, ("/robot", f"/pose{number}", "pkg/Type", INGRESS_URI))
-    assert len(setup.agent.programs[SLAVE].refused) == MAX_REFUSED
+    assert len(setup.agent.programs[SLAVE].registrations.refused()) == MAX_REFUSED

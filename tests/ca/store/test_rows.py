@@ -2,7 +2,7 @@ from ca.authority import Authority
 from ca.certificates import build_request
 from ca.intermediates import build_intermediate_request
 from ca.keys.publickey import thumbprint
-from ca.store.identities import CertificateRow
+from ca.store.rows import CertificateRow
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE, HOST = Site.create(), new_signer()

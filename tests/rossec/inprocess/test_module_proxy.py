@@ -1,0 +1,9 @@
+import socket
+
+from rossec.inprocess.module_proxy import ModuleProxy
+
+
+def test_a_module_proxy_replaces_some_names() -> None:
+    proxy = ModuleProxy(socket, socket=dict)
+    assert proxy.socket is dict
+    assert proxy.AF_INET == socket.AF_INET

@@ -1,0 +1,37 @@
+import pytest
+
+from ca.certificates import build_request
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused
+from rossec.participant.header_fields import check_caller, text
+from tests.support.pki import NOW, Site, new_signer
+
+SITE = Site.create()
+
+
+def test_a_caller_is_named_by_its_certificate() -> None:
+    csr = build_request(new_signer(), "home", "/rviz")
+    single, anonymous = (
+        SITE.anchor.verify([SITE.authority.issue(csr, now=NOW, serial=1, wildcard=tail)], NOW)
+        for tail in (False, True)
+    )
+    check_caller({"callerid": b"/rviz"}, single)
+    check_caller({"callerid": b"/rviz_17"}, anonymous)
+    with pytest.raises(CallerMismatch, match="certified as /rviz calls itself /rviz_17") as caught:
+        check_caller({"callerid": b"/rviz_17"}, single)
+    assert "the name it was enrolled with" in caught.value.hint
+    with pytest.raises(ConnectionHeaderRefused, match="has no 'callerid'"):
+        check_caller({}, single)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [(b"\xff", "'topic' is not text"), (b"/a\x1b[2J", "'topic' holds control characters")],
+)
+def test_a_field_that_is_not_text_is_refused(value: bytes, message: str) -> None:
+    with pytest.raises(ConnectionHeaderRefused, match=message):
+        text({"topic": value}, "topic")
+
+
+def test_an_error_of_a_peer_is_made_printable_and_short() -> None:
+    assert text({"error": b"no\x1b[2Jmore\n"}, "error") == "no [2Jmore "
+    assert len(text({"error": b"e" * 10000}, "error")) == 4096
