@@ -54,7 +54,7 @@ def found(home: AuthorityHome) -> KeyServiceClient:
     return client
 
 
-@pytest.mark.attack("signing-oracle")
+@pytest.mark.attack("agent-oracle")
 def test_bytes_that_are_no_statement_are_not_signed(
     home: AuthorityHome, service: RunningService
 ) -> None:
