@@ -12,6 +12,7 @@ import os
 import resource
 import socket
 import sys
+import sysconfig
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -33,6 +34,7 @@ from rossec.enrollment.join_server import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
 from rossec.net.rpc.client import RpcClient
+from rossec.operation import landlock
 from rossec.operation.json_log import log_as_json
 from rossec.operation.process_memory import protect_memory
 from rossec.operation.shutdown import until_first_ends
@@ -145,6 +147,25 @@ def _report(line: str) -> None:
     _log.warning("refused at the join port: %s", line)
 
 
+def confine_files(own: Path) -> None:
+    """Let this process read its own directory and what programs need, and write nothing.
+
+    So it cannot read the authority's encrypted key, its record or a passphrase beside them. Where
+    the kernel cannot do that, the limits of the service manager remain.
+    """
+    found = sysconfig.get_paths()
+    libraries = {found[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+    programs = {*libraries, f"{sys.base_prefix}/lib", *sys.path}
+    system = (
+        "/usr", "/lib", "/lib64", "/etc", "/proc/self", "/proc/sys", "/dev/urandom",
+        "/run/systemd/resolve",
+    )  # fmt: skip
+    try:
+        landlock.read_only([own, *map(Path, system), *map(Path, sorted(programs))])
+    except OSError as error:
+        _log.warning("the network process can read the files of its user: %s", error)
+
+
 def confine() -> ThreadPoolExecutor:
     """Let this process start no other one, nor a thread beyond those of the executor returned."""
     ready = threading.Barrier(_THREADS + 1)
@@ -161,6 +182,7 @@ def main(arguments: list[str]) -> None:
     descriptor, directory, join_address, master_uri, log = arguments
     log_as_json() if log == "json" else logging.basicConfig(level=logging.WARNING)
     protect_memory()
+    confine_files(Path(directory))
     executor = confine()
     suites = suite_selection.post_quantum(os.environ)
     face = Face(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)

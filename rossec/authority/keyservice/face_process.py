@@ -20,6 +20,7 @@ from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.net.host.peeruid import UnixPeer
 
+CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
 MODULE: Final = "rossec.authority.keyservice.face"
 START: Final = 30.0  # seconds until it listens
 MAX_DELAY: Final = 60.0
@@ -54,7 +55,7 @@ class FaceProcess:
         self.port = 0
         self._command = [sys.executable, "-I", "-m", module]
         self._arguments = [str(home.node().path), *options]
-        self._environ = dict(environ)
+        self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._channel: InnerChannel | None = None

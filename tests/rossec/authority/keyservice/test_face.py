@@ -151,3 +151,30 @@ def test_it_can_start_no_process() -> None:
         [sys.executable, "-c", CONFINED], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+FILES = """
+import sys
+from pathlib import Path
+from rossec.authority.keyservice.face import confine_files
+own = Path(sys.argv[1])
+confine_files(own)
+assert (own / "node.key").read_bytes()
+for secret in ("ca.key", "ca.db", "passphrase"):
+    try:
+        (own.parent / secret).read_bytes()
+    except PermissionError:
+        continue
+    sys.exit("the face reads " + secret)
+"""
+
+
+def test_it_reads_no_file_of_the_authority_but_its_own(home: AuthorityHome) -> None:
+    (home.path / "passphrase").write_text("four random words")
+    done = subprocess.run(
+        [sys.executable, "-c", FILES, str(home.node().path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if "can read the files of its user" in done.stderr:
+        pytest.skip("NOT RUN: this kernel has no Landlock")
+    assert (done.returncode, done.stderr) == (0, "")
