@@ -89,7 +89,7 @@ class NetworkWork:
         while True:
             await self._in_thread(self._work.maintain)
             if self._applies:
-                await self._in_thread(self._work.apply)
+                await self._in_thread(self._work.apply_if_changed)
             await asyncio.sleep(ROUND)
 
     async def _in_thread(self, task: Callable[..., _T], *arguments: object) -> _T:

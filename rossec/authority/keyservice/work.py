@@ -24,6 +24,7 @@ from rossec.authority.service import AuthorityService
 from rossec.errors import AuthorityLocked, ConfigurationError
 from rossec.ros.text import printable
 
+PERIOD: Final = 600  # seconds after which grants may have become due
 JOIN_PURPOSE: Final = "a node that joins"
 APPLY_PURPOSE: Final = "the policy, which it applies"
 MAINTENANCE_PURPOSE: Final = "its own maintenance"
@@ -54,6 +55,7 @@ class AuthorityWork:
         self._deliver = deliver
         self._policy = policy
         self._now = now
+        self._applied: tuple[object, int] = None, 0
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         """Decide a node's request; returns the message for it, and its name if it was issued.
@@ -87,6 +89,21 @@ class AuthorityWork:
                     service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
         except HintedError as error:
             _log.error("the policy is not applied: %s", printable(error))
+
+    def apply_if_changed(self) -> None:
+        """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
+        try:
+            status = policyfile.place(self._rossec_home, self._policy).stat()
+            with contextlib.closing(AuthorityHome.at(self._rossec_home).store()) as store:
+                state = status.st_mtime_ns, status.st_size, store.log.head(self._now()).size
+        except (HintedError, OSError) as error:
+            _log.error("the policy is not applied: %s", printable(error))
+            return
+        last, at = self._applied
+        if state != last or not 0 <= self._now() - at < PERIOD:
+            if self._operations.held.remaining() is not None:
+                self._applied = state, self._now()
+            self.apply()
 
     def maintain(self) -> None:
         """Renew the own node's identity and the list long before they expire; deliver grants."""

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from ca.keys.publickey import thumbprint
+from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -26,6 +27,7 @@ _MOST_SHOWN = 20
 @click.option("--verify", "verified", is_flag=True, help="check that nothing was changed")
 @click.option("--after", metavar="HASH", help="the last hash of the parts before, which are gone")
 @click.option("--key", metavar="HEX", help="thumbprint of the key the master had then")
+@click.option("--ca", "of_authority", is_flag=True, help="the audit of `rossec ca serve` instead")
 @click.argument("files", nargs=-1, type=click.Path(path_type=Path, dir_okay=False))
 @pass_environment
 def audit(
@@ -35,13 +37,18 @@ def audit(
     verified: bool,
     after: str | None,
     key: str | None,
+    of_authority: bool,
     files: tuple[Path, ...],
 ) -> None:
     """Show the master's audit: what was denied, and what was administered.
 
-    FILES are the audit in the order of its parts, by default the one the master writes now.
+    With --ca: what the authority's service signed, and for whom. FILES are the audit in the order
+    of its parts, by default the one that is written now.
     """
-    paths = files or (NodeHome.of(environment.home, MASTER).path / AUDIT,)
+    home = environment.home
+    writer = AuthorityHome.at(home).node() if of_authority else NodeHome.of(home, MASTER)
+    usual = home / "ca" / AUDIT_FILE if of_authority else writer.path / AUDIT
+    paths = files or (usual,)
     entries: list[audits.Entry] = []
     for path in paths:
         found, damaged = _read_entries(path, 1 if verified else _MOST_DAMAGED)
@@ -51,7 +58,7 @@ def audit(
         entries += found
     last = audits.verify(entries, after) if verified else ""
     if verified and entries:
-        known = _master_key(environment) if key is None else _parse_thumbprint(key)
+        known = _key_of(writer) if key is None else _parse_thumbprint(key)
         if remark := check_beginning(entries[0], known, after):
             note(remark)
     for entry in entries:
@@ -61,9 +68,8 @@ def audit(
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 
-def _master_key(environment: Environment) -> bytes | None:
-    """The thumbprint of the master's own key, where this is its host."""
-    home = NodeHome.of(environment.home, MASTER)
+def _key_of(home: NodeHome) -> bytes | None:
+    """The thumbprint of the key of the node that writes the audit, where this is its host."""
     return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
 
 
@@ -75,7 +81,9 @@ def _parse_thumbprint(text: str) -> bytes:
 
 
 def _read_entries(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
-    missing = ConfigurationError(f"there is no {path}", "has the master run here?")
+    missing = ConfigurationError(
+        f"there is no {path}", "has the master run here? with --ca: the service"
+    )
     with open_text(path, missing) as file:
         return audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
 

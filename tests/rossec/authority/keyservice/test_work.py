@@ -195,3 +195,45 @@ def test_a_node_of_this_home_gets_a_file(working: Working) -> None:
     working.work.apply("/fleet/a")
     assert len(node.grant_files()) == 1
     assert from_pem((working.home.path / "ca.pem").read_bytes())
+
+
+def test_a_round_plans_only_when_something_changed_or_may_be_due(
+    working: Working, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rounds = list[int]()
+    monkeypatch.setattr(working.work, "apply", lambda: rounds.append(working.now))
+    path = working.home.path / "policy.yaml"
+    path.write_text(POLICY)
+    for _ in range(3):
+        working.work.apply_if_changed()
+    assert len(rounds) == 1
+    path.write_text(POLICY + "# changed")
+    working.work.apply_if_changed()
+    assert len(rounds) == 2
+    working.work.join(working.request(working.invite()))
+    working.work.apply_if_changed()
+    working.work.apply_if_changed()
+    assert len(rounds) == 3
+    working.now += 600
+    working.work.apply_if_changed()
+    assert len(rounds) == 4
+
+
+def test_a_round_while_it_is_locked_is_made_up_for(
+    working: Working, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.operations.held.lock()
+    working.work.apply_if_changed()
+    assert working.grants() == 0
+    working.operations.unlock(SECRET, 0, "a test")
+    working.work.apply_if_changed()
+    assert working.grants() == 1
+
+
+def test_a_round_without_a_policy_is_logged(
+    working: Working, caplog: pytest.LogCaptureFixture
+) -> None:
+    working.work.apply_if_changed()
+    assert "the policy is not applied: " in caplog.text

@@ -3,12 +3,15 @@
 import json
 import logging
 import os
+import time
 from pathlib import Path
 
 import pytest
 
+from rossec.authority.home import AuthorityHome
 from rossec.operation.audit import AuditFile
-from tests.support.commands import Shell, refused
+from rossec.operation.audit_log import audit_written
+from tests.support.commands import PASSPHRASE, Shell, refused
 
 
 @pytest.fixture
@@ -101,3 +104,13 @@ def test_many_damaged_lines_hide_no_entry(shell: Shell) -> None:
     assert (said.code, len(said.out.splitlines())) == (0, 2)
     assert len(said.err.splitlines()) == 21
     assert f"9979 more lines of {path} are damaged and not shown" in said.err
+
+
+def test_the_audit_of_the_authoritys_service_is_verified(shell: Shell) -> None:
+    home = AuthorityHome.create(shell.root, "home", PASSPHRASE, int(time.time()))
+    with audit_written(home.path / "audit.log", home.node().signer()):
+        logging.getLogger("rossec.audit").info("signs a grant")
+    said = shell("audit", "--ca", "--verify")
+    assert said.code == 0
+    assert "signs a grant" in said.out
+    assert said.err.startswith("rossec: nothing was changed in 2 lines")
