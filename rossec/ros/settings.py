@@ -145,13 +145,17 @@ def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
 
 
 def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: str) -> str:
-    base = special.get("__name", default)
-    if names.SEPARATOR in base.removeprefix(names.SEPARATOR):
+    """The node's name. A `default` with a namespace, as in `--as /site/robot`, brings its own."""
+    inherited, _, base = default.rpartition(names.SEPARATOR)
+    base = special.get("__name", base)
+    base = base.removeprefix(names.SEPARATOR)
+    if not base or names.SEPARATOR in base:
         raise ConfigurationError(
-            f"the node name {base!r} contains a namespace", "give the namespace with __ns:=/name"
+            f"the node name {special.get('__name', default)!r} contains a namespace",
+            "give the namespace with __ns:=/name",
         )
-    space = special.get("__ns", environ.get("ROS_NAMESPACE", names.SEPARATOR))
-    joined = f"/{space}/{base.removeprefix(names.SEPARATOR)}"
+    space = special.get("__ns") or inherited or environ.get("ROS_NAMESPACE", names.SEPARATOR)
+    joined = f"/{space}/{base}"
     return _checked(names.canonical(joined), "the node name")
 
 

@@ -58,6 +58,19 @@ def test_arguments_beat_the_environment() -> None:
     assert found.master_uri == "http://m:1"
 
 
+def test_a_name_with_a_namespace_brings_its_own() -> None:
+    def name(*argv: str, of: str = "/site/robot") -> str:
+        return read(argv, {"ROS_NAMESPACE": "c"}, default_name=of).name
+
+    assert name() == "/site/robot"
+    assert name("__ns:=/a") == "/a/robot"
+    assert name("__name:=other") == "/site/other"
+    assert name(of="/robot") == "/c/robot"
+    for wrong in ("/robot/", "/", ""):
+        with pytest.raises(ConfigurationError, match="the node name"):
+            name(of=wrong)
+
+
 @pytest.mark.parametrize(
     ("argv", "environ", "message", "hint"),
     [
