@@ -30,7 +30,7 @@ class NetworkWork:
         rossec_home: ROSSEC_HOME.
         operations: of the key.
         face: the network face.
-        applies: put the policy in force, at every join and in every round.
+        applies: put the policy in force in every round; a node that joins gets its grants anyhow.
         policy: its file; None: the usual place.
     """
 
@@ -80,8 +80,9 @@ class NetworkWork:
 
     async def _join(self, data: bytes) -> Value:
         answer, name = await self._in_thread(self._work.join, data)
-        if name is not None and self._applies:
-            self._tasks.spawn(self._in_thread(self._work.apply, name), name="apply")
+        if name is not None:
+            give = self._work.apply if self._applies else self._work.grant_outright
+            self._tasks.spawn(self._in_thread(give, name), name="grants of a node that joined")
         return answer
 
     async def _rounds(self) -> None:

@@ -90,6 +90,16 @@ class AuthorityWork:
         except HintedError as error:
             _log.error("the policy is not applied: %s", printable(error))
 
+    def grant_outright(self, name: str) -> None:
+        """Give a node that joined what the policy in force gives its name, if there is one."""
+        try:
+            with self._service(APPLY_PURPOSE) as service:
+                signed = service.grant_outright(name)
+                if signed:
+                    service.deposit([data for _, data in signed])
+        except HintedError as error:
+            _log.error("%s has no grants yet: %s", name, printable(error))
+
     def apply_if_changed(self) -> None:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
         try:

@@ -123,6 +123,20 @@ def test_a_node_gets_what_the_policy_gives_it(working: Working) -> None:
     assert working.grants() == 1, "applying again changes nothing"
 
 
+def test_a_node_that_joins_gets_its_grants_without_the_policy_being_applied(
+    working: Working, caplog: pytest.LogCaptureFixture
+) -> None:
+    working.work.join(working.request(working.invite()))
+    working.work.grant_outright("/fleet/a")
+    assert working.grants() == 0
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.grant_outright("/fleet/a")
+    assert working.grants() == 1
+    (working.home.path / "policy.yaml").write_text("rules: x")
+    working.work.grant_outright("/fleet/a")
+    assert "/fleet/a has no grants yet: " in caplog.text
+
+
 def test_a_right_that_the_policy_takes_back_is_revoked_in_the_next_round(working: Working) -> None:
     path = working.home.path / "policy.yaml"
     path.write_text(POLICY)
