@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from ca.errors import HintedError
 from grants.model import Draft, Grant
 from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SKEW, SigningAuthority
@@ -204,7 +205,7 @@ class PolicyOperations(ABC):
 
     def _deliver_new(
         self, signed: list[SignedGrant], plan: "PolicyPlan", report: Callable[[str], None]
-    ) -> NotDelivered | None:
+    ) -> HintedError | OSError | None:
         """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
 
         Before a revocation, also those that an interrupted command signed. A node of this
@@ -215,6 +216,8 @@ class PolicyOperations(ABC):
         except NotDelivered as error:
             homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
             return None if all(home.path.is_dir() for home in homes) else error
+        except (HintedError, OSError) as error:  # a full disk, or an expired identity of /ca
+            return error
         for each in refused:
             report(f"the master refuses a grant of {each.node}: {each.reason}")
         return None

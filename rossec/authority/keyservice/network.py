@@ -4,6 +4,7 @@ Tasks that need the record run in one thread, one after the other; a round is a 
 """
 
 import asyncio
+import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,6 +22,7 @@ from rossec.net.aio.tasks import TaskSet
 ROUND: Final = 60.0  # seconds between two rounds
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 _T = TypeVar("_T")
+_log = logging.getLogger("rossec.authority.service")
 
 
 class NetworkWork:
@@ -88,9 +90,12 @@ class NetworkWork:
     async def _rounds(self) -> None:
         await self._face.started()
         while True:
-            await self._in_thread(self._work.maintain)
-            if self._applies:
-                await self._in_thread(self._work.apply_if_changed)
+            try:
+                await self._in_thread(self._work.maintain)
+                if self._applies:
+                    await self._in_thread(self._work.apply_if_changed)
+            except Exception:  # noqa: BLE001 - without the next, revocations would stay behind
+                _log.exception("a round of the authority failed")
             await asyncio.sleep(ROUND)
 
     async def _in_thread(self, task: Callable[..., _T], *arguments: object) -> _T:

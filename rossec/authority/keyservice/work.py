@@ -56,6 +56,7 @@ class AuthorityWork:
         self._policy = policy
         self._now = now
         self._applied: tuple[object, int] = None, 0
+        self._published = b""
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         """Decide a node's request; returns the message for it, and its name if it was issued.
@@ -125,11 +126,17 @@ class AuthorityWork:
                 if renewals.own_node_is_due(authority, self._now()):
                     renewals.renew_own_node(authority, self._now())
                 service.complete_list()
-                if service.has_signed_list:
-                    service.publish()
+                self._publish(service)
                 service.deposit_missing()
         except HintedError as error:
             _log.warning("maintenance of the authority: %s", printable(error))
+
+    def _publish(self, service: AuthorityService) -> None:
+        """Deliver the newest list, whoever signed it, until the master has taken it."""
+        newest = service.home.revocation_list()
+        if newest != self._published:
+            service.publish()
+            self._published = newest
 
     @contextlib.contextmanager
     def _service(self, purpose: str) -> Iterator[AuthorityService]:

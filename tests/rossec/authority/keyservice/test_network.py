@@ -12,6 +12,7 @@ from rossec.authority.keyservice import network as module
 from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
+from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered
@@ -80,6 +81,24 @@ async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     await until(lambda: playing.working.grants() == 1, within=20)
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_a_round_that_crashes_is_not_the_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(module, "ROUND", 0.01)
+    rounds: list[int] = []
+
+    def crash(_: AuthorityWork) -> None:
+        rounds.append(len(rounds))
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(AuthorityWork, "maintain", crash)
+    running = asyncio.ensure_future(Playing(tmp_path, applies=True).network.run())
+    await until(lambda: len(rounds) > 2, within=20)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert "a round of the authority failed" in caplog.text
 
 
 async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:

@@ -200,6 +200,25 @@ def test_a_master_out_of_reach_is_tried_again(
     assert "rossec.depositGrants" in working.calls
 
 
+def test_a_list_reaches_a_master_that_was_out_of_reach(working: Working) -> None:
+    path = working.home.path / "policy.yaml"
+    path.write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.work.apply("/fleet/a")
+    working.work.maintain()
+    working.reachable = False
+    path.write_text(POLICY.replace("/fleet/*", "/other/*"))
+    working.work.apply()
+    working.work.maintain()
+    working.reachable = True
+    working.calls.clear()
+    working.work.maintain()
+    assert "rossec.updateRevocations" in working.calls, "it would revoke nothing otherwise"
+    working.calls.clear()
+    working.work.maintain()
+    assert "rossec.updateRevocations" not in working.calls, "the master has it"
+
+
 def test_a_node_of_this_home_gets_a_file(working: Working) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     node = NodeHome.of(working.root, "/fleet/a")
