@@ -48,6 +48,8 @@ class NetworkWork:
         self._work = AuthorityWork(rossec_home, operations, self.deliver, policy)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="authority")
         self._tasks = TaskSet()
+        self._joined: list[str] = []  # names to which the policy is applied next
+        self._applying = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def deliver(self, call: MasterCall) -> Value:
@@ -81,8 +83,16 @@ class NetworkWork:
     async def _join(self, data: bytes) -> Value:
         answer, name = await self._in_thread(self._work.join, data)
         if name is not None and self._applies:
-            self._tasks.spawn(self._in_thread(self._work.apply, name), name="apply")
+            self._joined.append(name)
+            self._tasks.spawn(self._apply_to_joined(), name="apply")
         return answer
+
+    async def _apply_to_joined(self) -> None:
+        """For all that joined meanwhile at once: a policy is read and delivered once for many."""
+        async with self._applying:
+            names, self._joined = self._joined, []
+            if names:
+                await self._in_thread(self._work.apply, names)
 
     async def _rounds(self) -> None:
         await self._face.started()

@@ -8,13 +8,14 @@ and the next round tries again.
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Final
 
 from ca.enrollment.join_messages import Issued, write
 from ca.enrollment.join_request import JoinRequest
 from ca.errors import HintedError
+from grants.errors import PolicyRefused
 from rossec import clock
 from rossec.authority import joining, policyfile, renewals
 from rossec.authority.home import AuthorityHome
@@ -73,14 +74,13 @@ class AuthorityWork:
                     answer = joining.join_locked(store, request, self._now())
         return write(answer), request.name if isinstance(answer, Issued) else None
 
-    def apply(self, name: str | None = None) -> None:
-        """Make the policy true, for the node `name` or for all; does nothing while locked.
+    def apply(self, names: Collection[str] | None = None) -> None:
+        """Make the policy true, for the nodes `names` or for all; does nothing while locked.
 
         Grants are renewed at two thirds of their time.
         """
         if self._operations.held.remaining() is None:
             return
-        names = None if name is None else [name]
         try:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
             with self._service(APPLY_PURPOSE) as service:
@@ -88,6 +88,10 @@ class AuthorityWork:
                 if plan.signs or plan.revoke:
                     service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
         except HintedError as error:
+            if isinstance(error, PolicyRefused) and not error.mistakes and len(names or ()) > 1:
+                for name in names or ():  # it is refused for one of them, not for the others
+                    self.apply([name])
+                return
             _log.error("the policy is not applied: %s", printable(error))
 
     def apply_if_changed(self) -> None:

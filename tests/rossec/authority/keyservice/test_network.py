@@ -1,6 +1,7 @@
 """Joins, calls and rounds of the service, with a face that is played."""
 
 import asyncio
+from collections.abc import Collection
 from pathlib import Path
 from typing import cast
 
@@ -12,6 +13,7 @@ from rossec.authority.keyservice import network as module
 from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
+from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered
@@ -70,6 +72,41 @@ async def test_a_node_joins_and_gets_its_grants_if_it_applies(
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     assert working.grants() == int(applies)
+
+
+class BusyFace(PlayedFace):
+    """Its nodes join at the same time."""
+
+    def __init__(self, requests: list[bytes]) -> None:
+        super().__init__()
+        self.requests = requests
+
+    async def run(self, join: Handler) -> None:
+        await asyncio.gather(*map(join, self.requests))
+        await asyncio.Event().wait()
+
+
+async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    working = Working(tmp_path, now())
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    code, names = working.invite(4), [f"/fleet/{letter}" for letter in "abcd"]
+    face = BusyFace([working.request(code, name) for name in names])
+    apply, applied = AuthorityWork.apply, list[list[str]]()
+
+    def applies(self: AuthorityWork, names: Collection[str] | None = None) -> None:
+        applied.append(sorted(names or ()))
+        apply(self, names)
+
+    monkeypatch.setattr(AuthorityWork, "apply", applies)
+    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), applies=True)
+    running = asyncio.ensure_future(network.run())
+    await until(lambda: sorted(name for each in applied for name in each) == names, within=20)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert sum(map(bool, applied)) < len(names), "it was applied for each node alone"
+    assert working.grants() == len(names)
 
 
 async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
