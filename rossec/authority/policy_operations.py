@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from ca.errors import HintedError
 from grants.model import Draft, Grant
 from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SKEW, SigningAuthority
@@ -146,8 +147,8 @@ class PolicyOperations(ABC):
             moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
-    def grant_outright(self, name: str) -> list[SignedGrant]:
-        """Sign what the policy in force gives the node `name` outright, if there is a policy.
+    def grant_outright(self, *names: str) -> list[SignedGrant]:
+        """Sign what the policy in force gives the nodes `names` outright, if there is a policy.
 
         What it no longer allows waits for `apply_policy`.
 
@@ -161,7 +162,7 @@ class PolicyOperations(ABC):
         policy = policyfile.read_policy(self.rossec_home, None, signs=True)
         at = self._now()
         renews = self.home.has_delegated(at)
-        return policy_apply.grant_outright(self.unlock(), policy, name, at, renews=renews)
+        return policy_apply.grant_outright(self.unlock(), policy, names, at, renews=renews)
 
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
@@ -204,7 +205,7 @@ class PolicyOperations(ABC):
 
     def _deliver_new(
         self, signed: list[SignedGrant], plan: "PolicyPlan", report: Callable[[str], None]
-    ) -> NotDelivered | None:
+    ) -> HintedError | OSError | None:
         """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
 
         Before a revocation, also those that an interrupted command signed. A node of this
@@ -215,6 +216,8 @@ class PolicyOperations(ABC):
         except NotDelivered as error:
             homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
             return None if all(home.path.is_dir() for home in homes) else error
+        except (HintedError, OSError) as error:  # a full disk, or an expired identity of /ca
+            return error
         for each in refused:
             report(f"the master refuses a grant of {each.node}: {each.reason}")
         return None

@@ -5,7 +5,7 @@ import socket
 from pathlib import Path
 from typing import Final
 
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, PeerUserRefused
 
 MAX_PATH: Final = 107  # bytes, unix(7)
 
@@ -36,8 +36,12 @@ def listen_at(path: Path, backlog: int = 100) -> socket.socket:
 
 
 def raw_socket(sock: object) -> socket.socket:
-    """The socket behind asyncio's TransportSocket, which lacks methods."""
+    """The socket behind asyncio's TransportSocket, which lacks methods.
+
+    Raises:
+        PeerUserRefused: there is none, so nobody knows who is there.
+    """
     found = getattr(sock, "_sock", sock)
     if not isinstance(found, socket.socket):
-        raise ConfigurationError("the connection has no socket")
+        raise PeerUserRefused("the connection has no socket")
     return found

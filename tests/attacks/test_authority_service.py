@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from ca.encoding import Value
 from ca.errors import PassphraseRefused
 from ca.renewal import PROFILE as RENEWAL
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import inner_messages, messages
 from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
 from rossec.authority.keyservice.inner_channel import InnerChannel
 from rossec.authority.keyservice.inner_messages import InnerRequest
 from rossec.authority.keyservice.messages import Request
@@ -30,6 +32,7 @@ from rossec.net.host.peeruid import UnixPeer
 from tests.support.commands import PASSPHRASE
 from tests.support.keyservice import RunningService, running_service
 from tests.support.pki import new_signer
+from tests.support.witness import until
 
 NOW = 1_800_000_000
 NOBODY = 65534
@@ -168,6 +171,29 @@ def test_the_face_is_not_answered_at_the_socket_of_commands(home: AuthorityHome)
         with pytest.raises(KeyServiceFailed):
             client.ask(Request("status"))
         client.close()
+
+
+@pytest.mark.attack("face-takeover")
+def test_a_face_that_ended_its_connection_is_still_refused(home: AuthorityHome) -> None:
+    """It is given time to end, and uses it to ask as a program of the user."""
+    answer = home.path / "answer"
+    options = FaceOptions(str(home.path), str(answer))
+    face = FaceProcess(home, options, os.environ, module="tests.support.takenface")
+
+    async def run() -> None:
+        face.spawn()
+        running = asyncio.ensure_future(face.run(_refuse_join))
+        await until(answer.exists, within=20)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    with running_service(home, face.admit):
+        asyncio.run(run())
+    assert "KeyServiceFailed" in answer.read_text()
+
+
+async def _refuse_join(_: Value) -> Value:
+    pytest.fail("nothing joins")
 
 
 @pytest.mark.attack("sleeping-host")

@@ -36,6 +36,8 @@ def running_service(
         await process.start()
         started.set()
         await ended.wait()
+        # In Python 3.11 a connection is not closed that comes while its server is (gh-109564).
+        await asyncio.sleep(0.05)
         await process.close()
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(main()))

@@ -19,6 +19,7 @@ from rossec.authority.keyservice import inner_messages
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.net.host.peeruid import UnixPeer
+from rossec.ros.text import printable
 
 CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
 MODULE: Final = "rossec.authority.keyservice.face"
@@ -143,8 +144,8 @@ class FaceProcess:
             self._channel = None
 
     async def _end(self) -> None:
-        """Reap the process: it ends with the connection, or is killed."""
-        process, self._process = self._process, None
+        """Reap it: it ends with the connection, or is killed. Until then `admit` refuses it."""
+        process = self._process
         if process is None:
             return
         try:
@@ -156,6 +157,8 @@ class FaceProcess:
             process.kill()
             process.wait()
             raise
+        finally:
+            self._process = None
 
     def close(self) -> None:
         """End a face that was started and never connected."""
@@ -177,7 +180,7 @@ class FaceProcess:
         return None
 
     async def _failed(self, message: str, hint: str) -> Value:
-        _log.error("%s", message)
+        _log.error("%s", printable(message))
         if not self._future().done():
-            self._future().set_exception(ConfigurationError(message, hint))
+            self._future().set_exception(ConfigurationError(printable(message), printable(hint)))
         return None

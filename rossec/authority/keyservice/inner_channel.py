@@ -6,6 +6,7 @@ one. The number of requests that are carried out at a time is bounded.
 
 import asyncio
 import itertools
+import logging
 import socket
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Final
@@ -18,7 +19,9 @@ from rossec.errors import KeyMessageRefused, KeyServiceRefused
 from rossec.net.aio.tasks import TaskSet
 
 MAX_REQUESTS: Final = 512  # of the other side at a time; a join port has 256 sessions
+_FAILED: Final = "the other process could not do it", "its log says why"
 _ENDED: Final = "the network process of the authority's service has ended"
+_log = logging.getLogger("rossec.authority.service")
 
 Handler = Callable[..., Awaitable[Value]]
 
@@ -111,6 +114,9 @@ class InnerChannel:
             frame = inner_messages.write(InnerAnswer(request.number, value))
         except HintedError as error:
             frame = inner_messages.write(InnerRefusal(request.number, str(error), error.hint))
+        except Exception:  # noqa: BLE001 - the other side would wait for an answer
+            _log.exception("a request %s of the other process failed", request.operation)
+            frame = inner_messages.write(InnerRefusal(request.number, *_FAILED))
         if self._writer is not None:
             self._writer.write(frame)
             await self._writer.drain()

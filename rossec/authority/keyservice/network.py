@@ -4,6 +4,7 @@ Tasks that need the record run in one thread, one after the other; a round is a 
 """
 
 import asyncio
+import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,6 +22,7 @@ from rossec.net.aio.tasks import TaskSet
 ROUND: Final = 60.0  # seconds between two rounds
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 _T = TypeVar("_T")
+_log = logging.getLogger("rossec.authority.service")
 
 
 class NetworkWork:
@@ -30,7 +32,7 @@ class NetworkWork:
         rossec_home: ROSSEC_HOME.
         operations: of the key.
         face: the network face.
-        applies: put the policy in force, at every join and in every round.
+        applies: put the policy in force in every round; a node that joins gets its grants anyhow.
         policy: its file; None: the usual place.
     """
 
@@ -48,8 +50,8 @@ class NetworkWork:
         self._work = AuthorityWork(rossec_home, operations, self.deliver, policy)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="authority")
         self._tasks = TaskSet()
-        self._joined: list[str] = []  # names to which the policy is applied next
-        self._applying = asyncio.Lock()
+        self._joined: list[str] = []  # names that have no grants yet
+        self._giving = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def deliver(self, call: MasterCall) -> Value:
@@ -82,24 +84,28 @@ class NetworkWork:
 
     async def _join(self, data: bytes) -> Value:
         answer, name = await self._in_thread(self._work.join, data)
-        if name is not None and self._applies:
+        if name is not None:
             self._joined.append(name)
-            self._tasks.spawn(self._apply_to_joined(), name="apply")
+            self._tasks.spawn(self._give_to_joined(), name="grants of nodes that joined")
         return answer
 
-    async def _apply_to_joined(self) -> None:
-        """For all that joined meanwhile at once: a policy is read and delivered once for many."""
-        async with self._applying:
+    async def _give_to_joined(self) -> None:
+        """For all that joined meanwhile at once: the policy is read once, and one call delivers."""
+        give = self._work.apply if self._applies else self._work.grant_outright
+        async with self._giving:
             names, self._joined = self._joined, []
             if names:
-                await self._in_thread(self._work.apply, names)
+                await self._in_thread(give, names)
 
     async def _rounds(self) -> None:
         await self._face.started()
         while True:
-            await self._in_thread(self._work.maintain)
-            if self._applies:
-                await self._in_thread(self._work.apply_if_changed)
+            try:
+                await self._in_thread(self._work.maintain)
+                if self._applies:
+                    await self._in_thread(self._work.apply_if_changed)
+            except Exception:  # noqa: BLE001 - without the next, revocations would stay behind
+                _log.exception("a round of the authority failed")
             await asyncio.sleep(ROUND)
 
     async def _in_thread(self, task: Callable[..., _T], *arguments: object) -> _T:

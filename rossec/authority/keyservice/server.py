@@ -108,8 +108,8 @@ class KeyServer:
         Raises:
             OSError: it may not; it gets no answer.
         """
-        sock = raw_socket(writer.get_extra_info("socket"))
         try:
+            sock = raw_socket(writer.get_extra_info("socket"))
             require_user(sock, {os.geteuid()})
             peer = unix_peer(sock)
             self._admit(peer)

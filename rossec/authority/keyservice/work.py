@@ -14,7 +14,7 @@ from typing import Final
 
 from ca.enrollment.join_messages import Issued, write
 from ca.enrollment.join_request import JoinRequest
-from ca.errors import HintedError
+from ca.errors import HintedError, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
 from rossec.authority import joining, policyfile, renewals
@@ -57,6 +57,7 @@ class AuthorityWork:
         self._policy = policy
         self._now = now
         self._applied: tuple[object, int] = None, 0
+        self._published = b""
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         """Decide a node's request; returns the message for it, and its name if it was issued.
@@ -88,11 +89,25 @@ class AuthorityWork:
                 if plan.signs or plan.revoke:
                     service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
         except HintedError as error:
-            if isinstance(error, PolicyRefused) and not error.mistakes and len(names or ()) > 1:
-                for name in names or ():  # it is refused for one of them, not for the others
-                    self.apply([name])
-                return
-            _log.error("the policy is not applied: %s", printable(error))
+            alone = _to_try_alone(error, names)
+            for name in alone:
+                self.apply([name])
+            if not alone:
+                _log.error("the policy is not applied: %s", printable(error))
+
+    def grant_outright(self, names: Collection[str]) -> None:
+        """Give nodes that joined what the policy in force gives their names, if there is one."""
+        try:
+            with self._service(APPLY_PURPOSE) as service:
+                signed = service.grant_outright(*names)
+                if signed:
+                    service.deposit([data for _, data in signed])
+        except HintedError as error:
+            alone = _to_try_alone(error, names)
+            for name in alone:
+                self.grant_outright([name])
+            if not alone:
+                _log.error("%s has no grants yet: %s", ", ".join(names), printable(error))
 
     def apply_if_changed(self) -> None:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
@@ -119,11 +134,17 @@ class AuthorityWork:
                 if renewals.own_node_is_due(authority, self._now()):
                     renewals.renew_own_node(authority, self._now())
                 service.complete_list()
-                if service.has_signed_list:
-                    service.publish()
+                self._publish(service)
                 service.deposit_missing()
         except HintedError as error:
             _log.warning("maintenance of the authority: %s", printable(error))
+
+    def _publish(self, service: AuthorityService) -> None:
+        """Deliver the newest list, whoever signed it, until the master has taken it."""
+        newest = service.home.revocation_list()
+        if newest != self._published:
+            service.publish()
+            self._published = newest
 
     @contextlib.contextmanager
     def _service(self, purpose: str) -> Iterator[AuthorityService]:
@@ -136,6 +157,15 @@ class AuthorityWork:
         )
         with contextlib.closing(service):
             yield service
+
+
+def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collection[str]:
+    """The names to try one by one: the policy is in order, but refused for one of them.
+
+    Or the key of one was revoked in this moment.
+    """
+    is_of_one = isinstance(error, PolicyRefused | StoreError) and not getattr(error, "mistakes", ())
+    return names if is_of_one and names is not None and len(names) > 1 else ()
 
 
 def _no_passphrase() -> str:

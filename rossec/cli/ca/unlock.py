@@ -1,11 +1,13 @@
 """`rossec ca unlock | lock | status`: the service that runs in the authority's directory."""
 
+import time
 from contextlib import closing
 from pathlib import Path
 
 import click
 
 from ca.encoding import Value
+from rossec import clock
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.messages import MAX_UNLOCKED
@@ -16,6 +18,8 @@ from rossec.errors import ConfigurationError
 from rossec.terminal import say, say_json
 
 _START = "start it with: rossec ca serve"
+_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
+_PAUSE = 0.1
 
 
 @click.command()
@@ -26,8 +30,11 @@ _START = "start it with: rossec ca serve"
 @passphrase.option
 @pass_environment
 def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
-    """Give the running service the passphrase: it holds the key from now on, for a time."""
-    with closing(_running(environment)) as client:
+    """Give the running service the passphrase: it holds the key from now on, for a time.
+
+    Waits some seconds for a service that is starting.
+    """
+    with closing(_running(environment, wait=_STARTING)) as client:
         secret = passphrase.read(passphrase_file, environment.variables)
         say(_describe(client.unlock(secret, seconds)))
 
@@ -58,10 +65,14 @@ def status(environment: Environment, as_json: bool) -> None:
         say(_describe(found))
 
 
-def _running(environment: Environment) -> KeyServiceClient:
-    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
-    if client is None:
-        raise ConfigurationError("the authority's service does not run", _START)
+def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
+    """The service that runs, or will within `wait` seconds."""
+    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
+    until = seconds() + wait
+    while (client := KeyServiceClient.find(directory)) is None:
+        if seconds() >= until:
+            raise ConfigurationError("the authority's service does not run", _START)
+        time.sleep(_PAUSE)
     return client
 
 

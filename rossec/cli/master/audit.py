@@ -5,7 +5,6 @@ from pathlib import Path
 import click
 
 from ca.keys.publickey import thumbprint
-from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -45,9 +44,7 @@ def audit(
     With --ca: what the authority's service signed, and for whom. FILES are the audit in the order
     of its parts, by default the one that is written now.
     """
-    home = environment.home
-    writer = AuthorityHome.at(home).node() if of_authority else NodeHome.of(home, MASTER)
-    usual = home / "ca" / AUDIT_FILE if of_authority else writer.path / AUDIT
+    writer, usual = _usual(environment.home, of_authority=of_authority)
     paths = files or (usual,)
     entries: list[audits.Entry] = []
     for path in paths:
@@ -66,6 +63,17 @@ def audit(
             say(audits.encode(entry) if as_json else _format_entry(entry))
     if verified:
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
+
+
+def _usual(home: Path, *, of_authority: bool) -> tuple[NodeHome, Path]:
+    """The node that writes the audit, and the file it writes now."""
+    if not of_authority:
+        node = NodeHome.of(home, MASTER)
+        return node, node.path / AUDIT
+    from rossec.authority.home import AUDIT_FILE, AuthorityHome  # noqa: PLC0415 - not for a master
+
+    authority = AuthorityHome.at(home)
+    return authority.node(), authority.path / AUDIT_FILE
 
 
 def _key_of(home: NodeHome) -> bytes | None:

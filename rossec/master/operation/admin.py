@@ -18,10 +18,10 @@ from typing import Any, Final
 from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.net.host.peeruid import require_user
+from rossec.operation.unix_socket import listen_at, raw_socket
 
 DEADLINE: Final = 5.0
 _MAX_LINE: Final = 1024
-_MAX_PATH: Final = 107  # bytes, unix(7)
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -42,23 +42,13 @@ class AdminPort:
         Raises:
             ConfigurationError: another master listens there, or the path is too long.
         """
-        if len(os.fsencode(self._path)) > _MAX_PATH:
-            raise ConfigurationError(
-                f"{self._path} is too long for the path of a socket: at most {_MAX_PATH} bytes",
-                "choose a shorter ROSSEC_HOME, or do without --admin",
-            )
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
                     raise ConfigurationError(f"another master listens at {self._path}")
             self._path.unlink()
-        before = os.umask(0o177)
-        try:
-            self._server = await asyncio.start_unix_server(
-                self._handle, self._path, limit=_MAX_LINE
-            )
-        finally:
-            os.umask(before)
+        sock = listen_at(self._path)
+        self._server = await asyncio.start_unix_server(self._handle, sock=sock, limit=_MAX_LINE)
 
     async def close(self) -> None:
         """Stop listening."""
@@ -79,7 +69,7 @@ class AdminPort:
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         sock = writer.get_extra_info("socket")
         try:
-            user = require_user(_raw_socket(sock), {os.geteuid(), 0})
+            user = require_user(raw_socket(sock), {os.geteuid(), 0})
         except (PeerUserRefused, OSError) as error:
             _denials.warning("refused at the administrator's port: %s", error)
             return
@@ -92,14 +82,6 @@ class AdminPort:
             answer = action()
         writer.write(json.dumps(answer).encode() + b"\n")
         await writer.drain()
-
-
-def _raw_socket(sock: Any) -> socket.socket:
-    """The socket behind asyncio's TransportSocket, which lacks methods."""
-    found = getattr(sock, "_sock", sock)
-    if not isinstance(found, socket.socket):
-        raise PeerUserRefused("the connection has no socket")
-    return found
 
 
 def send_command(path: Path, command: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from grants import document
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
 from rossec.authority.service import AuthorityService, MasterCall
-from rossec.errors import NotDelivered
+from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 
 NOW, DAY = 1_800_000_000, 86_400
@@ -152,6 +152,21 @@ def test_a_grant_that_the_master_refuses_is_reported(office: Office) -> None:
         "the master refuses a grant of /there: too many",
         "the master refuses a grant of /there: too many",
     ]
+
+
+@pytest.mark.parametrize("error", [ConfigurationError("expired"), OSError(28, "full")])
+def test_a_delivery_that_fails_holds_no_revocation_back(office: Office, error: Exception) -> None:
+    office.apply()
+    office.write(CHANGED)
+
+    def fail(_: bytes) -> str:
+        raise error
+
+    office.answer = fail
+    with pytest.raises(type(error)):
+        office.apply()
+    assert office.calls[-1] == "rossec.updateRevocations"
+    assert office.is_done()
 
 
 def test_a_new_identity_gets_what_the_policy_gives_it(office: Office) -> None:

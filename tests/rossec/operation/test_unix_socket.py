@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.operation.unix_socket import MAX_PATH, listen_at, raw_socket
 
 
@@ -37,5 +37,5 @@ def test_the_socket_behind_a_transport_is_found() -> None:
     with socket.socket(socket.AF_UNIX) as sock:
         assert raw_socket(Transport(sock)) is sock
         assert raw_socket(sock) is sock
-    with pytest.raises(ConfigurationError):
+    with pytest.raises(PeerUserRefused, match="no socket"):
         raw_socket(None)

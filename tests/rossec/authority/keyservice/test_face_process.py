@@ -109,3 +109,29 @@ def test_one_that_was_never_connected_is_ended(home: AuthorityHome) -> None:
     assert children() - before
     face.close()
     assert not children() - before
+
+
+async def test_one_that_lingers_after_its_connection_is_refused_until_it_is_dead(
+    home: AuthorityHome,
+) -> None:
+    answer, before = home.path / "answer", children()
+    options = FaceOptions(str(home.path), str(answer))
+    face = FaceProcess(home, options, os.environ, module="tests.support.takenface")
+    async with running(face):
+        await until(answer.exists, within=20)
+        (process,) = children() - before
+        with pytest.raises(PeerUserRefused):
+            face.admit(UnixPeer(process, os.getuid()))
+        await until(lambda: process not in children(), within=20)
+        face.admit(UnixPeer(process, os.getuid()))  # the number may be another's now
+
+
+async def test_what_it_says_of_an_error_is_one_printable_line(
+    home: AuthorityHome, caplog: pytest.LogCaptureFixture
+) -> None:
+    face = FaceProcess(home, FaceOptions("x", "y"), os.environ, module="tests.support.shoutingface")
+    async with running(face):
+        with pytest.raises(ConfigurationError) as caught:
+            await face.started()
+    assert "\x1b" not in caplog.text + str(caught.value) + caught.value.hint
+    assert "\n" not in str(caught.value) + caught.value.hint

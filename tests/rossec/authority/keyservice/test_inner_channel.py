@@ -63,6 +63,18 @@ async def test_a_refusal_comes_back_with_its_hint() -> None:
         assert await face.call("join", b"ab", within=10) == b"ba", "after one that was given up"
 
 
+async def test_a_request_that_crashes_is_answered_and_logged(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def crash(_: bytes) -> Value:
+        raise ZeroDivisionError
+
+    async with pair({"join": crash}) as (_, face):
+        with pytest.raises(KeyServiceRefused, match="could not do it"):
+            await face.call("join", b"ab", within=10)
+    assert "ZeroDivisionError" in caplog.text
+
+
 async def test_what_cbor_cannot_hold_is_not_sent() -> None:
     async with pair() as (_, face):
         with pytest.raises(EncodingError):

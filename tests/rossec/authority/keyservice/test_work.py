@@ -123,8 +123,12 @@ def test_a_node_gets_what_the_policy_gives_it(working: Working) -> None:
     assert working.grants() == 1, "applying again changes nothing"
 
 
+@pytest.mark.parametrize(
+    ("give", "said"),
+    [("apply", "the policy is not applied: "), ("grant_outright", "/fleet/b has no grants yet: ")],
+)
 def test_a_node_that_needs_too_many_grants_keeps_no_other_from_its_own(
-    working: Working, caplog: pytest.LogCaptureFixture
+    working: Working, caplog: pytest.LogCaptureFixture, give: str, said: str
 ) -> None:
     many = ", ".join(f"/s{number}" for number in range(65 * 64))
     greedy = f"  - {{id: b, who: /fleet/b, allow: {{call: [{many}]}}}}\n"
@@ -132,9 +136,23 @@ def test_a_node_that_needs_too_many_grants_keeps_no_other_from_its_own(
     code, names = working.invite(3), ["/fleet/a", "/fleet/b", "/fleet/c"]
     for name in names:
         working.work.join(working.request(code, name))
-    working.work.apply(names)
+    getattr(working.work, give)(names)
     assert working.grants() == 2
-    assert caplog.text.count("the policy is not applied: /fleet/b would need") == 1
+    assert caplog.text.count(f"{said}/fleet/b would need") == 1
+
+
+def test_a_node_that_joins_gets_its_grants_without_the_policy_being_applied(
+    working: Working, caplog: pytest.LogCaptureFixture
+) -> None:
+    working.work.join(working.request(working.invite()))
+    working.work.grant_outright(["/fleet/a"])
+    assert working.grants() == 0
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.grant_outright(["/fleet/a"])
+    assert working.grants() == 1
+    (working.home.path / "policy.yaml").write_text("rules: x")
+    working.work.grant_outright(["/fleet/a"])
+    assert "/fleet/a has no grants yet: " in caplog.text
 
 
 def test_a_right_that_the_policy_takes_back_is_revoked_in_the_next_round(working: Working) -> None:
@@ -198,6 +216,25 @@ def test_a_master_out_of_reach_is_tried_again(
     working.reachable = True
     working.work.maintain()
     assert "rossec.depositGrants" in working.calls
+
+
+def test_a_list_reaches_a_master_that_was_out_of_reach(working: Working) -> None:
+    path = working.home.path / "policy.yaml"
+    path.write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+    working.work.apply(["/fleet/a"])
+    working.work.maintain()
+    working.reachable = False
+    path.write_text(POLICY.replace("/fleet/*", "/other/*"))
+    working.work.apply()
+    working.work.maintain()
+    working.reachable = True
+    working.calls.clear()
+    working.work.maintain()
+    assert "rossec.updateRevocations" in working.calls, "it would revoke nothing otherwise"
+    working.calls.clear()
+    working.work.maintain()
+    assert "rossec.updateRevocations" not in working.calls, "the master has it"
 
 
 def test_a_node_of_this_home_gets_a_file(working: Working) -> None:

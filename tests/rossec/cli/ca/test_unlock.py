@@ -1,7 +1,9 @@
 """`rossec ca unlock | lock | status`: the service that runs, as its user sees it."""
 
 import json
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -44,6 +46,15 @@ def test_commands_need_no_passphrase_while_it_is_unlocked(
     refused(shell("ca", "refresh"), "the authority's service is locked", "rossec ca unlock --for")
     refused(shell.unlocked("ca", "refresh"), "the authority's service is locked")
     assert service.audit[-1].startswith("locked by user")
+
+
+def test_unlocking_waits_for_a_service_that_is_starting(shell: Shell) -> None:
+    home = AuthorityHome.at(shell.root)
+    with ThreadPoolExecutor(1) as pool:
+        unlocking = pool.submit(shell.unlocked, "ca", "unlock")
+        time.sleep(0.5)
+        with running_service(home):
+            assert "unlocked for 15m" in unlocking.result().out
 
 
 def test_zero_unlocks_for_as_long_as_it_runs(shell: Shell, service: RunningService) -> None:

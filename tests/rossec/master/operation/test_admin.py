@@ -99,11 +99,6 @@ def test_a_command_without_a_running_master_fails(tmp_path: Path) -> None:
     assert "--admin" in caught.value.hint
 
 
-def test_a_transport_without_a_socket_is_refused() -> None:
-    with pytest.raises(PeerUserRefused):
-        module._raw_socket(None)
-
-
 async def test_a_path_too_long_for_a_socket_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="too long for the path of a socket") as caught:
         await AdminPort(tmp_path / ("d" * 108), {}).start()
