@@ -11,19 +11,17 @@ import asyncio
 import logging
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import Final, TypeAlias
 
 from ca.enrollment import NONCE_SIZE
 from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
 from ca.enrollment.join_messages import JoinAnswer, Refused, RefuseReason, write
 from ca.enrollment.join_request import JoinRequest
-from ca.enrollment.messages import MAX_MESSAGE
 from ca.errors import EnrollmentRefused, HintedError
 from rossec.enrollment import wire
-from rossec.net.aio.server import bind
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.enrollment.session_server import SessionServer
+from rossec.net.halfopen import HalfOpen
 from rossec.ros.text import printable
 
 Admit: TypeAlias = Callable[[JoinRequest], Awaitable[JoinAnswer]]
@@ -32,7 +30,6 @@ PATIENCE: Final = 10.0  # seconds until a session's request is there
 DECISION: Final = 30.0  # seconds until it is decided
 MAX_OF_INVITATION: Final = 4  # decisions at a time
 _CAPS: Final = HalfOpen(per_address=32, total=256)
-_CLOSE_TIMEOUT: Final = 5.0
 _BUSY: Final = Refused(RefuseReason.BUSY)
 _log = logging.getLogger("rossec.enrollment.join")
 
@@ -56,62 +53,25 @@ class JoinServer:
         patience: float = PATIENCE,
         caps: HalfOpen = _CAPS,
     ) -> None:
-        self.port = 0
         self._identity = identity
         self._admit = admit
         self._on_refusal = on_refusal
         self._patience = patience
-        self._servers: list[asyncio.Server] = []
-        self._sessions = HalfOpenCount(caps)
+        self._server = SessionServer(self._serve, caps)
         self._turns = _Turns(MAX_OF_INVITATION)
-        self._tasks = TaskSet()
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return self._server.port
 
     async def listen(self, host: str | None, port: int) -> None:
-        """Serve on `host` (None: every address) and `port` (0: any free one).
-
-        Raises:
-            OSError: not an address of this host, or the port is taken.
-        """
-        for sock in bind(host, port):
-            server = await asyncio.start_server(self._accept, sock=sock, limit=MAX_MESSAGE)
-            self._servers.append(server)
-            self.port = sock.getsockname()[1]
+        """As `SessionServer.listen`."""
+        await self._server.listen(host, port)
 
     async def close(self) -> None:
         """Stop listening, and end the open sessions."""
-        for server in self._servers:
-            server.close()
-        await self._tasks.close()
-
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        peer = writer.get_extra_info("peername")  # None: closed already
-        address = "" if peer is None else str(peer[0])
-        slot = None if peer is None else self._sessions.admit(address)
-        if slot is None:
-            writer.transport.abort()
-            return
-        work = self._serve_counted(reader, writer, address, slot)
-        self._tasks.spawn(work, name=f"join from {address}")
-
-    async def _serve_counted(
-        self,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        address: str,
-        slot: HalfOpenSlot,
-    ) -> None:
-        """A session counts until its socket is closed; a lingering one is evicted first."""
-        slot.close = writer.transport.abort
-        try:
-            await self._serve(reader, writer, address)
-            slot.linger()
-            writer.close()
-            with suppress(OSError, TimeoutError):
-                async with asyncio.timeout(_CLOSE_TIMEOUT):
-                    await writer.wait_closed()
-        finally:
-            writer.transport.abort()
-            slot.release()
+        await self._server.close()
 
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str

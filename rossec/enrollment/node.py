@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Self
 
-from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
+from ca.enrollment.messages import Abort, Delivery, Reason, read, write
 from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.errors import (
     ConflictingOffer,
@@ -20,13 +20,11 @@ from ca.errors import (
     EnrollmentRefused,
 )
 from rossec.enrollment import wire
-from rossec.net.aio.server import bind
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.enrollment.session_server import SessionServer, wait_closed
+from rossec.net.halfopen import HalfOpen
 from rossec.ros.text import printable
 
 PATIENCE: Final = 10.0  # seconds without a message from a caller
-_CLOSE_TIMEOUT: Final = 5.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
 _REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
     ConflictingOffer: Reason.CONFLICT,
@@ -48,26 +46,21 @@ class WaitingNode:
     ) -> None:
         """`on_refusal` is called with each refusal as one printable line."""
         self.core = core
-        self.port = 0
         self._clock = clock
         self._on_refusal = on_refusal
         self._patience = patience
-        self._servers: list[asyncio.Server] = []
-        self._callers = HalfOpenCount(_CAPS)
+        self.server = SessionServer(self._serve, _CAPS)
         self._waiting: set[asyncio.StreamWriter] = set()
-        self._tasks = TaskSet()
         self._changed = asyncio.Event()
 
-    async def listen(self, host: str | None, port: int) -> None:
-        """Serve on `host` (None: every address) and `port` (0: any free one).
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        return self.server.port
 
-        Raises:
-            OSError: not an address of this host, or the port is taken.
-        """
-        for sock in bind(host, port):
-            server = await asyncio.start_server(self._accept, sock=sock, limit=MAX_MESSAGE)
-            self._servers.append(server)
-            self.port = sock.getsockname()[1]
+    async def listen(self, host: str | None, port: int) -> None:
+        """As `SessionServer.listen`."""
+        await self.server.listen(host, port)
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
         """Wait for one of `states`; `every` is called each second with the seconds left.
@@ -109,52 +102,19 @@ class WaitingNode:
 
     async def close(self) -> None:
         """Stop listening; callers that wait for the result get it."""
-        for server in self._servers:
-            server.close()
+        self.server.stop_listening()
         leaving = [*self._waiting]
         for writer in leaving:
             writer.close()
         for writer in leaving:
-            with suppress(OSError, TimeoutError):
-                async with asyncio.timeout(_CLOSE_TIMEOUT):
-                    await writer.wait_closed()
-        await self._tasks.close()
+            await wait_closed(writer)
+        await self.server.close()
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
-
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        peer = writer.get_extra_info("peername")  # None: closed already
-        address = "" if peer is None else str(peer[0])
-        slot = None if peer is None else self._callers.admit(address)
-        if slot is None:
-            writer.transport.abort()
-            return
-        self._tasks.spawn(
-            self._serve_counted(reader, writer, address, slot), name=f"caller {address}"
-        )
-
-    async def _serve_counted(
-        self,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        address: str,
-        slot: HalfOpenSlot,
-    ) -> None:
-        """A caller counts until its socket is closed; a lingering one is evicted first."""
-        slot.close = writer.transport.abort
-        try:
-            await self._serve(reader, writer, address)
-            slot.linger()
-            with suppress(OSError, TimeoutError):
-                async with asyncio.timeout(_CLOSE_TIMEOUT):
-                    await writer.wait_closed()
-        finally:
-            writer.transport.abort()
-            slot.release()
 
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str

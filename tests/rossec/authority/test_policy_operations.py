@@ -1,5 +1,6 @@
 """What the authority does by its policy: what is told to the master, and in which order."""
 
+import secrets
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -8,6 +9,8 @@ import pytest
 
 from ca.errors import HintedError
 from grants import document
+from grants.model import Right
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
 from rossec.authority.service import AuthorityService, MasterCall
@@ -21,6 +24,8 @@ robot: r
 rules:
   - {id: a, who: "*", allow: {subscribe: [/pose]}}
   - {id: b, who: /here, allow: {publish: [/odom]}}
+"""
+PROMPT = """  - {id: p, who: /there, prompt: {call: [/lift, /door]}, lifetime: 1h}
 """
 CHANGED = POLICY.replace("[/pose]", "[/map]")
 
@@ -38,7 +43,7 @@ class Office:
         AuthorityHome.create(root, "home", SECRET, NOW)
         self.service = AuthorityService(root, lambda: SECRET, self._deliver, lambda: self.now)
         self.here = self.enroll(root, "/here")
-        self.enroll(root / "other", "/there")
+        self.there = self.enroll(root / "other", "/there")
         self.write(POLICY)
 
     def enroll(self, root: Path, name: str) -> NodeHome:
@@ -71,6 +76,16 @@ class Office:
         plan = self.service.plan_policy(read_policy(self.root, None))
         self.service.apply_policy(plan, said.append)
         return said
+
+    def asked(self, *names: str) -> PolicyFile:
+        """The policy in force, by which /there asked to call the services `names`."""
+        self.write(POLICY + PROMPT)
+        policy = read_policy(self.root, None)
+        wanted = tuple(RequestedRight(Right.CALL, name) for name in names)
+        made = GrantRequest("home", "/there", self.now, secrets.token_bytes(16), wanted, "please")
+        data = sign_request(self.there.credentials().signer, made)
+        assert self.service.collect_grant_requests(policy, [data]) == []
+        return policy
 
     def is_done(self) -> bool:
         return self.service.plan_policy(read_policy(self.root, None)).is_empty
@@ -201,3 +216,53 @@ def test_options_reach_the_plan(office: Office) -> None:
     plan = office.service.plan_policy(policy, ["/here"], renew_due=True, prune=True)
     assert [node.subject.name for node in plan.nodes] == ["/here"]
     assert (plan.moment.renew_due, plan.options.prune) == (True, True)
+
+
+def test_a_person_approves_what_waits_and_the_policy_decides_the_rest(office: Office) -> None:
+    policy = office.asked("/lift", "/window")
+    assert office.service.decide_grants(policy) == ([], 0, 1, 1)
+    (waiting,) = office.service.pending_grants(policy)
+    beginning = waiting.stored.request.id.hex()[:8]
+    ((draft, _),) = office.service.approve_grants(policy, beginning, lambda verdict: verdict)
+    assert [permission.pattern for permission in draft.permissions] == ["/lift"]
+    assert office.service.pending_grants(policy) == []
+    assert office.service.decide_grants(policy) == ([], 0, 0, 0)
+
+
+def test_what_the_policy_allows_is_signed_when_it_is_asked_for(office: Office) -> None:
+    office.asked("/lift")
+    office.write(POLICY + PROMPT.replace("prompt", "allow"))
+    decided = office.service.decide_grants(read_policy(office.root, None))
+    assert (len(decided.grants), decided.allowed, decided.waiting) == (1, 1, 0)
+
+
+def test_a_person_denies_all_rights_of_a_request(office: Office) -> None:
+    policy = office.asked("/lift", "/door")
+    (first, second) = office.service.pending_grants(policy)
+    denied = office.service.deny_grants(policy, first.stored.request.id.hex())
+    assert denied == [first, second]
+    assert office.service.pending_grants(policy) == []
+
+
+def test_an_invalid_file_in_the_inbox_is_reported(office: Office) -> None:
+    inbox = office.root / "ca" / "inbox"
+    inbox.mkdir(exist_ok=True)
+    (inbox / "bad.request").write_bytes(b"nonsense")
+    (error,) = office.service.collect_grant_requests(read_policy(office.root, None))
+    assert error.startswith("bad.request: ")
+
+
+def test_opting_out_changes_the_policy_and_revokes_what_shows_it(office: Office) -> None:
+    office.apply()
+    opted_out = office.service.opt_out(read_policy(office.root, None), "/pose")
+    assert opted_out.rule == "opt-out-pose"
+    revoked = office.service.revoke_opted_out(opted_out)
+    assert {grant.subject for grant, _ in revoked} == {"/here", "/there"}
+    assert office.service.revoke_opted_out(opted_out) == []
+
+
+def test_opting_out_of_a_node_that_is_enrolled_needs_no_option(office: Office) -> None:
+    office.apply()
+    opted_out = office.service.opt_out(read_policy(office.root, None), "/there")
+    ((grant, _),) = office.service.revoke_opted_out(opted_out)
+    assert grant.subject == "/there"

@@ -266,26 +266,6 @@ async def test_an_identity_that_cannot_be_written_is_not_trusted() -> None:
             await stage.ends(NodeState.ENROLLED)
 
 
-async def test_a_caller_that_closed_before_it_was_accepted() -> None:
-    async with waiting() as stage:
-        (server,) = stage.node._servers
-
-        class Gone:
-            def get_extra_info(self, _: str) -> None:
-                return None
-
-            class transport:  # noqa: N801
-                aborted = False
-
-                @classmethod
-                def abort(cls) -> None:
-                    cls.aborted = True
-
-        stage.node._accept(asyncio.StreamReader(), Gone())  # type: ignore[arg-type]  # a writer
-        assert Gone.transport.aborted
-        assert server.is_serving()
-
-
 async def test_a_caller_that_does_not_read_is_disconnected() -> None:
     async with waiting(patience=0.5) as stage:
         caller = await stage.caller()

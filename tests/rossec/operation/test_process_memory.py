@@ -36,6 +36,13 @@ def test_a_protected_process_is_not_read_by_its_user() -> None:
     assert process.returncode == 0
 
 
+def test_protection_is_for_the_whole_process() -> None:
+    done = subprocess.run(  # also recorded for coverage: as another user it could write no file
+        [sys.executable, "-c", PROGRAM], stdin=subprocess.DEVNULL, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"ready\n", b"")
+
+
 def test_a_kernel_that_refuses_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     from rossec.operation import process_memory
 

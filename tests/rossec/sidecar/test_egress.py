@@ -1,8 +1,31 @@
 """Loopback ports for peers: what programs receive, and what not."""
 
+import logging
+
+import pytest
+
 from grants.model import Restriction, Right, filter_rules
+from rossec.channel.opening import WireProtocol
+from rossec.net.aio.dial import dial
+from rossec.ros import header
+from rossec.ros.settings import parse_uri
+from rossec.sidecar import egress as module
+from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
+from rossec.sidecar.plain_stream import PlainStream
 from tests.rossec.sidecar.program import string_message
-from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
+from tests.support.witness import until
+
+
+async def provide(pair: SidecarPair) -> Endpoint:
+    """The talker provides /say; the listener's loopback port for it."""
+    uri = f"rosrpc://127.0.0.1:{pair.talker.topics.port}"
+    await pair.talker.register("registerService", "/say", uri)
+    answer = await pair.listener.ask(pair.listener.master_uri, "lookupService", "/say")
+    assert isinstance(answer, list)
+    endpoint = parse_endpoint(answer[2], WireProtocol.TCPROS)
+    assert endpoint is not None
+    return endpoint
 
 
 async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(
@@ -18,3 +41,57 @@ async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(
     await source.send(string_message("hello") + string_message("stop") + string_message("world"))
     expected = string_message("he") + string_message("wo")
     assert await receive_bytes(stream, len(expected)) == expected
+
+
+async def test_service_calls_are_forwarded_both_ways(pair: SidecarPair) -> None:
+    endpoint = await provide(pair)
+    stream, fields = await pair.listener.connect(endpoint, {"service": b"/say", "md5sum": b"*"})
+    assert "error" not in fields
+    await stream.send(string_message("echo"))
+    assert await receive_bytes(stream, 12) == string_message("echo")
+    stream.abort()
+
+
+async def test_a_program_that_may_not_is_told_why(
+    pair: SidecarPair, caplog: pytest.LogCaptureFixture
+) -> None:
+    endpoint = await provide(pair)
+    wanted = {"service": b"/shout", "md5sum": b"*"}
+    stream, fields = await pair.listener.connect(endpoint, wanted)
+    assert fields["error"].startswith(b"rossec: ")
+    await wait_closed(stream)
+    assert "no connection to http" in caplog.text or "no connection to rosrpc" in caplog.text
+
+
+async def test_a_program_without_a_header_in_time_is_disconnected(
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    endpoint = await provide(pair)
+    monkeypatch.setattr(module, "HEADER_DEADLINE", 0.05)
+    stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
+    await stream.send(header.encode({"service": b"/say"})[:6])
+    await wait_closed(stream)
+    assert "a connection to " in caplog.text
+
+
+async def test_a_peer_that_is_gone_hangs_up(
+    pair: SidecarPair, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    endpoint = await provide(pair)
+    await pair.talker_sidecar.close()
+    stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
+    await stream.send(header.encode({"service": b"/say", "md5sum": b"*", "callerid": b"/listener"}))
+    await wait_closed(stream)
+    await until(lambda: "no connection to " in caplog.text)
+
+
+async def test_the_port_of_a_dead_peer_refuses_callers(pair: SidecarPair) -> None:
+    pair.site.grant("/listener", Right.GRAPH, "/talker")
+    await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
+    await pair.talker_sidecar.close()
+    answer = await pair.listener.ask(pair.listener.master_uri, "lookupNode", "/talker")
+    assert isinstance(answer, list)
+    with pytest.raises(ConnectionRefusedError):
+        await dial(*parse_uri(answer[2]), 10)

@@ -1,6 +1,8 @@
 """Execution of commands, and ends that do not answer."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,16 +11,41 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
-from rossec.net.aio import SecureStream
+from rossec.net.aio import SecureStream, connect, serve
+from rossec.net.rpc.client import serve_calls
+from rossec.ros import header
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import executor as executor_module
-from rossec.sidecar.core.commands import CallMaster, CallPeer, OpenEgress, Probe
+from rossec.sidecar.core.commands import (
+    CallMaster,
+    CallPeer,
+    CallProgram,
+    ConnectPeer,
+    ConnectProgram,
+    OpenEgress,
+    OpenIngress,
+    Probe,
+    Suspend,
+)
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Event, NoAnswer, Opened
+from rossec.sidecar.core.events import (
+    Answered,
+    CommandDone,
+    Event,
+    HeaderArrived,
+    NoAnswer,
+    Opened,
+    RawResponse,
+)
 from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.executor import CommandExecutor, SlaveApiClient
+from rossec.sidecar.executor import CommandExecutor, SlaveApiClient, run_layer
 from rossec.sidecar.loopback_port import free_port
-from tests.rossec.sidecar.program import ANY_CALLER
+from rossec.sidecar.pump import split_header
+from tests.rossec.sidecar.program import ANY_CALLER, STRING, Program
+from tests.support.contexts import context
+from tests.support.secure_streams import Stream
+from tests.support.wire import ALICE, BOB
+from tests.support.witness import until
 
 PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 
@@ -120,3 +147,166 @@ async def test_a_master_that_does_not_answer_in_time_is_no_answer(
     services.answer = asyncio.Event().wait
     event = await outcome(services, CallMaster("getPid", ("/robot",)))
     assert event == NoAnswer("no answer in time")
+
+
+@pytest.fixture
+async def program() -> AsyncIterator[Program]:
+    sidecar: Any = SimpleNamespace(uri="")
+    async with Program("/robot", sidecar) as program:
+        yield program
+
+
+async def test_ingress_ports_are_opened_and_suspended() -> None:
+    services = FakeServices()
+    assert await outcome(services, OpenIngress(PEER)) == Opened(PEER.port)
+    assert services.closed == []
+    assert await outcome(services, Suspend(PEER)) == CommandDone()
+    assert services.closed == [PEER]
+
+
+async def test_programs_are_probed_and_called(program: Program) -> None:
+    local = local_endpoint(WireProtocol.HTTP, program.slave.port)
+
+    def calls() -> Layer[list[Event]]:
+        asked = [(yield Probe(local))]
+        asked.append((yield CallProgram(local, "getPid", ("/robot",))))
+        asked.append((yield CallProgram(local, "getBusStats", ("/robot",), parse=False)))
+        return asked
+
+    probed, parsed, raw = await run_layer(FakeServices(), calls())
+    assert (probed, parsed) == (CommandDone(), Answered([1, "", 4711]))
+    assert isinstance(raw, RawResponse)
+    assert b"4711" in raw.body
+    assert [method for method, _ in program.calls] == ["getPid", "getBusStats"]
+    await until(lambda: program.slave.connections == 0)  # the layer has ended
+
+
+async def test_headers_are_exchanged_with_a_program(program: Program) -> None:
+    local = local_endpoint(WireProtocol.TCPROS, program.topics.port)
+    executor = CommandExecutor(FakeServices())
+    event = await executor.run(one_command(ConnectProgram(local, {"topic": b"/word"})))
+    assert isinstance(event, HeaderArrived)
+    assert (event.fields["type"], event.peer) == (STRING["type"], None)
+    assert program.headers == [{"topic": b"/word"}]
+    assert executor.program is not None
+    await executor.close()
+
+
+async def test_a_program_that_changed_while_connecting_is_not_used(
+    program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def changed(*_: object) -> None:
+        raise ConnectionRefusedError("another program listens there now")
+
+    monkeypatch.setattr(type(ANY_CALLER), "check_unchanged", changed)
+    event = await outcome(
+        FakeServices(), Probe(local_endpoint(WireProtocol.HTTP, program.slave.port))
+    )
+    assert event == NoAnswer("another program listens there now", dead=True)
+
+
+class PeerNode(FakeServices):
+    """An agent that reaches a peer; its connections, what it is asked, and what is cached."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.port = 0
+        self.asked: list[str] = []
+        self.dialed = 0
+        self.cached: SlaveApiClient | None = None
+        self.checked: list[str] = []
+        self.refused: Exception | None = None
+
+    async def handle_call(self, method: str, params: tuple[object, ...], _: object) -> object:
+        self.asked.append(method)
+        return [1, "", 7]
+
+    async def serve_slave(self, stream: Stream) -> None:
+        await serve_calls(stream, self.handle_call)
+
+    async def serve_topic(self, stream: Stream) -> None:
+        fields, _ = await split_header(stream)  # type: ignore[arg-type]
+        await stream.send(header.encode({**fields, "type": b"x"}) + b"more")
+        await stream.receive()
+
+    async def dial(self, remote: Endpoint) -> Any:
+        self.dialed += 1
+        return await connect("127.0.0.1", self.port, context(ALICE), remote.protocol)
+
+    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
+        self.cached = client
+
+    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
+        client, self.cached = self.cached, None
+        return client
+
+    def check_peer(self, peer: Any) -> None:
+        self.checked.append(peer.name)
+        if self.refused is not None:
+            raise self.refused
+
+    def proof(self, right: Right, name: str) -> bytes:
+        return b"grants"
+
+
+@pytest.fixture
+async def peer() -> AsyncIterator[PeerNode]:
+    node = PeerNode()
+    async with serve(node.serve_slave, "127.0.0.1", 0, context(BOB), WireProtocol.HTTP) as server:
+        node.port = server.port
+        yield node
+        if node.cached is not None:
+            await node.cached.rpc.close()
+
+
+async def test_grants_are_presented_to_a_peer_once(peer: PeerNode) -> None:
+    def calls() -> Layer[Event]:
+        yield CallPeer(PEER, "getPid", ("/robot",), Right.GRAPH)
+        answer: Event = yield CallPeer(PEER, "getPid", ("/robot",), Right.GRAPH)
+        return answer
+
+    assert await run_layer(peer, calls()) == Answered([1, "", 7])
+    assert peer.asked == ["rossec.presentGrants", "getPid", "getPid"]
+    assert (peer.dialed, len(peer.checked)) == (1, 2)
+    raw = await outcome(peer, CallPeer(PEER, "getBusStats", ("/robot",), parse=False))
+    assert isinstance(raw, RawResponse)
+    assert peer.asked[-1:] == ["getBusStats"]
+
+
+async def test_a_peer_that_answers_a_probe_is_cached_for_the_next_caller(peer: PeerNode) -> None:
+    assert await outcome(peer, OpenEgress(PEER, probe=True)) == Opened(PEER.port)
+    assert peer.asked == ["rossec.presentGrants"]
+    assert peer.closed == []
+    await outcome(peer, CallPeer(PEER, "getPid", ("/robot",), Right.GRAPH))
+    assert (peer.asked, peer.dialed) == (["rossec.presentGrants", "getPid"], 1)
+
+
+async def test_a_cached_peer_is_checked_again_before_it_is_called(peer: PeerNode) -> None:
+    await outcome(peer, OpenEgress(PEER, probe=True))
+    peer.refused = PeerUnreachable("its identity has expired")
+    event = await outcome(peer, CallPeer(PEER, "getPid", ("/robot",), Right.GRAPH))
+    assert event == NoAnswer("its identity has expired")
+    assert "getPid" not in peer.asked
+
+
+async def test_a_cached_connection_that_has_ended_is_made_again(peer: PeerNode) -> None:
+    await outcome(peer, OpenEgress(PEER, probe=True))
+    assert peer.cached is not None
+    await peer.cached.rpc.close()
+    assert not peer.cached.usable
+    event = await outcome(peer, CallPeer(PEER, "getPid", ("/robot",)))
+    assert (event, peer.dialed) == (Answered([1, "", 7]), 2)
+
+
+async def test_headers_are_exchanged_with_a_peer() -> None:
+    node = PeerNode()
+    async with serve(node.serve_topic, "127.0.0.1", 0, context(BOB)) as server:
+        node.port = server.port
+        executor = CommandExecutor(node)
+        remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
+        event = await executor.run(one_command(ConnectPeer(remote, {"topic": b"/word"})))
+        assert isinstance(event, HeaderArrived)
+        assert event.fields == {"topic": b"/word", "type": b"x"}
+        assert event.peer is not None
+        assert executor.after_header == b"more"
+        await executor.close()

@@ -1,8 +1,11 @@
 """Forwarding between a program and a peer: headers, guards, lagging peers."""
 
 import asyncio
+import contextlib
 import logging
 import struct
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,12 +16,24 @@ from grants.errors import GrantExpired, RestrictionMismatch
 from grants.guard import Guard
 from grants.memory import Memory
 from grants.model import Restriction, Right
-from rossec.errors import ChannelClosed, HeaderRefused
+from rossec.errors import ChannelClosed, HeaderRefused, RossecError
+from rossec.net.aio import connect, serve
 from rossec.ros import header
 from rossec.sidecar.core.copies import CopyTracker
 from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.pump import log_end, outgoing, send_filtered, split_header
+from rossec.sidecar.pump import (
+    exchange,
+    log_end,
+    outgoing,
+    publish,
+    send_filtered,
+    split_header,
+    subscribe,
+)
 from tests.rossec.sidecar.test_plain_stream import pair
+from tests.support.contexts import context
+from tests.support.secure_streams import Stream
+from tests.support.wire import ALICE, BOB
 from tests.support.witness import until
 
 
@@ -154,3 +169,125 @@ async def test_an_error_ends_only_the_block(caplog: pytest.LogCaptureFixture) ->
     assert caplog.messages == ["the connection with /viewer ended: the grant has expired"]
     with pytest.raises(ExceptionGroup), log_end("/viewer"):
         raise ExceptionGroup("mistakes are not hidden", [ArithmeticError()])
+
+
+@dataclass(frozen=True)
+class Ends:
+    """A program, a peer, and the sidecar's ends of their connections."""
+
+    program: PlainStream
+    inner: PlainStream
+    peer: Stream
+    outer: Any  # a secure stream with the identity of a fake node
+
+    async def hear(self, end: PlainStream | Stream, wanted: int) -> bytes:
+        data = b""
+        async with asyncio.timeout(30):
+            while len(data) < wanted:
+                data += await end.receive()
+        return data
+
+    async def ended(self, *ends: PlainStream | Stream) -> None:
+        for end in ends:
+            with pytest.raises(RossecError):
+                async with asyncio.timeout(30):
+                    await end.receive()
+
+
+@pytest.fixture
+async def ends() -> AsyncIterator[Ends]:
+    accepted: asyncio.Queue[Stream] = asyncio.Queue()
+    over = asyncio.Event()
+
+    async def handle(stream: Stream) -> None:
+        accepted.put_nowait(stream)
+        await over.wait()
+
+    program, inner = pair()
+    async with serve(handle, "127.0.0.1", 0, context(BOB)) as server:
+        outer = await connect("127.0.0.1", server.port, context(ALICE))
+        peer = await accepted.get()
+        yield Ends(program, inner, peer, outer)
+        over.set()
+        for end in (program, inner):
+            end.abort()
+        for stream in (peer, outer):
+            stream.abort("over")
+
+
+async def test_a_service_exchanges_bytes_after_those_behind_the_headers(ends: Ends) -> None:
+    running = asyncio.ensure_future(exchange(ends.inner, ends.outer, b"first ", b"early "))
+    await ends.program.send(b"request")
+    await ends.peer.send(b"answer")
+    assert await ends.hear(ends.peer, 13) == b"first request"
+    assert await ends.hear(ends.program, 12) == b"early answer"
+    await ends.program.close()
+    await ends.ended(ends.peer)
+    await running
+
+
+async def test_what_was_sent_is_delivered_before_the_other_end_is_closed(ends: Ends) -> None:
+    running = asyncio.ensure_future(subscribe(ends.inner, ends.outer, None, b"a"))
+    await ends.peer.send(bytes(1_000_000))
+    closing = asyncio.ensure_future(ends.peer.close())
+    assert await ends.hear(ends.program, 1_000_001) == b"a" + bytes(1_000_000)
+    await ends.ended(ends.program)
+    await asyncio.gather(running, closing)
+
+
+async def test_a_publisher_without_restrictions_is_forwarded_unchanged(ends: Ends) -> None:
+    running = asyncio.ensure_future(publish(ends.inner, ends.outer, None, b"no frame "))
+    await ends.program.send(b"at all")
+    assert await ends.hear(ends.peer, 15) == b"no frame at all"
+    await ends.program.close()
+    await running
+
+
+async def test_a_guard_filters_what_a_program_receives(ends: Ends) -> None:
+    guard: Any = FakeGuard()
+    one, withheld, two = map(header.frame, (b"one", b"x-rated", b"two"))
+    running = asyncio.ensure_future(subscribe(ends.inner, ends.outer, guard, one[:3]))
+    await ends.peer.send(one[3:] + withheld + two)
+    assert await ends.hear(ends.program, 14) == one + two
+    await ends.peer.close()
+    await running
+
+
+async def test_a_guard_filters_what_a_program_publishes(ends: Ends) -> None:
+    guard: Any = FakeGuard()
+    running = asyncio.ensure_future(publish(ends.inner, ends.outer, guard, b""))
+    await ends.program.send(header.frame(b"x-rated") + header.frame(b"two"))
+    assert await ends.hear(ends.peer, 7) == header.frame(b"two")
+    await ends.program.close()
+    await running
+
+
+@contextlib.contextmanager
+def refused(what: str, caplog: pytest.LogCaptureFixture) -> Any:
+    caplog.set_level(logging.INFO)
+    with log_end("/viewer"):
+        yield
+    assert what in caplog.text
+
+
+async def test_a_message_above_the_limit_ends_both_connections(
+    ends: Ends, caplog: pytest.LogCaptureFixture
+) -> None:
+    guard: Any = FakeGuard()
+    await ends.peer.send(header.frame(bytes(11)))
+    with refused("the connection with /viewer ended: ", caplog):
+        await subscribe(ends.inner, ends.outer, guard, b"", 10)
+    await ends.ended(ends.program, ends.peer)
+
+
+@pytest.mark.parametrize("subscriber", ["peer", "program"])
+async def test_a_subscriber_that_sends_data_is_disconnected(
+    ends: Ends, subscriber: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    await getattr(ends, subscriber).send(b"data")
+    with refused("a subscriber that sends data", caplog):
+        if subscriber == "peer":
+            await publish(ends.inner, ends.outer, None, b"")
+        else:
+            await subscribe(ends.inner, ends.outer, None, b"")
+    await ends.ended(ends.program, ends.peer)

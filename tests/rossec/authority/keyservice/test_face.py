@@ -1,10 +1,14 @@
 """The network face: the join port, calls at the master, and its confinement."""
 
 import asyncio
+import os
+import resource
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import AsyncIterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -15,13 +19,15 @@ from ca.enrollment.join_messages import Refused, RefuseReason, write
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice.face import Face
+from rossec.authority.keyservice import face as module
+from rossec.authority.keyservice.face import Face, confine, confine_files, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
 from rossec.enrollment.join_node import join
 from rossec.errors import KeyServiceRefused
 from rossec.home import NodeHome
+from rossec.operation import landlock
 from tests.support.commands import PASSPHRASE
 from tests.support.joining import asked
 from tests.support.masterprocess import free_port
@@ -49,6 +55,10 @@ class Served:
     async def join(self, data: Value) -> Value:
         self.requests.append(data)
         return self.answer
+
+    def give_away(self) -> int:
+        """The descriptor of the face's end, for another process or thread."""
+        return self._theirs.detach()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator["asyncio.Future[None]"]:
@@ -130,6 +140,9 @@ async def test_it_ends_with_the_service(home: AuthorityHome) -> None:
     assert face.done()
 
 
+# A confined process can write no file, so it records no coverage.
+UNMEASURED = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
+
 CONFINED = """
 import os, sys, threading
 from rossec.authority.keyservice.face import confine
@@ -148,9 +161,61 @@ for start in (os.fork, threading.Thread(target=print).start):
 
 def test_it_can_start_no_process() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", CONFINED], capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-c", CONFINED],
+        env=UNMEASURED, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_threads_of_its_executor_are_there_before_new_ones_are_forbidden(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits: list[tuple[object, int]] = []
+
+    def forbid(*limit: object) -> None:
+        limits.append((limit, threading.active_count() - before))
+
+    before = threading.active_count()
+    monkeypatch.setattr(resource, "setrlimit", forbid)
+    with confine() as executor:
+        assert executor.submit(lambda: 5).result() == 5
+    assert limits == [((resource.RLIMIT_NPROC, (0, 0)), 4)]
+
+
+async def test_the_process_is_confined_before_it_serves(
+    home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[object] = []
+
+    def confine() -> ThreadPoolExecutor:
+        done.append("processes")
+        return ThreadPoolExecutor(1)
+
+    monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
+    monkeypatch.setattr(landlock, "read_only", lambda paths: done.append(paths[0]))
+    monkeypatch.setattr(module, "confine", confine)
+    node = home.node()
+    served = Served(face_of(node, ""))
+    arguments = [str(node.path), f"127.0.0.1:{free_port()}", "http://127.0.0.1:1/", "text"]
+    service = asyncio.ensure_future(served.channel.run())
+    running = asyncio.ensure_future(asyncio.to_thread(main, [str(served.give_away()), *arguments]))
+    assert await served.said.get()
+    assert done == ["memory", node.path, "processes"]
+    service.cancel()
+    await asyncio.gather(service, return_exceptions=True)
+    async with asyncio.timeout(30):
+        await running
+
+
+def test_a_kernel_that_cannot_confine_files_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(_: object) -> None:
+        raise OSError("no Landlock")
+
+    monkeypatch.setattr(landlock, "read_only", refuse)
+    confine_files(tmp_path)
+    assert "can read the files of its user: no Landlock" in caplog.text
 
 
 FILES = """
@@ -173,7 +238,7 @@ def test_it_reads_no_file_of_the_authority_but_its_own(home: AuthorityHome) -> N
     (home.path / "passphrase").write_text("four random words")
     done = subprocess.run(
         [sys.executable, "-c", FILES, str(home.node().path)],
-        capture_output=True, text=True, check=False,
+        env=UNMEASURED, capture_output=True, text=True, check=False,
     )  # fmt: skip
     if "can read the files of its user" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")

@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused
-from tests.rossec.master.world import EVERYTHING, T, World, until
+from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 from tests.support.caller import caller
 from tests.support.site import Site
 
@@ -124,6 +124,46 @@ async def test_administration_is_audited(world: World, caplog: pytest.LogCapture
         "/robot is disconnected: the key of /robot is revoked",
         "/admin delivered a delegation to renew grants",
     ]
+
+
+async def test_a_new_list_removes_registrations_and_is_sent_to_the_others(world: World) -> None:
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    revoked = world.site.revoke(camera.grant)
+    await camera.ask("rossec.updateRevocations", revoked)
+    await until(lambda: ("/image", []) in viewer.received_calls("publisherUpdate"))
+    await until(lambda: viewer.received_calls("rossec.revocationUpdate") != [])
+    data, timestamp = viewer.received_calls("rossec.revocationUpdate")[-1]
+    assert data in (b"", revoked)
+    assert timestamp
+
+
+async def test_updates_of_a_revoked_node_are_dropped(world: World) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        gone, talker = await world.node("/gone"), await world.node("/talker")
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        await gone.ask("registerSubscriber", "/t", T, uri)
+        await talker.ask("registerPublisher", "/t", T, talker.uri)
+        updates = world.server._effects.updates
+        assert [node.name for node in updates.nodes] == ["/gone"]
+        await talker.ask("rossec.updateRevocations", world.site.revoke(gone.member))
+        assert [node for node in updates.nodes if node.name == "/gone"] == []
+        await ends(gone.ask("getPid"))
+
+
+async def test_a_node_that_registers_the_address_of_another_is_removed(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    squatter, victim = await world.node("/squatter"), await world.node("/victim")
+    viewer = await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
+    await squatter.ask("registerPublisher", "/t", T, victim.uri)
+    await squatter.ask("registerSubscriber", "/t", T, victim.uri)
+    await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is notified
+    await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
+    assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
+    assert victim.received == []
 
 
 async def test_a_deposit_is_audited_and_ends_the_waits_of_its_holders(

@@ -1,16 +1,40 @@
 """Connections and calls of the running master, over real secure connections on loopback."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rossec.errors import AnswerRefused
+from rossec.master.api.revoked_calls import MAX_CONNECTIONS
 from rossec.master.operation.limits import MasterLimits
-from rossec.master.server.server import PEER_CONNECTIONS
+from rossec.master.rights.deposits import verifier
+from rossec.master.server.deposit_file import DepositFile
+from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server.server import PEER_CONNECTIONS, MasterServer
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import serve_calls
 from tests.rossec.master.world import EVERYTHING, T, World, ends, until
+
+
+@asynccontextmanager
+async def another(world: World, **options: Any) -> AsyncIterator[MasterServer]:
+    """Another master of the same site, in place of the first."""
+    first, credentials = world.server, world.master.credentials
+    made = MasterServer(
+        credentials, world.site.anchor.verify, world.trust, host="127.0.0.1", port=0,
+        advertise="127.0.0.1", **options,
+    )  # fmt: skip
+    await made.start()
+    world.server = made
+    try:
+        yield made
+    finally:
+        world.server = first
+        await made.close()
 
 
 async def test_a_node_cannot_act_as_another(world: World) -> None:
@@ -110,7 +134,72 @@ async def test_the_limits_of_a_call_are_those_of_the_configuration(
         await serve_calls(*args, **limits)
 
     monkeypatch.setattr("rossec.master.server.server.serve_calls", note)
-    world.server._limits = MasterLimits(body=5000, request_seconds=7, idle_seconds=8)
-    client = await world.call_as(world.site.enroll("/node"))
-    assert isinstance(await client.ask("getPid", "/node"), int)
+    limits = MasterLimits(body=5000, request_seconds=7, idle_seconds=8)
+    async with another(world, limits=limits):
+        client = await world.call_as(world.site.enroll("/node"))
+        assert isinstance(await client.ask("getPid", "/node"), int)
     assert given == [{"limit": 5000, "request_deadline": 7, "idle_deadline": 8}]
+
+
+async def test_parameters_and_deposits_survive_a_restart(world: World, tmp_path: Path) -> None:
+    admin = await world.node("/ca")
+    robot = world.site.enroll("/robot")
+    deposit = world.site.grant(robot, EVERYTHING)
+
+    def files() -> dict[str, Any]:
+        deposits = DepositFile(
+            tmp_path / "deposits", verifier(world.site.anchor, world.trust.check)
+        )
+        return {"parameter_file": ParameterFile(tmp_path / "parameters"), "deposit_file": deposits}
+
+    async with another(world, **files()):
+        client = await world.call_as(admin.member)
+        await client.ask("rossec.presentGrants", "/ca", [admin.grant])
+        await client.ask("setParam", "/ca", "/rate", 5)
+        assert await client.ask("rossec.depositGrants", "/ca", [deposit]) == [""]
+    async with another(world, **files()):
+        client = await world.call_as(admin.member)
+        await client.ask("rossec.presentGrants", "/ca", [admin.grant])
+        assert await client.ask("getParam", "/ca", "/rate") == 5
+        waiting: Any = await (await world.call_as(robot)).ask("rossec.watchGrants", "/robot", b"")
+        assert waiting["grants"] == [deposit]
+
+
+async def test_it_stops_when_it_is_told(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    stopped = asyncio.ensure_future(world.server.stopped())
+    await asyncio.sleep(0)
+    assert not stopped.done()
+    world.server.stop("maintenance")
+    async with asyncio.timeout(30):
+        await stopped
+    assert "stopping: maintenance" in caplog.text
+    await world.server.close()
+    assert world.server.status()["connections"] == 0
+
+
+async def test_a_revoked_identity_is_sent_only_the_list(
+    world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    eve, other = await world.node("/eve"), await world.node("/other")
+    revoked = world.site.revoke(eve.member)
+    await other.ask("rossec.updateRevocations", revoked)
+    client = await world.call_as(eve.member)
+    assert await client.ask("rossec.revocations", "/eve") == [revoked, b""]
+    await ends(client.ask("getPid", "/eve"))
+    assert "/eve is sent only the revocation list: " in caplog.text
+    assert world.server.status()["nodes"] == 0
+
+
+async def test_connections_of_a_revoked_identity_are_few_and_short(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.server.CONNECTION_SECONDS", 0.5)
+    eve, other = await world.node("/eve"), await world.node("/other")
+    await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
+    clients = [await world.call_as(eve.member) for _ in range(MAX_CONNECTIONS + 1)]
+    await ends(clients[-1].ask("rossec.revocations", "/eve"))
+    await until(lambda: world.server.status()["connections"] == 1)  # the other's
+    for client in clients:
+        await ends(client.ask("rossec.revocations", "/eve"))
+    again = await world.call_as(eve.member)
+    assert await again.ask("rossec.revocations", "/eve")
