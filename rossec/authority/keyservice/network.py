@@ -54,6 +54,8 @@ class NetworkWork:
         self._work = AuthorityWork(rossec_home, operations, self.deliver, policy)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="authority")
         self._tasks = TaskSet()
+        self._joined: list[str] = []  # names that have no grants yet
+        self._giving = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._resume = 0.0
 
@@ -93,9 +95,17 @@ class NetworkWork:
     async def _join(self, data: bytes) -> Value:
         answer, name = await self._in_thread(self._work.join, data)
         if name is not None:
-            give = self._work.apply if self._applies else self._work.grant_outright
-            self._tasks.spawn(self._in_thread(give, name), name="grants of a node that joined")
+            self._joined.append(name)
+            self._tasks.spawn(self._give_to_joined(), name="grants of nodes that joined")
         return answer
+
+    async def _give_to_joined(self) -> None:
+        """For all that joined meanwhile at once: the policy is read once, and one call delivers."""
+        give = self._work.apply if self._applies else self._work.grant_outright
+        async with self._giving:
+            names, self._joined = self._joined, []
+            if names:
+                await self._in_thread(give, names)
 
     async def _rounds(self) -> None:
         await self._face.started()

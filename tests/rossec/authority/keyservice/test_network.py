@@ -1,6 +1,7 @@
 """Joins, calls and rounds of the service, with a face that is played."""
 
 import asyncio
+from collections.abc import Collection
 from pathlib import Path
 from typing import cast
 
@@ -71,6 +72,41 @@ async def test_a_node_that_joins_gets_what_the_policy_gives_it(
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     assert working.grants() == 1
+
+
+class BusyFace(PlayedFace):
+    """Its nodes join at the same time."""
+
+    def __init__(self, requests: list[bytes]) -> None:
+        super().__init__()
+        self.requests = requests
+
+    async def run(self, join: Handler) -> None:
+        await asyncio.gather(*map(join, self.requests))
+        await asyncio.Event().wait()
+
+
+async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    working = Working(tmp_path, now())
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    code, names = working.invite(4), [f"/fleet/{letter}" for letter in "abcd"]
+    face = BusyFace([working.request(code, name) for name in names])
+    apply, applied = AuthorityWork.apply, list[list[str]]()
+
+    def applies(self: AuthorityWork, names: Collection[str] | None = None) -> None:
+        applied.append(sorted(names or ()))
+        apply(self, names)
+
+    monkeypatch.setattr(AuthorityWork, "apply", applies)
+    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), applies=True)
+    running = asyncio.ensure_future(network.run())
+    await until(lambda: sorted(name for each in applied for name in each) == names, within=20)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert sum(map(bool, applied)) < len(names), "it was applied for each node alone"
+    assert working.grants() == len(names)
 
 
 async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
