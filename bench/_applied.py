@@ -49,21 +49,22 @@ def apply_s(nodes: int) -> dict[str, float]:
 def _service(root: Path, nodes: int) -> AuthorityService:
     now = int(time.time())
     AuthorityHome.create(root, "home", _PASSPHRASE, now)
-    service = AuthorityService(root, lambda: _PASSPHRASE, _Master(), lambda: now)
+    service = AuthorityService(root, lambda: _PASSPHRASE, SilentMaster(), lambda: now)
     authority = service.unlock()
     with authority.store.transaction():
         for number in range(nodes):
-            _enroll(authority, f"/fleet/robot{number}", now)
+            enroll(authority, f"/fleet/robot{number}", now)
     return service
 
 
-def _enroll(authority: SigningAuthority, name: str, now: int) -> None:
+def enroll(authority: SigningAuthority, name: str, now: int) -> None:
+    """Record an identity for `name`, with a key of its own that is forgotten."""
     request = build_request(KeySigner(generate()), "home", name)
     der = authority.authority.issue(request, now=now, serial=secrets.randbits(127) + 1)
     authority.store.add_certificate(certificate_row(authority.verify(der, now)), now)
 
 
-class _Master:
+class SilentMaster:
     """Takes everything at once; what it costs a master is not in the figure."""
 
     def __init__(self) -> None:

@@ -70,14 +70,16 @@ def enroll(site: Site, name: str, rights: Mapping[str, Right] | None = None) -> 
     return EnrolledNode(name, Credentials(signer, (certificate,)), identity, grant)
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A port of 127.0.0.1 that nothing listens on."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port: int = free.getsockname()[1]
         return port
 
 
 @contextlib.contextmanager
-def _running(command: list[str], environ: dict[str, str], port: int) -> Iterator[Master]:
+def running(command: list[str], environ: dict[str, str], port: int) -> Iterator[Master]:
+    """A command that listens on `port`, from when it does."""
     base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
     process = subprocess.Popen(
         command, env={**base, **environ}, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
@@ -98,19 +100,19 @@ def _running(command: list[str], environ: dict[str, str], port: int) -> Iterator
 @contextlib.contextmanager
 def stock(folder: Path) -> Iterator[Master]:
     """Debian's rosmaster, plain."""
-    port = _free_port()
+    port = free_port()
     environ = {
         "ROS_MASTER_URI": f"http://127.0.0.1:{port}/", "ROS_IP": "127.0.0.1",
         "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder),
     }  # fmt: skip
-    with _running(["/usr/bin/rosmaster", "--core", "-p", str(port)], environ, port) as master:
+    with running(["/usr/bin/rosmaster", "--core", "-p", str(port)], environ, port) as master:
         yield master
 
 
 @contextlib.contextmanager
 def ours(site: Site) -> Iterator[Master]:
     """`rossec master`, as it is installed."""
-    port = _free_port()
+    port = free_port()
     site.enroll(MASTER)
     site.enroll(MASTER).save_revocations(site.authority.store.newest_list() or b"")
     environ = {
@@ -118,5 +120,5 @@ def ours(site: Site) -> Iterator[Master]:
         "ROSSEC_HOME": str(site.root),
     }  # fmt: skip
     command = [sys.executable, "-I", "-m", "rossec", "master"]
-    with _running(command, environ, port) as master:
+    with running(command, environ, port) as master:
         yield master

@@ -5,6 +5,7 @@ the operator gives the name again (`replace_key`); or the newest valid key itsel
 (`renews`). A renewal by an older key comes from a copy or a restored disk and is refused.
 """
 
+import json
 import sqlite3
 from collections.abc import Callable
 
@@ -15,6 +16,7 @@ from ca.store.rows import INTERMEDIATE, CertificateRow
 from ca.store.schema import append_entry
 
 _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
+_BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
 
 
 class IdentityTable:
@@ -51,15 +53,15 @@ class IdentityTable:
     def with_valid_issuer(self, rows: list[CertificateRow]) -> list[CertificateRow]:
         """Those of `rows` that were not signed by a revoked intermediate."""
         ended = self._find(
-            "WHERE substr(name, 1, ?) = ? AND thumbprint IN (SELECT entry FROM revocation)",
-            len(INTERMEDIATE), INTERMEDIATE,
-        )  # fmt: skip
+            f"WHERE {_BEGINS} AND thumbprint IN (SELECT entry FROM revocation)",  # noqa: S608  (constants)
+            *_beginning(INTERMEDIATE),
+        )
         return [row for row in rows if _signer(row, ended) is None]
 
     def issuer(self, row: CertificateRow) -> CertificateRow | None:
         """The intermediate of this record that signed `row`, newest first; None: the authority."""
-        clause = "WHERE substr(name, 1, ?) = ? ORDER BY rowid DESC"
-        return _signer(row, self._find(clause, len(INTERMEDIATE), INTERMEDIATE))
+        clause = f"WHERE {_BEGINS} ORDER BY rowid DESC"
+        return _signer(row, self._find(clause, *_beginning(INTERMEDIATE)))
 
     def certified_name(self, name: str, now: int) -> str:
         """The certified name that grants, rules and revocations of the node `name` refer to.
@@ -147,16 +149,22 @@ class IdentityTable:
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
         """Unexpired, unrevoked identities whose name is a prefix of `name`, or the reverse."""
+        prefixes = json.dumps([name[:size] for size in range(1, len(name))])
         found = self._find(
-            "WHERE (substr(?, 1, length(name)) = name OR substr(name, 1, length(?)) = ?)"
+            f"WHERE (name IN (SELECT value FROM json_each(?)) OR {_BEGINS})"  # noqa: S608  (constants)
             " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
-            name, name, name, now,
+            prefixes, *_beginning(name), now,
         )  # fmt: skip
         return self.with_valid_issuer(found)
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)
         return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
+
+
+def _beginning(prefix: str) -> tuple[str, str]:
+    """The bounds of `_BEGINS` for names that begin with `prefix`, in the order of their UTF-8."""
+    return prefix, f"{prefix}\U0010ffff"
 
 
 def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow | None:

@@ -6,7 +6,9 @@ appends its entry to the log in the same transaction, and is on the disk when th
 Callers that decide by the record and then change it do both inside `transaction`.
 """
 
+import json
 import sqlite3
+from collections.abc import Collection
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Self
@@ -20,6 +22,8 @@ from ca.store.log_entries import digest_of
 from ca.store.requests import RequestTable
 from ca.store.rows import CertificateRow, GrantRow, RevocationRow
 from ca.store.schema import append_entry
+
+_OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
 
 __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 
@@ -150,18 +154,27 @@ class Store:
                 db.execute("INSERT INTO policy_grant VALUES (?, ?)", origin)
                 append_entry(db, now, "policy grant", row.name, rules, digest_of(origin))
 
-    def policy_grants(self) -> dict[bytes, str]:
-        """The grants that came from the policy, by id: its rules. All others were made by hand."""
-        return dict(self.database.rows("SELECT id, rules FROM policy_grant"))
+    def policy_grants(self, names: Collection[str] | None = None) -> dict[bytes, str]:
+        """The grants that came from the policy, by id: its rules. All others were made by hand.
+
+        With `names`, only those of these nodes.
+        """
+        query = "SELECT id, rules FROM policy_grant"
+        if names is None:
+            return dict(self.database.rows(query))
+        of_nodes = f"{query} WHERE id IN (SELECT id FROM grant_ WHERE {_OF_NODES})"  # noqa: S608  (constants)
+        return dict(self.database.rows(of_nodes, json.dumps([*names])))
 
     def grants(self) -> list[GrantRow]:
         """Every grant signed, oldest first."""
         return self._grants("")
 
-    def unrevoked_grants(self, name: str | None = None) -> list[GrantRow]:
-        """The grants that are not revoked, expired or not; with `name`, only that node's."""
+    def unrevoked_grants(self, names: Collection[str] | None = None) -> list[GrantRow]:
+        """The grants that are not revoked, expired or not; with `names`, only of these nodes."""
         alive = "WHERE id NOT IN (SELECT entry FROM revocation)"
-        return self._grants(alive) if name is None else self._grants(f"{alive} AND name = ?", name)
+        if names is None:
+            return self._grants(alive)
+        return self._grants(f"{alive} AND {_OF_NODES}", json.dumps([*names]))
 
     def revoked_grants(self) -> list[GrantRow]:
         """The revoked grants, oldest first."""

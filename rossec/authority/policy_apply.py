@@ -6,6 +6,7 @@ A plan made from another record, or by another policy, than there is now signs n
 """
 
 import secrets
+from collections.abc import Collection
 
 from ca.revocation.lists import RevocationList
 from grants.model import ID_SIZE, Draft
@@ -39,18 +40,23 @@ def sign_planned(
 
 
 def grant_outright(
-    authority: SigningAuthority, policy: PolicyFile, name: str, now: int, *, renews: bool = False
+    authority: SigningAuthority,
+    policy: PolicyFile,
+    names: Collection[str],
+    now: int,
+    *,
+    renews: bool = False,
 ) -> list[tuple[Draft, bytes]]:
-    """Sign what `policy` gives the node `name` outright and it does not have; revokes nothing.
+    """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing.
 
     `renews`: whether the master can renew grants.
 
     Raises:
-        PolicyRefused: the node would need more grants than it can present.
+        PolicyRefused: one of them would need more grants than it can present.
         ConfigurationError, StoreError: as `sign_planned`.
     """
     moment = Moment(now, SKEW, renews=renews)
-    plan = make_plan(authority.store, policy, PlanOptions((name,)), moment)
+    plan = make_plan(authority.store, policy, PlanOptions(names), moment)
     return sign_planned(authority, plan, now)
 
 

@@ -147,8 +147,8 @@ class PolicyOperations(ABC):
             moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
-    def grant_outright(self, name: str) -> list[SignedGrant]:
-        """Sign what the policy in force gives the node `name` outright, if there is a policy.
+    def grant_outright(self, *names: str) -> list[SignedGrant]:
+        """Sign what the policy in force gives the nodes `names` outright, if there is a policy.
 
         What it no longer allows waits for `apply_policy`.
 
@@ -162,7 +162,7 @@ class PolicyOperations(ABC):
         policy = policyfile.read_policy(self.rossec_home, None, signs=True)
         at = self._now()
         renews = self.home.has_delegated(at)
-        return policy_apply.grant_outright(self.unlock(), policy, name, at, renews=renews)
+        return policy_apply.grant_outright(self.unlock(), policy, names, at, renews=renews)
 
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None

@@ -151,14 +151,9 @@ def _recorded(
     store: Store, names: Collection[str] | None, now: int
 ) -> dict[Subject, list[RecordedGrant]]:
     """The grants that are or can be in force, by node and key."""
-    revoked, rules = store.revoked_entries(), store.policy_grants()
-    rows = (
-        store.unrevoked_grants()
-        if names is None
-        else [row for name in names for row in store.unrevoked_grants(name)]
-    )
+    revoked, rules = store.revoked_entries(), store.policy_grants(names)
     found: dict[Subject, list[RecordedGrant]] = {}
-    for row in rows:
+    for row in store.unrevoked_grants(names):
         grant = document.peek(row.data)
         if now < grant.cap and grant.holder not in revoked:
             of = found.setdefault(Subject(grant.subject, grant.holder), [])

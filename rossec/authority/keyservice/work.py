@@ -8,20 +8,21 @@ and the next round tries again.
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Final
 
 from ca.enrollment.join_messages import Issued, write
 from ca.enrollment.join_request import JoinRequest
-from ca.errors import HintedError
+from ca.errors import HintedError, StoreError
+from grants.errors import PolicyRefused
 from rossec import clock
 from rossec.authority import joining, policyfile, renewals
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
-from rossec.errors import AuthorityLocked, ConfigurationError
+from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.ros.text import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
@@ -74,32 +75,41 @@ class AuthorityWork:
                     answer = joining.join_locked(store, request, self._now())
         return write(answer), request.name if isinstance(answer, Issued) else None
 
-    def apply(self, name: str | None = None) -> None:
-        """Make the policy true, for the node `name` or for all; does nothing while locked.
+    def apply(self, names: Collection[str] | None = None) -> None:
+        """Make the policy true, for the nodes `names` or for all; does nothing while locked.
 
         Grants are renewed at two thirds of their time.
         """
         if self._operations.held.remaining() is None:
             return
-        names = None if name is None else [name]
         try:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
             with self._service(APPLY_PURPOSE) as service:
                 plan = service.plan_policy(policy, names, renew_due=True)
                 if plan.signs or plan.revoke:
                     service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+        except NotDelivered as error:
+            _log.warning("the policy is applied, but not delivered yet: %s", printable(error))
         except HintedError as error:
-            _log.error("the policy is not applied: %s", printable(error))
+            alone = _to_try_alone(error, names)
+            for name in alone:
+                self.apply([name])
+            if not alone:
+                _log.error("the policy is not applied: %s", printable(error))
 
-    def grant_outright(self, name: str) -> None:
-        """Give a node that joined what the policy in force gives its name, if there is one."""
+    def grant_outright(self, names: Collection[str]) -> None:
+        """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self._service(APPLY_PURPOSE) as service:
-                signed = service.grant_outright(name)
+                signed = service.grant_outright(*names)
                 if signed:
                     service.deposit([data for _, data in signed])
         except HintedError as error:
-            _log.error("%s has no grants yet: %s", name, printable(error))
+            alone = _to_try_alone(error, names)
+            for name in alone:
+                self.grant_outright([name])
+            if not alone:
+                _log.error("%s has no grants yet: %s", ", ".join(names), printable(error))
 
     def apply_if_changed(self) -> None:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
@@ -149,6 +159,15 @@ class AuthorityWork:
         )
         with contextlib.closing(service):
             yield service
+
+
+def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collection[str]:
+    """The names to try one by one: the policy is in order, but refused for one of them.
+
+    Or the key of one was revoked in this moment.
+    """
+    is_of_one = isinstance(error, PolicyRefused | StoreError) and not getattr(error, "mistakes", ())
+    return names if is_of_one and names is not None and len(names) > 1 else ()
 
 
 def _no_passphrase() -> str:

@@ -273,4 +273,6 @@ def test_the_grants_that_are_not_revoked(store: Store) -> None:
     store.add_grant(grant(3)._replace(name="/b"), NOW)
     store.revoke(grant(1).id, "no", NOW)
     assert [row.id[0] for row in store.unrevoked_grants()] == [2, 3]
-    assert [row.id[0] for row in store.unrevoked_grants("/b")] == [3]
+    assert [row.id[0] for row in store.unrevoked_grants(["/b"])] == [3]
+    assert [row.id[0] for row in store.unrevoked_grants(["/b", "/a"])] == [2, 3]
+    assert store.unrevoked_grants([]) == []

@@ -14,6 +14,8 @@ def test_grants_from_the_policy_are_told_from_those_by_hand(tmp_path: Path) -> N
     by_policy = by_hand._replace(id=b"p" * 16)
     store.add_grant(by_policy, NOW, "pose, night")
     assert store.policy_grants() == {by_policy.id: "pose, night"}
+    assert store.policy_grants([by_policy.name, "/other"]) == store.policy_grants()
+    assert store.policy_grants(["/other"]) == {}
     assert store.grants() == [by_hand, by_policy]
     assert [e.detail for e in store.log.entries() if e.what == "policy grant"] == ["pose, night"]
     store.log.audit(new_signer().public_key)

@@ -114,7 +114,7 @@ def test_a_key_revoked_meanwhile_signs_nothing(applied: Applied) -> None:
 
 def test_one_node_gets_what_the_policy_gives_it(applied: Applied) -> None:
     authority, policy = applied.site.authority, PolicyFile.read(applied.path)
-    assert len(grant_outright(authority, policy, "/robot", NOW)) == 2
-    assert grant_outright(authority, policy, "/robot", NOW) == []
-    assert grant_outright(authority, policy, "/nobody", NOW) == []
+    assert len(grant_outright(authority, policy, ["/robot"], NOW)) == 2
+    assert grant_outright(authority, policy, ["/robot"], NOW) == []
+    assert grant_outright(authority, policy, ["/nobody"], NOW) == []
     assert applied.grants() == ["/robot a", "/robot b"]

@@ -1,6 +1,7 @@
 """Joins, calls and rounds of the service, with a face that is played."""
 
 import asyncio
+from collections.abc import Collection
 from pathlib import Path
 from typing import cast
 
@@ -73,6 +74,41 @@ async def test_a_node_that_joins_gets_what_the_policy_gives_it(
     assert working.grants() == 1
 
 
+class BusyFace(PlayedFace):
+    """Its nodes join at the same time."""
+
+    def __init__(self, requests: list[bytes]) -> None:
+        super().__init__()
+        self.requests = requests
+
+    async def run(self, join: Handler) -> None:
+        await asyncio.gather(*map(join, self.requests))
+        await asyncio.Event().wait()
+
+
+async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    working = Working(tmp_path, now())
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    code, names = working.invite(4), [f"/fleet/{letter}" for letter in "abcd"]
+    face = BusyFace([working.request(code, name) for name in names])
+    apply, applied = AuthorityWork.apply, list[list[str]]()
+
+    def applies(self: AuthorityWork, names: Collection[str] | None = None) -> None:
+        applied.append(sorted(names or ()))
+        apply(self, names)
+
+    monkeypatch.setattr(AuthorityWork, "apply", applies)
+    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), applies=True)
+    running = asyncio.ensure_future(network.run())
+    await until(lambda: sorted(name for each in applied for name in each) == names, within=20)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    assert sum(map(bool, applied)) < len(names), "it was applied for each node alone"
+    assert working.grants() == len(names)
+
+
 async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROUND", 0.01)
     playing = Playing(tmp_path, applies=True)
@@ -99,6 +135,29 @@ async def test_a_round_that_crashes_is_not_the_last(
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     assert "a round of the authority failed" in caplog.text
+
+
+async def test_a_master_that_fails_slowly_is_not_called_for_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each node that joins would wait for it."""
+    monkeypatch.setattr(module, "SLOW", 0.0)
+    monkeypatch.setattr(module, "PAUSE", 0.3)
+    playing = Playing(tmp_path, applies=False)
+    call = MasterCall(NodeHome(tmp_path / "x", "/ca"), "rossec.x", (b"a",), "the list", "later")
+    running = asyncio.ensure_future(playing.network.run())
+    await asyncio.sleep(0.05)
+    playing.face.error = TimeoutError()
+    for reason in ("no answer in time", "it is out of reach"):
+        with pytest.raises(NotDelivered, match=reason):
+            await asyncio.to_thread(playing.network.deliver, call)
+    calls = [method for method, _ in playing.face.calls if method == "rossec.x"]
+    assert len(calls) == 1
+    playing.face.error = None
+    await asyncio.sleep(0.35)
+    assert await asyncio.to_thread(playing.network.deliver, call) == 1
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
 
 
 async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:

@@ -113,9 +113,9 @@ def test_joins_wait_while_it_is_locked(working: Working) -> None:
 def test_a_node_gets_what_the_policy_gives_it(working: Working) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     working.work.join(working.request(working.invite()))
-    working.work.apply("/fleet/b")
+    working.work.apply(["/fleet/b"])
     assert working.grants() == 0
-    working.work.apply("/fleet/a")
+    working.work.apply(["/fleet/a"])
     assert working.grants() == 1
     assert working.audit[-1].endswith(", for the policy, which it applies")
     assert "rossec.depositGrants" in working.calls
@@ -123,17 +123,35 @@ def test_a_node_gets_what_the_policy_gives_it(working: Working) -> None:
     assert working.grants() == 1, "applying again changes nothing"
 
 
+@pytest.mark.parametrize(
+    ("give", "said"),
+    [("apply", "the policy is not applied: "), ("grant_outright", "/fleet/b has no grants yet: ")],
+)
+def test_a_node_that_needs_too_many_grants_keeps_no_other_from_its_own(
+    working: Working, caplog: pytest.LogCaptureFixture, give: str, said: str
+) -> None:
+    many = ", ".join(f"/s{number}" for number in range(65 * 64))
+    greedy = f"  - {{id: b, who: /fleet/b, allow: {{call: [{many}]}}}}\n"
+    (working.home.path / "policy.yaml").write_text(POLICY + greedy)
+    code, names = working.invite(3), ["/fleet/a", "/fleet/b", "/fleet/c"]
+    for name in names:
+        working.work.join(working.request(code, name))
+    getattr(working.work, give)(names)
+    assert working.grants() == 2
+    assert caplog.text.count(f"{said}/fleet/b would need") == 1
+
+
 def test_a_node_that_joins_gets_its_grants_without_the_policy_being_applied(
     working: Working, caplog: pytest.LogCaptureFixture
 ) -> None:
     working.work.join(working.request(working.invite()))
-    working.work.grant_outright("/fleet/a")
+    working.work.grant_outright(["/fleet/a"])
     assert working.grants() == 0
     (working.home.path / "policy.yaml").write_text(POLICY)
-    working.work.grant_outright("/fleet/a")
+    working.work.grant_outright(["/fleet/a"])
     assert working.grants() == 1
     (working.home.path / "policy.yaml").write_text("rules: x")
-    working.work.grant_outright("/fleet/a")
+    working.work.grant_outright(["/fleet/a"])
     assert "/fleet/a has no grants yet: " in caplog.text
 
 
@@ -141,7 +159,7 @@ def test_a_right_that_the_policy_takes_back_is_revoked_in_the_next_round(working
     path = working.home.path / "policy.yaml"
     path.write_text(POLICY)
     working.work.join(working.request(working.invite()))
-    working.work.apply("/fleet/a")
+    working.work.apply(["/fleet/a"])
     path.write_text(POLICY.replace("/fleet/*", "/other/*"))
     working.work.apply()
     assert "rossec.updateRevocations" in working.calls
@@ -150,7 +168,7 @@ def test_a_right_that_the_policy_takes_back_is_revoked_in_the_next_round(working
 def test_grants_are_renewed_at_two_thirds(working: Working) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     working.work.join(working.request(working.invite()))
-    working.work.apply("/fleet/a")
+    working.work.apply(["/fleet/a"])
     working.now += 3 * DAY
     working.work.apply()
     assert working.grants() == 1
@@ -204,7 +222,7 @@ def test_a_list_reaches_a_master_that_was_out_of_reach(working: Working) -> None
     path = working.home.path / "policy.yaml"
     path.write_text(POLICY)
     working.work.join(working.request(working.invite()))
-    working.work.apply("/fleet/a")
+    working.work.apply(["/fleet/a"])
     working.work.maintain()
     working.reachable = False
     path.write_text(POLICY.replace("/fleet/*", "/other/*"))
@@ -225,7 +243,7 @@ def test_a_node_of_this_home_gets_a_file(working: Working) -> None:
     answer, _ = working.work.join(working.request(working.invite()))
     assert isinstance(read(answer), Issued)
     node.path.mkdir(parents=True, mode=0o700)
-    working.work.apply("/fleet/a")
+    working.work.apply(["/fleet/a"])
     assert len(node.grant_files()) == 1
     assert from_pem((working.home.path / "ca.pem").read_bytes())
 
