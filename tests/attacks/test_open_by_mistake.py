@@ -41,7 +41,9 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
         "rossec.renewIdentity": (b"x",), "rossec.updateDelegation": (b"x",),
         "rossec.revocationsSince": (b"x",), "rossec.updateRevocations": (b"x",),
         "rossec.updateRevocationTree": (b"x", b"x"), "rossec.revocationProofs": ([],),
-        "rossec.trl": (b"\xa0",),
+        "rossec.trl": (b"\xa0",), "rossec.depositGrants": ([b"x"],),
+        "rossec.deliveryStates": ([b"x"],), "rossec.fetchGrants": (b"",),
+        "rossec.watchGrants": (b"",),
         **{f"register{kind}": (TOPIC, POSE, "http://h:1/") for kind in ("Publisher", "Subscriber")},
         **{f"unregister{kind}": (TOPIC, "http://h:1/") for kind in ("Publisher", "Subscriber")},
     }  # fmt: skip

@@ -38,9 +38,10 @@ print("PORT", rospy.impl.tcpros_base.get_tcpros_server_address()[1], flush=True)
 for line in sys.stdin:
     service, on = line.split()
     try:
-        print("ANSWER", rospy.ServiceProxy(service, SetBool)(on == "on").message, flush=True)
+        said = "ANSWER " + rospy.ServiceProxy(service, SetBool)(on == "on").message
     except Exception as error:
-        print("ERROR", type(error).__name__, error, flush=True)
+        said = f"ERROR {error}"
+    print(said + "\\n", end="", flush=True)  # at once: rospy writes its log to the same place
 """
 
 
@@ -137,8 +138,7 @@ async def test_a_service_is_not_even_found_without_a_grant(porter: Program) -> N
 
 
 async def test_the_refusal_of_a_provider_is_reported(porter: Program) -> None:
-    assert (await said(porter, "/lamp/odd")).startswith("ERROR")
-    assert "cannot call /lamp/odd: " in porter.said
+    assert "restricted for messages of type" in await said(porter, "/lamp/odd")
 
 
 async def test_only_a_named_service_is_called_in_plain(
@@ -147,9 +147,8 @@ async def test_only_a_named_service_is_called_in_plain(
     assert await said(porter, OPEN) == "ANSWER in clear"
     assert FIELD.encode() not in b"".join(plain.headers), "grants are secret"
     plain.headers.clear()
-    assert (await said(porter, SECRET)).startswith("ERROR")
+    assert "the peer is a plain ROS node" in await said(porter, SECRET)
     assert SECRET.encode() not in b"".join(plain.headers), "it is only asked what it speaks"
-    assert f"cannot call {SECRET}: the peer is a plain ROS node" in porter.said
 
 
 def answer_to_plain(porter: Program, topic: str) -> bytes:
