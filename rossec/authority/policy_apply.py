@@ -29,6 +29,7 @@ def sign_planned(
     """
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     if not drafts:
+        plan.policy.check_unchanged()  # what it revokes is to be what this policy denies
         return []
 
     def check() -> None:

@@ -180,12 +180,16 @@ class PolicyOperations(ABC):
         signed = policy_apply.sign_planned(self.unlock(), plan, self._now())
         if signed:
             report(f"signed: {len(signed)}")
-        failed = self._deliver_new(signed, plan, report)
+        failed, refused = self._deliver_new(signed, plan)
         listed = policy_apply.revoke_planned(self.unlock(), plan, self._now())
         if listed is not None:
             report(f"revoked: {len(plan.revoke)} (list {listed.seq})")
             self.publish()
             report("the master has the new list")
+            if refused:  # there may be room for them now
+                refused = self.deposit_missing()[1]
+        for each in refused:
+            report(f"the master refuses a grant of {each.node}: {each.reason}")
         if failed is not None:
             raise failed
         return signed
@@ -204,23 +208,24 @@ class PolicyOperations(ABC):
             self.publish()
 
     def _deliver_new(
-        self, signed: list[SignedGrant], plan: "PolicyPlan", report: Callable[[str], None]
-    ) -> HintedError | OSError | None:
-        """Deliver new grants; returns the failure: what is not allowed is revoked all the same.
+        self, signed: list[SignedGrant], plan: "PolicyPlan"
+    ) -> "tuple[HintedError | OSError | None, list[RefusedDeposit]]":
+        """Deliver new grants; returns the failure, and those that the master refuses.
+
+        What is not allowed is revoked all the same.
 
         Before a revocation, also those that an interrupted command signed. A node of this
         ROSSEC_HOME has its grants as files, also while no master runs.
         """
         try:
-            refused = self._deposit_all() if plan.revoke else self.deposit(d for _, d in signed)
+            if plan.revoke:
+                return None, self._deposit_all()
+            return None, self.deposit(data for _, data in signed)
         except NotDelivered as error:
             homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
-            return None if all(home.path.is_dir() for home in homes) else error
+            return None if all(home.path.is_dir() for home in homes) else error, []
         except (HintedError, OSError) as error:  # a full disk, or an expired identity of /ca
-            return error
-        for each in refused:
-            report(f"the master refuses a grant of {each.node}: {each.reason}")
-        return None
+            return error, []
 
     def _deposit_all(self) -> "list[RefusedDeposit]":
         """Deliver every grant that its node or the master lacks; returns the refused ones."""

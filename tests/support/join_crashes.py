@@ -30,6 +30,9 @@ from tests.support.killing import run_killed
 CODE = InvitationCode(
     sha256(CERTIFICATE).digest(), b"s" * 16, NOW + 3600, "127.0.0.1:9", "/**", wildcard=False
 )
+SECOND = InvitationCode(
+    sha256(CERTIFICATE).digest(), b"t" * 16, NOW + 3600, "127.0.0.1:9", "/**", wildcard=False
+)
 NAMES = {"join": "/fleet/a", "wait": "/held"}
 Scenario = Callable[[Path], None]
 
@@ -60,11 +63,25 @@ def ends(directory: Path) -> None:
         end(store, find(store, CODE.id.hex()), "lost", NOW)
 
 
+def invites(directory: Path) -> None:
+    with closing(opened(directory).store) as store:
+        if SECOND.id not in {row.id for row in store.invitations.all()}:
+            store.invitations.add(row_of(SECOND))
+
+
+def row_of(code: InvitationCode) -> InvitationRow:
+    return InvitationRow(code.id, code.key, "/**", 2, False, code.expires, NOW)
+
+
 SCENARIOS: dict[str, Scenario] = {
     "join": partial(node_joins, name=NAMES["join"]),
     "wait": partial(node_joins, name=NAMES["wait"]),
     "end": ends,
+    "invite": invites,
 }
+
+
+EXPECTED = {"join": (1, 0, 0), "wait": (0, 1, 0), "end": (0, 0, 0), "invite": (0, 0, 1)}
 
 
 def check(directory: Path, name: str, *, complete: bool) -> None:
@@ -75,11 +92,13 @@ def check(directory: Path, name: str, *, complete: bool) -> None:
         issued = [row.thumbprint for row in store.identities.by_name(NAMES["join"])]
         waiting = [row for row in store.requests.open() if row.name == NAMES["wait"]]
         ended = store.invitations.ended(CODE.id)
+        invited = [row for row in store.invitations.all() if row.id == SECOND.id]
     assert uses == issued, "a use without its identity, or the reverse"
     assert len(issued) <= 1
     assert not (ended and waiting), "ended, and a request of it still waits"
     if complete:
-        assert (len(issued), len(waiting)) == {"join": (1, 0), "wait": (0, 1), "end": (0, 0)}[name]
+        found = len(issued), len(waiting), len(invited)
+        assert found == EXPECTED[name]
     if complete and name == "join":
         own = NodeHome.of(directory, NAMES["join"]).identity(NOW)
         assert own.thumbprint == issued[0]
@@ -107,7 +126,7 @@ def main(work: Path) -> None:
     with closing(opened(base).store) as store:
         for row in store.requests.open():
             store.requests.deny(row.digest, NOW, "not of this test")
-        store.invitations.add(InvitationRow(CODE.id, CODE.key, "/**", 2, False, CODE.expires, NOW))
+        store.invitations.add(row_of(CODE))
         assert check_request(HELD, "home").name == NAMES["wait"]
     shutil.copytree(base, waits)
     node_joins(waits, NAMES["wait"])

@@ -1,10 +1,12 @@
 """The service's joins, calls at the master and rounds: face and work put together. A shell.
 
 Tasks that need the record run in one thread, one after the other; a round is a task as a join is.
+So a master whose host is off, which fails slowly, is not called for a while: nodes go on joining.
 """
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,6 +23,8 @@ from rossec.net.aio.tasks import TaskSet
 
 ROUND: Final = 60.0  # seconds between two rounds
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
+SLOW: Final = 1.0  # seconds in which a master that runs, or does not, has answered
+PAUSE: Final = 45.0  # seconds without calls after one that failed slowly; less than a round
 _T = TypeVar("_T")
 _log = logging.getLogger("rossec.authority.service")
 
@@ -53,6 +57,7 @@ class NetworkWork:
         self._joined: list[str] = []  # names that have no grants yet
         self._giving = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._resume = 0.0
 
     def deliver(self, call: MasterCall) -> Value:
         """Call the master through the face; for the thread of the work.
@@ -62,12 +67,17 @@ class NetworkWork:
         """
         if self._loop is None:
             raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
+        began = time.monotonic()
+        if began < self._resume:
+            raise NotDelivered(f"the master did not get {call.what}: it is out of reach", call.hint)
         within = int(call.within or _WITHIN)
         arguments: list[Value] = list(map(_as_value, call.statement))
         asked = self._face.call(call.method, arguments, within)
         try:
             return asyncio.run_coroutine_threadsafe(asked, self._loop).result()
         except (HintedError, TimeoutError) as error:
+            if time.monotonic() - began > SLOW:
+                self._resume = time.monotonic() + PAUSE
             reason = str(error) or "no answer in time"
             what = f"the master did not get {call.what}: {reason}"
             raise NotDelivered(what, call.hint) from error

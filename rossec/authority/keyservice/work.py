@@ -22,7 +22,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
-from rossec.errors import AuthorityLocked, ConfigurationError
+from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.ros.text import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
@@ -88,6 +88,8 @@ class AuthorityWork:
                 plan = service.plan_policy(policy, names, renew_due=True)
                 if plan.signs or plan.revoke:
                     service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+        except NotDelivered as error:
+            _log.warning("the policy is applied, but not delivered yet: %s", printable(error))
         except HintedError as error:
             alone = _to_try_alone(error, names)
             for name in alone:

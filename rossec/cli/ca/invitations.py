@@ -47,20 +47,20 @@ def revoke(service: AuthorityService, invitation_id: str, and_nodes: bool, reaso
     """End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.
 
     Requests that wait for a person because of it are denied. With --and-nodes every key of the
-    names that joined by it is revoked, and the master is notified at once.
+    names that joined by it is revoked, and the master is notified at once. The first needs no key,
+    so it is done also where the second cannot be.
     """
-    authority = service.unlock() if and_nodes else None
     with contextlib.closing(service.home.store()) as store:
         found = find(store, invitation_id)
         denied = end(store, found, reason, now())
     say(f"invitation {found.short_id} is ended")
     if denied:
         say(f"denied {denied} request{'s' * (denied != 1)} that waited")
-    if authority is None:
+    if not and_nodes:
         if found.uses:
             note(f"{len(found.uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
         return
-    listed, names = revoke_nodes(authority, found, reason, now())
+    listed, names = revoke_nodes(service.unlock(), found, reason, now())
     for name in names:
         say(f"revoked {name}")
     if listed is not None:

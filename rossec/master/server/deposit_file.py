@@ -104,9 +104,9 @@ class DepositFile:
         records = map(deposit_journal.encode, self.deposits.changes())
         data = deposit_journal.MAGIC + b"".join(records)
         files.replace(self._path, data)
-        old = self._file
+        if self._file is not None:  # of the old file: what is appended there would be lost
+            os.close(self._file)
+            self._file = None
         flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
         self._file = os.open(self._path, flags)
         self._size = self._snapshot_size = len(data)
-        if old is not None:
-            os.close(old)

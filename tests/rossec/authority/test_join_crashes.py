@@ -14,7 +14,7 @@ def test_no_crash_loses_or_doubles_a_join(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=280)
     assert done.returncode == 0, done.stderr
     deaths = json.loads(done.stdout)
-    assert set(deaths) == {"join", "wait", "end"}
+    assert set(deaths) == {"join", "wait", "end", "invite"}
     for counted in deaths.values():
         assert counted["pwrite64"] >= 10
         assert counted["fdatasync"] >= 2

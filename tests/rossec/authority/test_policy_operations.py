@@ -184,6 +184,34 @@ def test_a_delivery_that_fails_holds_no_revocation_back(office: Office, error: E
     assert office.is_done()
 
 
+def test_what_the_master_had_no_room_for_is_deposited_after_the_revocation(
+    office: Office,
+) -> None:
+    office.apply()
+    office.write(CHANGED)
+
+    def full(data: bytes) -> str:
+        if "rossec.updateRevocations" in office.calls:
+            return ""
+        office.known.discard(document.grant_id(data))
+        return "no room"
+
+    office.answer = full
+    said = office.apply()
+    assert said == ["signed: 2", "revoked: 2 (list 2)", "the master has the new list"]
+    assert office.calls[-2:] == ["rossec.deliveryStates", "rossec.depositGrants"]
+
+
+def test_a_plan_that_only_revokes_is_not_carried_out_by_another_policy(office: Office) -> None:
+    office.apply()
+    office.write("rossec: 1\nrobot: r\nrules: []\n")
+    plan = office.service.plan_policy(read_policy(office.root, None))
+    office.write(POLICY)
+    with pytest.raises(ConfigurationError, match="changed"):
+        office.service.apply_policy(plan)
+    assert office.is_done(), "nothing was revoked"
+
+
 def test_a_new_identity_gets_what_the_policy_gives_it(office: Office) -> None:
     (signed,) = office.service.grant_outright("/there")
     assert signed[0].subject == "/there"

@@ -5,13 +5,12 @@ import errno
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rossec.errors import ChannelClosed, ChannelError, LimitExceeded
+from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.inprocess import plain_stream, sockets
 from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.connector import Connector
@@ -20,67 +19,9 @@ from rossec.inprocess.sockets import RosSocket
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
+from tests.rossec.inprocess.socket_pair import connected, owner
 from tests.support.secure_sockets import background
 from tests.support.site import Site
-
-
-class Owner:
-    """What a socket uses of its process."""
-
-    def __init__(self, local_identity: LocalIdentity, plain: PlainPeers) -> None:
-        self.connector = Connector(local_identity)
-        self.plain = plain
-        self.closed: list[RosSocket] = []
-        self.ports: list[int] = []
-
-    def listens(self, port: int) -> None:
-        self.ports.append(port)
-
-    def connection_closed(self, sock: RosSocket) -> None:
-        self.closed.append(sock)
-
-    def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
-        return ConnectionError(f"{address[1] > 0} {error}")
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    directory: Path = tmp_path_factory.mktemp("identity")
-    return Site(directory / "site")
-
-
-@pytest.fixture(scope="module")
-def local_identity(site: Site) -> LocalIdentity:
-    return LocalIdentity(site.enroll("/robot"), "/robot")
-
-
-def owner(local_identity: LocalIdentity, plain: PlainPeers | None = None) -> Owner:
-    return Owner(local_identity, plain or PlainPeers(()))
-
-
-@pytest.fixture
-def listening(site: Site) -> Iterator[RosSocket]:
-    viewer = LocalIdentity(site.enroll("/viewer"), "/viewer")
-    sock = RosSocket(owner(viewer), socket.socket())
-    sock.bind(("127.0.0.1", 0))
-    sock.listen(1)
-    yield sock
-    sock.close()
-
-
-def connected(local_identity: LocalIdentity, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
-    accepted: list[RosSocket] = []
-
-    def accept() -> None:
-        sock, _ = listening.accept()
-        sock.handshake()
-        accepted.append(sock)
-
-    thread = background(accept)
-    sock = RosSocket(owner(local_identity), socket.socket())
-    sock.connect(listening.getsockname())
-    thread.join(30)
-    return sock, accepted[0]
 
 
 def test_a_socket_connects_sends_and_receives(
@@ -320,3 +261,43 @@ def test_an_aborted_socket_receives_nothing_more(
     left.run_timers()
     for sock in (left, right):
         sock.close()
+
+
+def test_a_refused_channel_is_an_error_for_rospy(
+    site: Site, local_identity: LocalIdentity, listening: RosSocket
+) -> None:
+    def hang_up() -> None:
+        sock, _ = listening.accept()
+        sock.close()
+
+    for closed_locally in (False, True):
+        thread = background(hang_up)
+        sock = RosSocket(owner(local_identity), socket.socket())
+        sock.closed_locally = closed_locally
+        expected = "closed" if closed_locally else "True "
+        with pytest.raises(ConnectionError, match=expected):
+            sock.connect(listening.getsockname())
+        thread.join(30)
+        sock.close()
+
+
+def test_a_named_caller_stays_plain(local_identity: LocalIdentity) -> None:
+    listening = RosSocket(owner(local_identity, PlainPeers(["/x"])), socket.socket())
+    listening.bind(("127.0.0.1", 0))
+    listening.listen()
+    with socket.create_connection(listening.getsockname()) as caller:
+        caller.sendall(b"\x06\0\0\0\x02\0\0\0a=")
+        sock, _ = listening.accept()
+        assert sock.peek() == b"\x06\0\0\0\x02\0\0\0a="
+        sock.switch_to_plain()
+        sock.switch_to_plain()  # once is enough
+        assert sock.is_plain
+        sock.raise_unit_limit(5)  # there are no units
+        sock.run_timers()
+        assert sock.recv(100) == b"\x06\0\0\0\x02\0\0\0a="
+        sock.sendall(b"hello")
+        assert caller.recv(10) == b"hello"
+        sock.abort()
+        assert caller.recv(10) == b""
+        sock.close()
+    listening.close()

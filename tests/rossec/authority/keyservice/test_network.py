@@ -137,6 +137,29 @@ async def test_a_round_that_crashes_is_not_the_last(
     assert "a round of the authority failed" in caplog.text
 
 
+async def test_a_master_that_fails_slowly_is_not_called_for_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each node that joins would wait for it."""
+    monkeypatch.setattr(module, "SLOW", 0.0)
+    monkeypatch.setattr(module, "PAUSE", 0.3)
+    playing = Playing(tmp_path, applies=False)
+    call = MasterCall(NodeHome(tmp_path / "x", "/ca"), "rossec.x", (b"a",), "the list", "later")
+    running = asyncio.ensure_future(playing.network.run())
+    await asyncio.sleep(0.05)
+    playing.face.error = TimeoutError()
+    for reason in ("no answer in time", "it is out of reach"):
+        with pytest.raises(NotDelivered, match=reason):
+            await asyncio.to_thread(playing.network.deliver, call)
+    calls = [method for method, _ in playing.face.calls if method == "rossec.x"]
+    assert len(calls) == 1
+    playing.face.error = None
+    await asyncio.sleep(0.35)
+    assert await asyncio.to_thread(playing.network.deliver, call) == 1
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+
+
 async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:
     playing = Playing(tmp_path, applies=False)
     node = NodeHome(tmp_path / "x", "/ca")

@@ -76,6 +76,19 @@ def test_who_joined_is_revoked_too(shell: Shell) -> None:
         assert "no node that joined by it is left to revoke" in again.out
 
 
+def test_an_invitation_ends_also_if_the_key_cannot_be_used(shell: Shell) -> None:
+    """The code may be in the hands of somebody who uses it while a passphrase is looked for."""
+    with JoinPort(shell.root, PASSPHRASE) as port:
+        code, short = invited(shell, port, "/fleet/*", "--uses", "3")
+        joined(shell, code, "/fleet/a")
+    wrong = shell.root / "wrong"
+    wrong.write_text("not the passphrase")
+    wrong.chmod(0o600)
+    words = ("ca", "invitations", "revoke", short, "--and-nodes", "--passphrase-file", str(wrong))
+    refused(shell(*words), "passphrase does not open")
+    assert shell("ca", "invitations").out == "no open invitations\n"
+
+
 def test_what_waits_is_denied(shell: Shell) -> None:
     shell.enroll("/fleet/a")
     shell.node("/fleet/a").rename(shell.root / "old")

@@ -8,6 +8,7 @@ import pytest
 
 from grants import document
 from grants.model import Right
+from rossec import files
 from rossec.errors import NotWritten
 from rossec.master.rights.deposits import DeliveryState, verifier
 from rossec.master.server import deposit_file as module
@@ -129,3 +130,29 @@ def test_a_full_disk_refuses_a_deposit_and_leaves_no_half_record(
     assert opened(path).deposits.changes() == [
         GrantDeposited(one), GrantDeposited(two), GrantHeld(document.grant_id(one)),
     ]  # fmt: skip
+
+
+def test_a_file_that_cannot_be_opened_again_takes_no_deposit(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a descriptor, what is appended would go to the file that was replaced."""
+    monkeypatch.setattr(module, "REWRITE_MIN", 0)
+    monkeypatch.setattr(module, "REWRITE_FACTOR", 1)
+    file, one, two = opened(path), grant(), grant()
+    deposit(file, one)
+    replace = files.replace
+
+    def replace_and_run_out(where: Path, data: bytes) -> None:
+        replace(where, data)
+        monkeypatch.setattr(os, "open", no_descriptor)
+
+    def no_descriptor(*_: object) -> int:
+        raise OSError(24, "Too many open files")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "replace", replace_and_run_out)
+        file.sync()
+    monkeypatch.undo()
+    with pytest.raises(NotWritten, match="is not open"):
+        deposit(file, two)
+    assert stored(path) == [one]
