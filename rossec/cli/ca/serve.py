@@ -86,7 +86,7 @@ def serve(
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
         face = None if no_network else FaceProcess(home, options_of_face, environment.variables)
-        operations = operations_of(home, audit_to(audit))
+        operations = operations_of(home, audit_to(audit), lambda: face.port if face else 0)
         network = None
         if face is not None:
             stack.callback(face.close)
