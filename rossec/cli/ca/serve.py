@@ -70,8 +70,8 @@ def serve(
 ) -> None:
     """Hold the authority's key, so that commands need no passphrase. Ends with Ctrl-C.
 
-    Nodes with an invitation join at a port of its own process, which has no key. With --apply each
-    gets at once what the policy gives its name, and the policy file is put in force every minute.
+    Nodes with an invitation join at a port of its own process, which has no key, and get what
+    the policy gives their names. With --apply a changed policy is put in force within a minute.
     """
     home = AuthorityHome.at(environment.home)
     if log == "json":
