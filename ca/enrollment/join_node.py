@@ -47,6 +47,7 @@ from ca.names import AUTHORITY
 from ca.requests import IdentityRequest, check_request
 
 _AGAIN: Final = "then run `rossec node join` again: the same request gets its answer"
+_CLOCK: Final = "check this computer's clock; if it is right, at the authority: rossec ca renew /ca"
 _WAITING: Final = {
     WaitReason.LOCKED: ("the authority is locked", f"at the authority: rossec ca unlock; {_AGAIN}"),
     WaitReason.PERSON: (
@@ -230,7 +231,7 @@ def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> I
         found = anchor.verify(chain, now)
     except (CertificateExpired, CertificateNotYetValid) as error:
         raise NotTheAuthority(
-            f"the authority's node cannot be verified: {error}", error.hint
+            f"the authority's node cannot be verified: {error}", _CLOCK
         ) from error
     except CAError as error:
         raise NotTheAuthority(

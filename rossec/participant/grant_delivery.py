@@ -68,7 +68,7 @@ class GrantDelivery:
         self._revocations = revocations
         self._access = access
         self._directory = directory
-        self._received: dict[bytes, None] = {}  # ids, valid or not: not to be sent again
+        self._received: dict[bytes, None] = {}  # ids, valid or not: not again in this session
         self._new: list[bytes] = []
         self._unsaved: list[tuple[bytes, bytes]] = []
         self._arrived = asyncio.Event()
@@ -76,11 +76,14 @@ class GrantDelivery:
         self.taken = 0
 
     async def fetch(self, call: MasterCall) -> None:
-        """Fetch everything, at the beginning of a session.
+        """Fetch everything, at the beginning of a session; what was refused is judged again.
+
+        A master that forged a grant, or a clock that was wrong, keeps it away no longer than that.
 
         Raises:
             RossecError: the master is out of reach, or sends a malformed answer.
         """
+        self._received.clear()
         try:
             for _ in range(MAX_ANSWERS):
                 if not self.take(await call(FETCH, self.known())):

@@ -43,7 +43,9 @@ def script(tmp_path: Path) -> str:
         "rossec ca serve": "until rossec ca status >/dev/null 2>&1; do sleep 0.1; done",
         "rossec master": "until (: >/dev/tcp/127.0.0.1/$PORT) 2>/dev/null; do sleep 0.1; done",
     }
+    serve = f"rossec ca serve --join-address 127.0.0.1:{free_port()}"  # tests run side by side
     site = BACKGROUND.sub(lambda found: f"{found[0]}\n{waits[found[1]]}", block("site"))
+    site = site.replace("rossec ca serve", serve, 1)
     return "\n".join(
         ("set -e", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT", f"cd {tmp_path}",
          site, block("robots"), block("run"), FLOWS, block("change"), AFTER)

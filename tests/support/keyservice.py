@@ -23,11 +23,13 @@ class RunningService:
 
 @contextlib.contextmanager
 def running_service(
-    home: AuthorityHome, admit: Callable[[UnixPeer], None] = admit_all
+    home: AuthorityHome,
+    admit: Callable[[UnixPeer], None] = admit_all,
+    join_port: Callable[[], int] = int,
 ) -> Iterator[RunningService]:
     """The service of the authority in `home`, locked."""
     lines: list[str] = []
-    running = RunningService(operations_of(home, lines.append), lines)
+    running = RunningService(operations_of(home, lines.append, join_port), lines)
     process = KeyServiceProcess(home, running.operations, admit)
     started, ended = threading.Event(), asyncio.Event()
     loop = asyncio.new_event_loop()

@@ -18,7 +18,7 @@ from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
-from rossec.errors import NotDelivered
+from rossec.errors import ConfigurationError, NotDelivered
 from rossec.net.aio.tasks import TaskSet
 
 ROUND: Final = 60.0  # seconds between two rounds
@@ -108,7 +108,10 @@ class NetworkWork:
                 await self._in_thread(give, names)
 
     async def _rounds(self) -> None:
-        await self._face.started()
+        try:
+            await self._face.started()
+        except ConfigurationError:
+            return  # `rossec ca serve` reports it, and ends
         while True:
             try:
                 await self._in_thread(self._work.maintain)

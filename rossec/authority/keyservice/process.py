@@ -26,8 +26,13 @@ TICK: Final = 1.0  # seconds between two looks at the clock
 _log = logging.getLogger("rossec.authority.service")
 
 
-def operations_of(home: AuthorityHome, audit: Callable[[str], None]) -> KeyOperations:
-    """The operations on the key of the authority in `home`, which is locked."""
+def operations_of(
+    home: AuthorityHome, audit: Callable[[str], None], join_port: Callable[[], int] = int
+) -> KeyOperations:
+    """The operations on the key of the authority in `home`, which is locked.
+
+    `join_port`: where nodes join now; 0: nowhere.
+    """
     anchor, own = home.anchor(), home.intermediate()
     subject = anchor.subject if own is None else anchor.read_intermediate(own).subject
     about: dict[int | str, Value] = {
@@ -41,7 +46,8 @@ def operations_of(home: AuthorityHome, audit: Callable[[str], None]) -> KeyOpera
         return Authority(home.load_key(secret), anchor.certificate, own).signer
 
     authority = recognize.Authority(subject, anchor.domain)
-    return KeyOperations(HeldKey(load), authority, audit, lambda: about)
+    describe = lambda: {**about, "join_port": join_port()}  # noqa: E731 - one expression
+    return KeyOperations(HeldKey(load), authority, audit, describe)
 
 
 def audit_to(file: AuditFile) -> Callable[[str], None]:

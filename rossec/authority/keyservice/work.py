@@ -94,6 +94,8 @@ class AuthorityWork:
             alone = _to_try_alone(error, names)
             for name in alone:
                 self.apply([name])
+            if not isinstance(error, PolicyRefused):  # a mistake in the file stays one
+                self._applied = None, 0
             if not alone:
                 _log.error("the policy is not applied: %s", printable(error))
 

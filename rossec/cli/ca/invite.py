@@ -1,6 +1,7 @@
 """`rossec ca invite`: print the code by which nodes join, and say what it gives away."""
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +14,7 @@ from grants.policy.projected_grants import projected_for_names
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, invite
+from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.own_address import own_address
@@ -61,7 +63,7 @@ def command(
     whose name is known with another key waits for a person: rossec ca requests.
     """
     home, at = AuthorityHome.at(environment.home), now()
-    where = _address(environment, given)
+    where = _address(given or own_address(environment), home)
     if tag is not None and tag.exists():
         raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
     policy = _policy_lines(place(environment.home, None), check_pattern(pattern))
@@ -75,14 +77,24 @@ def command(
     say(code.text())
 
 
-def _address(environment: Environment, given: str | None) -> str:
-    """`host:port` of the join port.
+def _address(given: str, home: AuthorityHome) -> str:
+    """`host:port` of the join port; where only a host is given, the service knows its port.
 
     Raises:
         ConfigurationError: not an address.
     """
-    host, port = address.split(given or own_address(environment), address.JOIN_PORT)
+    host, port = address.split(given, _join_port(home))
     return address.join(host, port)
+
+
+def _join_port(home: AuthorityHome) -> int:
+    """The port of the service that runs, else the usual one."""
+    client = KeyServiceClient.find(home.path)
+    if client is None:
+        return address.JOIN_PORT
+    with closing(client):
+        port = client.status().get("join_port")
+    return port if isinstance(port, int) and port else address.JOIN_PORT
 
 
 def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:

@@ -70,8 +70,8 @@ def serve(
 ) -> None:
     """Hold the authority's key, so that commands need no passphrase. Ends with Ctrl-C.
 
-    Nodes with an invitation join at a port of its own process, which has no key. With --apply each
-    gets at once what the policy gives its name, and the policy file is put in force every minute.
+    Nodes with an invitation join at a port of its own process, which has no key, and get what
+    the policy gives their names. With --apply a changed policy is put in force within a minute.
     """
     home = AuthorityHome.at(environment.home)
     if log == "json":
@@ -86,7 +86,7 @@ def serve(
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
         face = None if no_network else FaceProcess(home, options_of_face, environment.variables)
-        operations = operations_of(home, audit_to(audit))
+        operations = operations_of(home, audit_to(audit), lambda: face.port if face else 0)
         network = None
         if face is not None:
             stack.callback(face.close)

@@ -68,3 +68,23 @@ def test_all_valid_identities_at_once(store: Store) -> None:
     assert [each.name for each in store.identities.all_valid(NOW + 1)] == ["/a", "/b"]
     store.revoke(NEW, "lost", NOW)
     assert [each.name for each in store.identities.all_valid(NOW + 1)] == ["/a"]
+
+
+@pytest.mark.parametrize("name", ["/", "/ab", "/a/b", "/b", "/a~", "/A", "/é", "/a" + "z" * 200])
+def test_names_with_a_common_beginning_are_compared_whatever_their_order(
+    store: Store, name: str
+) -> None:
+    compared = list[str]()
+
+    def covers(other: str) -> bool:
+        compared.append(other)
+        return False
+
+    store.add_certificate(row(2, NEW, name), NOW)
+    for asked in ("/a", "/a/b/c", "/abc", "/é"):
+        compared.clear()
+        store.identities.check_names(asked, THIRD, NOW, covers)
+        related = {
+            other for other in ("/a", name) if asked.startswith(other) or other.startswith(asked)
+        }
+        assert set(compared) == related - {asked}

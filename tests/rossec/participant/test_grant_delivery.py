@@ -167,6 +167,18 @@ async def test_what_the_master_must_not_deliver_is_refused_once(
     assert robot.delivery.taken == 0
 
 
+async def test_a_forged_grant_keeps_the_real_one_away_only_for_the_session(robot: Robot) -> None:
+    """By its id: the next master, or this one after it was repaired, has the real one."""
+    real = robot.grant()
+    forged = real[:-1] + bytes([real[-1] ^ 1])
+    robot.answers = [answer(forged), answer(real)]
+    await robot.delivery.fetch(robot.call)
+    assert robot.access.held_grants() == []
+    await robot.delivery.fetch(robot.call)
+    assert robot.asked[-1] == (FETCH, b"")
+    assert [held.original for held in robot.access.held_grants()] == [real]
+
+
 @pytest.mark.parametrize(
     "value", [None, 7, {}, {"grants": b"x", "more": False}, answer(more=True), answer("text")]
 )

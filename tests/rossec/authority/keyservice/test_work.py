@@ -10,13 +10,14 @@ from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
 from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason, read
 from ca.enrollment.join_node import NodeJoin
 from ca.enrollment.join_request import JoinRequest
-from ca.errors import EnrollmentMessageRefused
+from ca.errors import EnrollmentMessageRefused, StoreError
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
+from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.joining import asked, fresh
@@ -235,6 +236,23 @@ def test_a_list_reaches_a_master_that_was_out_of_reach(working: Working) -> None
     working.calls.clear()
     working.work.maintain()
     assert "rossec.updateRevocations" not in working.calls, "the master has it"
+
+
+def test_a_policy_that_could_not_be_applied_is_tried_in_the_next_round(
+    working: Working, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (working.home.path / "policy.yaml").write_text(POLICY)
+    working.work.join(working.request(working.invite()))
+
+    def busy(*_: object, **__: object) -> None:
+        raise StoreError("another command uses the record", "try again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(AuthorityService, "plan_policy", busy)
+        working.work.apply_if_changed()
+    assert working.grants() == 0
+    working.work.apply_if_changed()
+    assert working.grants() == 1
 
 
 def test_a_node_of_this_home_gets_a_file(working: Working) -> None:

@@ -5,6 +5,7 @@ import pytest
 from ca.enrollment import invitation, ndef
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell, refused
+from tests.support.keyservice import running_service
 
 POLICY = """rossec: 1
 robot: fleet
@@ -35,6 +36,13 @@ def test_no_key_is_needed_and_this_host_is_the_address(shell: Shell) -> None:
     code = invitation.parse(said.out)
     assert (code.address, code.wildcard) == ("127.0.0.1:11318", True)
     assert "one node named /rviz, for anonymous nodes too" in said.err
+
+
+def test_the_port_is_that_of_the_service_that_runs(shell: Shell) -> None:
+    home, ports = AuthorityHome.at(shell.root), iter((7000, 0))
+    with running_service(home, join_port=lambda: next(ports)):
+        for expected in ("127.0.0.1:7000", "127.0.0.1:11318"):
+            assert invitation.parse(shell("ca", "invite", "/a").out).address == expected
 
 
 def test_what_the_policy_gives_the_names(shell: Shell) -> None:
