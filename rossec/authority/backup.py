@@ -139,11 +139,7 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
 def _locked(target: Path) -> Iterator[None]:
     """Lock the service and the record at `target` from the comparison until it is moved."""
     with contextlib.ExitStack() as stack:
-<<<<<<< HEAD
-        if target.is_dir() and not target.is_symlink():  # a link is refused: nothing behind it
-=======
         if target.is_dir() and not target.is_symlink():  # nothing is written behind a link
->>>>>>> pol
             stack.enter_context(service_lock(target))
         with contextlib.suppress(HintedError):  # an incomplete authority: `_read` reports it
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
