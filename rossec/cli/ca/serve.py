@@ -114,11 +114,11 @@ class _Serving:
 
     async def run(self, *, as_json: bool) -> None:
         """Serve until a signal."""
-        audit = logging.getLogger(AUDIT)
+        audit, stop = logging.getLogger(AUDIT), stop_on_signals()
         try:
             await self.process.start()
             audit.info("the service began")
-            tasks = [self._until_stopped(as_json=as_json), self.process.watch_time()]
+            tasks = [self._until_stopped(stop, as_json=as_json), self.process.watch_time()]
             if self.network is not None:
                 tasks.append(self.network.run())
             await until_first_ends(*tasks)
@@ -126,8 +126,7 @@ class _Serving:
             await self.process.close()
             audit.info("the service ended")
 
-    async def _until_stopped(self, *, as_json: bool) -> None:
-        stop = stop_on_signals()
+    async def _until_stopped(self, stop: asyncio.Event, *, as_json: bool) -> None:
         port = None if self.face is None else await self.face.started()
         self._print_state(port, as_json=as_json)
         notify(READY, self.environment.variables)

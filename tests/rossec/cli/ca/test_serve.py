@@ -31,11 +31,12 @@ def serve(
     network: bool = False,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> Said:
-    """Run the service, `meanwhile` in a thread, and end it with SIGTERM."""
+    """Run the service, `meanwhile` in a thread, and end it with SIGTERM if it runs."""
+    ended = threading.Event()
 
     def end() -> None:
         deadline = time.monotonic() + 20
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline and not ended.is_set():
             client = KeyServiceClient.find(AuthorityHome.at(shell.root).path)
             if client is not None:
                 client.close()
@@ -44,13 +45,15 @@ def serve(
         try:
             meanwhile()
         finally:
-            os.kill(os.getpid(), signal.SIGTERM)
+            if not ended.is_set():
+                os.kill(os.getpid(), signal.SIGTERM)
 
     thread = threading.Thread(target=end)
     thread.start()
     try:
         return shell.unlocked("ca", "serve", *options, *([] if network else ["--no-network"]))
     finally:
+        ended.set()
         thread.join()
 
 
