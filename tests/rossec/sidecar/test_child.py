@@ -1,4 +1,6 @@
 import contextlib
+import ctypes
+import errno
 import json
 import os
 import pty
@@ -161,3 +163,29 @@ def test_without_ipv4_programs_get_a_host_name() -> None:
     del env[OUTSIDE]
     own = {"ROS_HOSTNAME": "localhost", "ROS_IPV6": "on"}
     assert env == {"ROS_MASTER_URI": uri, "HOME": "/home/me", **own}
+
+
+class RefusingKernel:
+    """The C library of a kernel that refuses what a sidecar needs."""
+
+    def prctl(self, *_: int) -> int:
+        ctypes.set_errno(errno.EPERM)
+        return -1
+
+    signalfd = prctl
+
+    def sigemptyset(self, _: object) -> int:
+        return 0
+
+    def sigaddset(self, _: object, __: int) -> int:
+        return 0
+
+
+async def test_a_kernel_that_refuses_starts_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    monkeypatch.setattr(child, "_LIBC", RefusingKernel())
+    with pytest.raises(OSError, match="PR_SET_CHILD_SUBREAPER"):
+        child.adopt_orphans()
+    with pytest.raises(OSError, match="signalfd"):
+        await child.run(("/bin/true",), {})
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
