@@ -199,15 +199,18 @@ class Membership:
         await self.session.run()
 
     async def _restore(self, session: MasterSession) -> None:
-        """Renew, present and register everything again: the master may have been restarted."""
+        """Renew, present and register everything again: the master may have been restarted.
+
+        What is held is presented before anything is fetched: calls of the program go on meanwhile.
+        """
         self._grace.session_opened()
-        await self._watch.session_opened()
-        await self._delivery.fetch(session.call)
-        self._take_new()
-        self._grant_directory.drop_ended(clock.now())
         with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
         await session.call(PRESENT_GRANTS, self._access.current(clock.now())[:MAX_PRESENTED])
+        await self._watch.session_opened()
+        await self._delivery.fetch(session.call)
+        await self._present(self._take_new())
+        self._grant_directory.drop_ended(clock.now())
         await self._hooks.restore()
         await self._delivery.save()
 
@@ -238,8 +241,7 @@ class Membership:
     async def _update(self, new: list[bytes]) -> None:
         """Present `new` grants, renew what is due, request proofs."""
         call = self.session.call
-        for begin in range(0, len(new), MAX_PRESENTED):
-            await call(PRESENT_GRANTS, new[begin : begin + MAX_PRESENTED])
+        await self._present(new)
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
             self.rights_version += 1
@@ -248,6 +250,10 @@ class Membership:
         await renew_identity(call, self._identity_renewal, clock.now())
         if await prove(call, self._access):
             self._connections.cut_ended(clock.now())
+
+    async def _present(self, new: list[bytes]) -> None:
+        for begin in range(0, len(new), MAX_PRESENTED):
+            await self.session.call(PRESENT_GRANTS, new[begin : begin + MAX_PRESENTED])
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:
