@@ -189,8 +189,9 @@ def test_no_connection_of_another_thread_outlives_a_revocation(site: Site) -> No
     def admit() -> None:
         with suppress(ChannelClosed):
             while not revoked.is_set():
-                admitted.append(make_connection())
-                connections.add(admitted[-1])
+                connection = make_connection()
+                admitted.append(connection)
+                connections.add(connection)
 
     threads = [Thread(target=admit) for _ in range(4)]
     for thread in threads:
