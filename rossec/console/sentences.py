@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 from grants.model import Grant, Permission, Right
-from rossec.authority.console.views import DenialView, EventView, NodeView, Question
+from rossec.authority.console.views import DenialView, EventView, GrantQuestion, NodeView
 from rossec.console import words
 from rossec.console.matrix import HeldGrant
 from rossec.ros.text import printable
@@ -46,14 +46,14 @@ class Known(NamedTuple):
 
     grants: Mapping[str, Grant]
     nodes: Mapping[str, str]
-    questions: Mapping[str, Question]
+    questions: Mapping[str, GrantQuestion]
 
     @classmethod
     def of(
         cls,
         held: Iterable[HeldGrant] = (),
         nodes: Iterable[NodeView] = (),
-        questions: Iterable[Question] = (),
+        questions: Iterable[GrantQuestion] = (),
     ) -> "Known":
         """The ids in these views."""
         return cls(
@@ -99,7 +99,7 @@ def _denial(node: str, right: int, name: str, times: int) -> tuple[Part, ...]:
 
 
 def wanted(right: int) -> str:
-    """The right with this number in words; a number that is none is said as it is."""
+    """The right with this number in words; an unknown number is said as it is."""
     return words.rights(Right(right)) if 0 < right < 256 else f"do something ({right}) with"
 
 

@@ -13,9 +13,9 @@ from rossec.authority.console.views import (
     DenialView,
     EventView,
     FactView,
+    GrantQuestion,
     GrantView,
     NodeView,
-    Question,
     Status,
 )
 from rossec.console.matrix import HeldGrant, Matrix, build, held_grants
@@ -64,7 +64,7 @@ class FakeHome:
     facts: list[FactView] = field(default_factory=list)
     events: list[EventView] = field(default_factory=list)
     denials: list[DenialView] = field(default_factory=list)
-    questions: list[Question] = field(default_factory=list)
+    questions: list[GrantQuestion] = field(default_factory=list)
     status: Status = STATUS
 
     def node(self, name: str, revoked_at: int = 0, reason: str = "") -> NodeView:

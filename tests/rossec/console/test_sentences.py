@@ -3,7 +3,7 @@
 import pytest
 
 from grants.model import Right
-from rossec.authority.console.views import AskedRight, DenialView, EventView, Question
+from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
 from rossec.console.sentences import Known, Sentence, permission, refusals, story, wanted
 from tests.support.consolehome import COARSE, HOSTILE, NOW, demo, sees
 
@@ -77,7 +77,7 @@ def test_ids_are_told_as_what_they_are() -> None:
         "Removed /doctor has no name here any more because: sold"
     )
     asked = AskedRight(int(Right.SUBSCRIBE), "/robot/pose", "", "", "", b"")
-    question = Question(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,))
+    question = GrantQuestion(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,))
     known = Known.of(questions=[question])
     assert told("grant request", detail=b"q".hex(), known=known) == (
         "Asked /lamp asked to see /robot/pose"
