@@ -1,8 +1,8 @@
 """Elements of SVG, built so that no text becomes markup and no style leaves the stylesheet. Pure.
 
-A class, never a `style` attribute: the pages' policy (CSP `style-src 'self'`) forbids those, and dark
-mode needs the classes. Numbers are finite and short. An element is safe where `__html__` is asked
-for (jinja2, markupsafe), as it escapes what it was given.
+A class, never a `style` attribute: the pages' policy (CSP `style-src 'self'`) forbids those, and
+dark mode needs the classes. Numbers are finite and short. An element is safe where `__html__` is
+asked for (jinja2, markupsafe), as it escapes what it was given.
 """
 
 import math
