@@ -14,8 +14,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ca.certificates import build_request
 from ca.encoding import Value, encode
 from ca.errors import HintedError
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
 from grants.claims import scope_of
 from grants.document import grant_id, peek, sign
 from grants.model import Draft, FilterRule, Permission, Restriction, Right
@@ -28,9 +31,11 @@ from rossec.authority.console.views import (
     DenialView,
     EventView,
     FactView,
+    GrantQuestion,
     GrantView,
     IdentityRequestView,
     InvitationView,
+    ListStanding,
     LoginChallenge,
     NodeView,
     Outcome,
@@ -39,8 +44,6 @@ from rossec.authority.console.views import (
     PolicyView,
     Prepared,
     Proposal,
-    GrantQuestion,
-    ListStanding,
     Status,
 )
 from rossec.authority.keyservice.server import KeyServer, SocketRules
@@ -88,7 +91,7 @@ class FakeHome:
         self.requests = [
             IdentityRequestView(
                 b"\1" * 32, "/lamp", b"\2" * 32, "code", self.now, self.now + DAY, "pending",
-                False, False,
+                False, False, build_request(KeySigner(generate()), "home", "/lamp"),
             )
         ]  # fmt: skip
         permission = Permission("/robot/pose", Right.SUBSCRIBE)

@@ -23,9 +23,11 @@ from rossec.authority.console.views import (
     DenialView,
     EventView,
     FactView,
+    GrantQuestion,
     GrantView,
     IdentityRequestView,
     InvitationView,
+    ListStanding,
     LoginChallenge,
     NodeView,
     Outcome,
@@ -33,8 +35,6 @@ from rossec.authority.console.views import (
     PolicyView,
     Prepared,
     Proposal,
-    GrantQuestion,
-    ListStanding,
     Status,
 )
 from rossec.authority.keyservice import messages as frames
