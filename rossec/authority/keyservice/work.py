@@ -120,7 +120,7 @@ class AuthorityWork:
         """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self.service(APPLY_PURPOSE) as service:
-                signed = service.grant_outright(*names)
+                signed = service.grant_outright(*names, place=self._policy)
                 if signed:
                     service.deposit([data for _, data in signed])
         except HintedError as error:
