@@ -1,4 +1,4 @@
-"""The static files: read once, served under the digest of their content, so that none is ever stale.
+"""The static files: read once, served under the digest of their content, so none is ever stale.
 
 `/static/DIGEST/NAME` with another digest does not exist: an address names one content for ever.
 """

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from rossec import clock
+from rossec.authority.console.client import ConsoleClient
 from rossec.console.failures import FailureLimit
 from rossec.console.news import News
-from rossec.console.service import ConsoleService
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings
 
@@ -38,7 +38,7 @@ class ConsoleContext:
         clock: seconds since the epoch.
     """
 
-    service: ConsoleService
+    service: ConsoleClient
     settings: Settings
     scanner: Scanner | None = None
     clock: Callable[[], int] = clock.now

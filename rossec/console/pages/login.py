@@ -8,12 +8,13 @@ by the authority's service; sessions are this console's.
 
 import secrets
 from collections.abc import Awaitable
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from ca.errors import HintedError
+from rossec.authority.console.client import Assertion, Registration
 from rossec.authority.console.views import LoginChallenge
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import bytes_field, read_form, read_json, text_field, to_base64url
@@ -57,9 +58,8 @@ async def log_in(request: Request, context: ConsoleContext) -> Response:
     """Log in with a passkey."""
     check_pause(request, context)
     fields = await read_json(request)
-    names = ("id", "credential", "clientData", "authenticatorData", "signature")
-    found = [bytes_field(fields, name) for name in names]
-    phone = await counted(request, context, context.service.login(*found))
+    asking = context.service.login(bytes_field(fields, "id"), read_assertion(fields))
+    phone = await counted(request, context, asking)
     return _begin(JSONResponse({"next": FIRST}), context, phone)
 
 
@@ -73,7 +73,7 @@ async def new(request: Request, context: ConsoleContext) -> Response:
 async def add_phone(request: Request, context: ConsoleContext) -> Response:
     """Set up a phone: its passkey and the code from the terminal, together."""
     check_pause(request, context)
-    adding = context.service.add_passkey(*new_passkey(await read_json(request)))
+    adding = context.service.add_passkey(read_registration(await read_json(request)))
     view = await counted(request, context, adding)
     return _begin(JSONResponse({"next": FIRST}), context, view.name)
 
@@ -97,8 +97,18 @@ def challenge_fields(made: LoginChallenge, now: int) -> dict[str, object]:
     }
 
 
-def new_passkey(fields: dict[str, object]) -> tuple[bytes, str, str, bytes, bytes]:
-    """The arguments of `add-passkey` and `propose-passkey`.
+def read_assertion(fields: dict[str, Any]) -> Assertion:
+    """What `approve.js` sends of an assertion.
+
+    Raises:
+        HttpRefused: a field is missing or malformed.
+    """
+    names = ("credential", "clientData", "authenticatorData", "signature")
+    return Assertion(*(bytes_field(fields, name) for name in names))
+
+
+def read_registration(fields: dict[str, Any]) -> Registration:
+    """What `approve.js` sends of a new passkey.
 
     Raises:
         HttpRefused: a field is missing or malformed, or the name is empty.
@@ -108,7 +118,7 @@ def new_passkey(fields: dict[str, object]) -> tuple[bytes, str, str, bytes, byte
         raise HttpRefused("a phone needs a name", "for example: my phone", status=422)
     code = text_field(fields, "code").strip()
     data = (bytes_field(fields, "clientData"), bytes_field(fields, "attestation"))
-    return bytes_field(fields, "id"), code, name, *data
+    return Registration(bytes_field(fields, "id"), code, name, *data)
 
 
 def check_pause(request: Request, context: ConsoleContext) -> None:

@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from ca.enrollment import qr
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url, read_form, read_json
-from rossec.console.pages.login import check_pause, counted, new_passkey
+from rossec.console.pages.login import check_pause, counted, read_registration
 from rossec.console.rendering import render
 from rossec.console.routing import PUBLIC, Page
 
@@ -57,7 +57,7 @@ async def ask(request: Request, context: ConsoleContext) -> Response:
 async def propose(request: Request, context: ConsoleContext) -> Response:
     """The new phone's passkey; answers with the page that shows its digits."""
     check_pause(request, context)
-    proposing = context.service.propose_passkey(*new_passkey(await read_json(request)))
+    proposing = context.service.propose_passkey(read_registration(await read_json(request)))
     proposal = await counted(request, context, proposing)
     return JSONResponse({"digits": proposal.digits})
 

@@ -134,6 +134,7 @@ class Guard:
         self._allowed = Allowed(settings.hosts, settings.origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request (ASGI)."""
         if scope["type"] != "http":
             raise HttpRefused("only HTTP is served here")
         answer = _Answer(send, scope["path"], hsts=self._context.settings.hsts)
@@ -280,6 +281,11 @@ class _Answer:
         self.has_begun = False
 
     async def send(self, message: Message) -> None:
+        """Pass on a piece.
+
+        Raises:
+            TimeoutError: nobody takes it.
+        """
         if message["type"] == "http.response.start":
             self.has_begun = True
             message = {**message, "headers": self._headers(message)}

@@ -2,8 +2,10 @@
 
 import pytest
 
-from rossec.console.forms import to_base64url
-from tests.support.consolepages import CODE, FIRST, Browser
+from rossec.console.forms import from_base64url, to_base64url
+from rossec.console.pages.login import FIRST
+from rossec.errors import KeyServiceFailed
+from tests.support.consolepages import ORIGIN, Browser
 
 
 def b64(data: bytes) -> str:
@@ -12,14 +14,13 @@ def b64(data: bytes) -> str:
 
 ASSERTION = {
     "id": b64(b"i" * 16),
-    "credential": b64(b"passkey"),
+    "credential": b64(b"\5" * 32),
     "clientData": b64(b"{}"),
     "authenticatorData": b64(b"data"),
     "signature": b64(b"right"),
 }
 REGISTRATION = {
     "id": b64(b"i" * 16),
-    "code": CODE,
     "name": " my phone ",
     "clientData": b64(b"{}"),
     "attestation": b64(b"object"),
@@ -37,46 +38,62 @@ def test_without_a_session_every_page_leads_to_it() -> None:
     assert (answer.status_code, answer.headers["location"]) == (303, "/login")
 
 
+def with_code(browser: Browser, **changes: str) -> dict[str, str]:
+    return {**REGISTRATION, "code": browser.home.add_code(), **changes}
+
+
 def test_a_code_logs_in_to_look() -> None:
     browser = Browser()
-    answer = browser.post("/login", data={"code": f" {CODE} "})
+    answer = browser.post("/login", data={"code": f" {browser.home.add_code()} "})
     assert (answer.status_code, answer.headers["location"]) == (303, FIRST)
     cookie = answer.headers["set-cookie"]
     assert cookie.startswith("__Host-rossec=")
     for part in ("HttpOnly", "Secure", "SameSite=strict", "Path=/", "Max-Age=28800"):
         assert part in cookie
-    value = cookie.partition(";")[0]
-    found = browser.get("/phones", headers={"Cookie": value})
+    found = browser.get("/phones", headers={"Cookie": cookie.partition(";")[0]})
     assert "You are logged in by a code" in found.text
 
 
-def test_a_wrong_code_is_told_and_counted() -> None:
+def test_a_code_is_used_once() -> None:
+    browser = Browser()
+    code = browser.home.add_code()
+    assert browser.post("/login", data={"code": code}).status_code == 303
+    assert browser.post("/login", data={"code": code}).status_code == 403
+
+
+def test_a_wrong_code_is_told_and_counted_for_a_minute() -> None:
     browser = Browser()
     for _ in range(5):
         answer = browser.post("/login", data={"code": "wrong"})
         assert answer.status_code == 403
-        assert "the code is not known" in answer.text
-    assert browser.post("/login", data={"code": CODE}).status_code == 429
+        assert "this code is not valid any more" in answer.text
+    assert browser.post("/login", data={"code": browser.home.add_code()}).status_code == 429
     assert browser.post("/login/passkey", json=ASSERTION).status_code == 429
-    assert browser.post("/login/phone", json=REGISTRATION).status_code == 429
+    assert browser.post("/login/phone", json=with_code(browser)).status_code == 429
+    browser.now += 60
+    assert browser.post("/login/phone", json=with_code(browser)).status_code == 200
+
+
+def test_a_service_that_does_not_answer_is_nobodys_fault() -> None:
+    browser = Browser()
+    browser.home.refusals["redeem"] = KeyServiceFailed("it does not run", "rossec ca serve")
+    for _ in range(6):
+        assert browser.post("/login", data={"code": "any"}).status_code == 503
 
 
 def test_a_passkey_logs_in() -> None:
     browser = Browser()
     asked = browser.post("/login/challenge", json={}).json()
-    assert asked == {
-        "id": ASSERTION["id"],
-        "challenge": b64(b"c" * 32),
-        "credentials": [b64(b"passkey")],
-        "rpId": "localhost",
-        "timeout": 300_000,
-    }
-    answer = browser.post("/login/passkey", json=ASSERTION)
-    assert answer.json() == {"next": FIRST}
+    assert asked["rpId"] == "localhost"
+    assert asked["credentials"] == [ASSERTION["credential"]]
+    assert 0 < asked["timeout"] <= 120_000
+    assert len(from_base64url(asked["challenge"])) == 32
+    assert browser.asked("login-challenge") == [(ORIGIN,)]
+    assert browser.post("/login/passkey", json=ASSERTION).json() == {"next": FIRST}
     assert len(browser.context.sessions) == 1
 
 
-@pytest.mark.parametrize("change", [{"signature": b64(b"wrong")}, {"signature": "!"}, {"id": 3}])
+@pytest.mark.parametrize("change", [{"credential": b64(b"x")}, {"signature": "!"}, {"id": 3}])
 def test_another_assertion_does_not(change: dict[str, object]) -> None:
     browser = Browser()
     headers = {"Accept": "application/json"}
@@ -89,16 +106,17 @@ def test_another_assertion_does_not(change: dict[str, object]) -> None:
 def test_a_phone_is_set_up_with_the_code_and_is_logged_in() -> None:
     browser = Browser()
     assert browser.post("/login/new", json={}).json()["rpId"] == "localhost"
-    answer = browser.post("/login/phone", json=REGISTRATION)
+    assert browser.asked("new-passkey") == [(ORIGIN, "localhost")]
+    answer = browser.post("/login/phone", json=with_code(browser))
     assert answer.json() == {"next": FIRST}
-    assert browser.service.calls[-1][2] == "my phone"
+    assert browser.home.phones[-1].name == "my phone"
     assert len(browser.context.sessions) == 1
 
 
 @pytest.mark.parametrize("change", [{"name": " "}, {"name": "a" * 41}, {"code": "wrong"}])
 def test_a_phone_without_a_name_or_code_is_not(change: dict[str, str]) -> None:
     browser = Browser()
-    answer = browser.post("/login/phone", json={**REGISTRATION, **change})
+    answer = browser.post("/login/phone", json=with_code(browser, **change))
     assert answer.status_code in {400, 403, 422}
     assert len(browser.context.sessions) == 0
 
