@@ -59,6 +59,7 @@ class IdentityRequestView(NamedTuple):
     state: str
     anonymous: bool
     is_other_key: bool  # the name has, or had, another key
+    csr: bytes  # DER, as `PREPARED` of "enroll" takes it
 
 
 class AskedRight(NamedTuple):
