@@ -59,6 +59,7 @@ class IdentityRequestView(NamedTuple):
     state: str
     anonymous: bool
     is_other_key: bool  # the name has, or had, another key
+    csr: bytes  # DER, as `PREPARED` of "enroll" takes it
 
 
 class AskedRight(NamedTuple):
@@ -72,7 +73,7 @@ class AskedRight(NamedTuple):
     permissions: bytes  # CBOR list of the AIF entries that would be granted
 
 
-class Question(NamedTuple):
+class GrantQuestion(NamedTuple):
     """A request for grants that waits for a person."""
 
     id: bytes
@@ -170,7 +171,7 @@ class PolicyView(NamedTuple):
     mistakes: tuple[str, ...]
 
 
-class Standing(NamedTuple):
+class ListStanding(NamedTuple):
     """How far a revocation list has come."""
 
     epoch: int

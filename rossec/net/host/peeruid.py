@@ -24,7 +24,7 @@ Endpoint: TypeAlias = tuple[str, int]
 """An IP address and a port."""
 
 TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
-_OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
+OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
 _ESTABLISHED: Final = "01"
 _LISTEN: Final = " 0A"
 _TRIES: Final = 3  # the kernel returns the table in pieces: a row can be missed between two of them
@@ -117,13 +117,18 @@ def holder_of(sock: socket.socket) -> Holder:
         PeerUserRefused, OSError: as `user_of`.
     """
     local, remote = sock.getpeername()[:2], sock.getsockname()[:2]
-    holder = _holder(local, remote)
+    holder = find_holder(local, remote)
     if holder is not None:
         return holder
     raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
 
 
-def _holder(local: Endpoint, remote: Endpoint) -> Holder | None:
+def find_holder(local: Endpoint, remote: Endpoint) -> Holder | None:
+    """The holder of the socket bound to `local` and connected to `remote`; None: no program.
+
+    Raises:
+        OSError: the kernel's tables cannot be read.
+    """
     try:
         entry = sockdiag.find(local, remote)
     except OSError:
@@ -152,7 +157,7 @@ def listeners(endpoint: Endpoint) -> list[Holder]:
 
 def is_known(user: int) -> bool:
     """Whether `user` is not the overflow id, which stands for other user namespaces."""
-    return user != int(_OVERFLOW.read_text())
+    return user != int(OVERFLOW.read_text())
 
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:

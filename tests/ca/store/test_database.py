@@ -57,7 +57,7 @@ def noted(database: Database) -> list[str]:
 def test_no_command_writes_between_a_decision_and_its_record(
     path: Path, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_BUSY_TIMEOUT", 0)
+    monkeypatch.setattr(module, "BUSY_TIMEOUT", 0)
     other = Database.open(path)
     with database.transaction() as db:
         assert noted(database) == []
@@ -244,7 +244,7 @@ def test_a_damaged_or_closed_record_gives_nothing(path: Path) -> None:
             note(db, f"{number}" * 200)
     made.close()
     data = bytearray(path.read_bytes())
-    data[40 * 4096 :] = b"\xff" * (len(data) - 40 * 4096)
+    data[64 * 4096 :] = b"\xff" * (len(data) - 64 * 4096)  # after the tables' first pages
     path.write_bytes(data)
     damaged = Database.open(path)
     for read in (damaged.check, lambda: noted(damaged)):
