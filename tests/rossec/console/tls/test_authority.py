@@ -9,7 +9,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rossec.console.tls.authority import DAY, LEAF_LIFETIME, LIFETIME, TlsAuthority
 from rossec.errors import ConfigurationError
-from tests.rossec.console.tls.made import (
+from tests.support.console_tls import (
     HOST,
     NAME,
     NOW,
@@ -95,7 +95,6 @@ FOREIGN: dict[str, x509.GeneralName] = {
 }
 
 
-@pytest.mark.attack("stolen-console-tls-key")
 @pytest.mark.parametrize("what", sorted(FOREIGN))
 @pytest.mark.parametrize("host", [HOST, None])
 def test_openssl_refuses_what_its_key_signs_for_others(

@@ -21,7 +21,7 @@ from rossec.console.tls.certificates import (
 )
 from rossec.console.tls.store import key_pem
 from rossec.errors import ConfigurationError
-from tests.rossec.console.tls.made import HOST, NAME, NOW, foreign_leaf, new_authority, new_key, pem
+from tests.support.console_tls import HOST, NAME, NOW, foreign_leaf, new_authority, new_key, pem
 
 
 def leaf_of(bundle: bytes) -> x509.Certificate:

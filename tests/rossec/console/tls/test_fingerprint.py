@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from rossec.console.tls import fingerprint
-from tests.rossec.console.tls.made import new_authority, openssl_verify, pem
+from tests.support.console_tls import new_authority, openssl_verify, pem
 
 BIP39 = "2f5eed53a4727b4bf8880d8f3f199efc90e58503646d9ff8eff3a2ed3b24dbda"
 

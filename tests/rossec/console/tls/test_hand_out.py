@@ -10,7 +10,7 @@ from starlette.types import ASGIApp
 from rossec.console.tls import fingerprint
 from rossec.console.tls.hand_out import FILE, PAGE, create_hand_out, documents
 from rossec.errors import ConfigurationError
-from tests.rossec.console.tls.made import new_authority
+from tests.support.console_tls import new_authority
 
 ORIGIN = "https://rossec.local:7411"
 CERTIFICATE = new_authority().data

@@ -6,7 +6,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from rossec.console.tls import store
 from rossec.console.tls.store import CERTIFICATE, KEY, exists, open_authority, renew
 from rossec.errors import ConfigurationError
-from tests.rossec.console.tls.made import HOST, NAME, NOW
+from tests.support.console_tls import HOST, NAME, NOW
 
 
 @pytest.fixture
