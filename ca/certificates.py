@@ -171,7 +171,7 @@ class TrustAnchor:
             raise self._foreign("certificate")
         identity = _read(self.domain, certificate, der)
         _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
-        if len(_cache) > _CACHE_SIZE:
+        if len(_cache) > CACHE_SIZE:
             _cache.popitem(last=False)
         return identity
 
@@ -187,7 +187,7 @@ class _CachedLeaf(NamedTuple):
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
 _cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
-_CACHE_SIZE: Final = 256
+CACHE_SIZE: Final = 256
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:

@@ -19,7 +19,7 @@ from ca.certificates import (
     from_pem,
     to_pem,
 )
-from ca.errors import HintedError, RequestRefused
+from ca.errors import HintedError, KeyRefused, RequestRefused
 from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.names import check_name
@@ -82,6 +82,11 @@ class NodeHome:
             NameRefused: not a trust domain, or a name that cannot have a tail.
             KeyRefused: the node has a key already.
         """
+        if (self.path / "node.key").exists():
+            raise KeyRefused(
+                f"{self.name} has a key already, in {self.path}",
+                f"its request is {self.request_path}; for a new key move that directory away first",
+            )
         files.make_private_directory(self.path)
         key = key_files.generate()
         request = build_request(KeySigner(key), domain, self.name, wildcard=wildcard)

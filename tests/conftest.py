@@ -27,7 +27,7 @@ _ROS = all(
 @pytest.fixture(autouse=True)
 def _empty_rate_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that a process logs once a minute are logged in every test."""
-    monkeypatch.setattr(withheld_log, "_RATE_LIMIT", LogRateLimit())
+    monkeypatch.setattr(withheld_log, "RATE_LIMIT", LogRateLimit())
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

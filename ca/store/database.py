@@ -18,7 +18,7 @@ from ca.keys import ownership
 from ca.store import migration, schema
 from ca.store.faults import fault
 
-_BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
+BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
 # The statements that begin, commit and roll back a transaction, and a nested one.
 _TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
 _SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
@@ -186,7 +186,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(
             f"{path.absolute().as_uri()}?mode=rw",
-            timeout=_BUSY_TIMEOUT,
+            timeout=BUSY_TIMEOUT,
             isolation_level=None,
             uri=True,
         )

@@ -29,7 +29,7 @@ from grants.filters.variable_arrays import ArrayCollector, preserves_sizes
 
 MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
-_MIN_COLLECTED: Final = 24  # elements from which numpy is faster
+MIN_COLLECTED: Final = 24  # elements from which numpy is faster
 
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
@@ -224,7 +224,7 @@ class _Writer(Cursor):
         count = self.count(kind)
         mark = self.mark()
         if collect:
-            with self.source.block(f"if {count}<{_MIN_COLLECTED}"):
+            with self.source.block(f"if {count}<{MIN_COLLECTED}"):
                 self._one_by_one(element, count, mark, pieces, kept)
             with self.source.block("else"):
                 self._collected(element, count, mark, pieces, kept)

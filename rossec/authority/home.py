@@ -51,6 +51,20 @@ class AuthorityHome:
             )
         return cls(path)
 
+    @staticmethod
+    def check_new(home: Path) -> Path:
+        """The directory of a new authority below ROSSEC_HOME.
+
+        Raises:
+            ConfigurationError: there is one already.
+        """
+        path = home / "ca"
+        if path.exists():
+            raise ConfigurationError(
+                f"there is an authority in {path}", "give another ROSSEC_HOME for a second one"
+            )
+        return path
+
     @classmethod
     def create(
         cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
@@ -64,11 +78,7 @@ class AuthorityHome:
             TokenRefused: the token cannot generate the key.
             ConfigurationError: there is one already; it is not changed.
         """
-        path = home / "ca"
-        if path.exists():
-            raise ConfigurationError(
-                f"there is an authority in {path}", "give another ROSSEC_HOME for a second one"
-            )
+        path = cls.check_new(home)
         check_domain(domain)
         key = key_files.generate()
         signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)

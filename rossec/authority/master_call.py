@@ -9,7 +9,8 @@ class MasterCall(NamedTuple):
     """A signed statement for the master, or a query: called as `node`, the authority's own.
 
     `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
-    `within`: seconds until it fails; None: the usual deadlines.
+    `within`: seconds until it fails; None: the usual deadlines. `waits`: the master answers when
+    there is something new, so that a slow answer is no sign of one that is out of reach.
     """
 
     node: NodeHome
@@ -19,3 +20,4 @@ class MasterCall(NamedTuple):
     hint: str
     note: str = ""
     within: float | None = None
+    waits: bool = False

@@ -147,19 +147,20 @@ class PolicyOperations(ABC):
             moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
-    def grant_outright(self, *names: str) -> list[SignedGrant]:
+    def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
         """Sign what the policy in force gives the nodes `names` outright, if there is a policy.
 
-        What it no longer allows waits for `apply_policy`.
+        `place`: of its file; None: the usual one. What it no longer allows waits for
+        `apply_policy`.
 
         Raises:
             ConfigurationError, PathRefused, PolicyRefused: the policy cannot be used.
         """
         from rossec.authority import policy_apply, policyfile  # noqa: PLC0415 - see above
 
-        if self.home.is_intermediate or not policyfile.place(self.rossec_home, None).exists():
+        if self.home.is_intermediate or not policyfile.place(self.rossec_home, place).exists():
             return []
-        policy = policyfile.read_policy(self.rossec_home, None, signs=True)
+        policy = policyfile.read_policy(self.rossec_home, place, signs=True)
         at = self._now()
         renews = self.home.has_delegated(at)
         return policy_apply.grant_outright(self.unlock(), policy, names, at, renews=renews)

@@ -18,7 +18,7 @@ from rossec.net.aio.dial import dial
 
 _PATIENCE: Final = 10.0  # seconds to connect, and for the request
 _TRIES: Final = 5
-_RETRY_DELAY: Final = 0.5
+RETRY_DELAY: Final = 0.5
 
 
 async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
@@ -63,7 +63,7 @@ async def deliver(
         except (OSError, EOFError, TimeoutError, EnrollmentMessageRefused):
             core.tick(clock())
             failures, state = (failures + 1 if core.state is state else 0), core.state
-            await asyncio.sleep(_RETRY_DELAY)
+            await asyncio.sleep(RETRY_DELAY)
     raise NotDelivered(
         "the node closed the connection before it reported that it is enrolled",
         f"check there: rossec node show {core.request.name}",

@@ -21,7 +21,7 @@ from rossec.net.aio.dial import dial
 PATIENCE: Final = 10.0  # seconds to connect, and for the authority to show itself
 _DECISION: Final = 45.0  # seconds for the answer
 _TRIES: Final = 5
-_RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as much again
+RETRY_DELAY: Final = 0.5  # seconds, then twice as long each time, and up to as much again
 
 
 async def join(
@@ -37,7 +37,7 @@ async def join(
         PeerUnreachable: no answer.
     """
     host, port = address.split(code.address, address.JOIN_PORT)
-    tries, delay = 0, _RETRY_DELAY
+    tries, delay = 0, RETRY_DELAY
     while True:
         tries += 1
         try:

@@ -13,7 +13,7 @@ from typing import BinaryIO, Final
 from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
 from rossec.errors import ConfigurationError
 
-_SCANNER: Final = (sys.executable, "-I", "-m", "rossec.enrollment.scanner")
+SCANNER: Final = (sys.executable, "-I", "-m", "rossec.enrollment.scanner")
 
 
 def code_in_file(path: Path, stdin: BinaryIO) -> str:
@@ -46,7 +46,7 @@ def _texts(data: bytes) -> list[str]:
         raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
     try:
         done = subprocess.run(  # noqa: S603 - our own program, by its full path
-            _SCANNER, input=data, capture_output=True, timeout=3 * SECONDS, check=True
+            SCANNER, input=data, capture_output=True, timeout=3 * SECONDS, check=True
         )
         answer = json.loads(done.stdout)
     except (subprocess.SubprocessError, ValueError) as error:

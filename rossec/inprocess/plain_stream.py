@@ -15,7 +15,7 @@ from rossec.ros import header
 
 _READ: Final = 256 * 1024
 _PREFIX: Final = 4
-_DEADLINE: Final = 5.0
+DEADLINE: Final = 5.0
 
 
 class PlainStream:
@@ -78,7 +78,7 @@ def peek(sock: socket.socket) -> bytes:
 
 
 def _first(sock: socket.socket) -> bytes:
-    end = time.monotonic() + _DEADLINE
+    end = time.monotonic() + DEADLINE
     first = _peek_bytes(sock, _PREFIX, end)
     try:
         verdict = classify_caller(first + b"\0" * 60)

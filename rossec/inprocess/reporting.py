@@ -18,7 +18,7 @@ from ca.errors import HintedError
 from rossec.net.forks import forget_in_children
 from rossec.ros.text import printable
 
-_REMEMBERED: Final = 512
+REMEMBERED: Final = 512
 _BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
 _SHARE: Final = 10  # of them about one peer, topic or address
 _FIRST: Final = 60  # beyond the burst: only the first line about each subject
@@ -53,7 +53,7 @@ class Reporter:
             if line in self._reported:
                 return
             self._reported[line] = None
-            if len(self._reported) > _REMEMBERED:
+            if len(self._reported) > REMEMBERED:
                 self._reported.popitem(last=False)
             if self._within_limits(what.partition(":")[0]):
                 self._put(line)

@@ -23,7 +23,7 @@ LENGTH: Final = struct.Struct("<I")
 SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
 _BATCH: Final = 256 * 1024  # a longer unit only adds latency
 _SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
-_PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
+PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
 
 Pieces = bytes | tuple[Bytes, ...]
 """A message with its length in front, whole or in parts."""
@@ -69,7 +69,7 @@ class SendQueue:
             error, self._error = self._error, None
             raise error
         last, self._last = self._last, time.monotonic()
-        if self._last > last + _PAUSE and self._send_now(data):
+        if self._last > last + PAUSE and self._send_now(data):
             return True
         self._queue.append(data)
         idle = self._idle

@@ -30,7 +30,7 @@ from rossec.ros.framing import PATIENCE, Framing
 _OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 _READ_SIZE: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
-_ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
+ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
 
 Received = TypeVar("Received")
 
@@ -174,7 +174,7 @@ class RosSocket:
             except OSError as error:
                 if error.errno not in _OUT_OF_RESOURCES:
                     raise
-                time.sleep(_ACCEPT_PAUSE)
+                time.sleep(ACCEPT_PAUSE)
                 continue
             if not self._owner.connector.admit(sock, where[0]):
                 sock.close()

@@ -13,7 +13,7 @@ from rossec.log_limits import CAUSE, LogRateLimit
 SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
 RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
 REFUSED: Final = "%(where)s: refused %(peer)s: %(cause)s"
-_RATE_LIMIT: Final = LogRateLimit()
+RATE_LIMIT: Final = LogRateLimit()
 _LOCK: Final = Lock()  # rospy's connections have threads
 
 
@@ -30,6 +30,6 @@ def warn(log: logging.Logger, text: str, where: str, peer: str, cause: object) -
     record = log.makeRecord(log.name, logging.WARNING, "", 0, text, (args,), None)
     setattr(record, CAUSE, (f"{log.name} {where} {peer} {kind}", peer))
     with _LOCK:
-        allowed = _RATE_LIMIT.filter(record)
+        allowed = RATE_LIMIT.filter(record)
     if allowed:
         log.handle(record)

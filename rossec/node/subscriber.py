@@ -36,7 +36,7 @@ from rossec.ros.header import MESSAGE_LIMIT, FrameReader
 QUEUE_SIZE: Final = 10
 HANDSHAKE_DEADLINE: Final = 5.0
 _FIRST_PAUSE: Final = 0.25
-_LONGEST_PAUSE: Final = 15.0
+LONGEST_PAUSE: Final = 15.0
 
 PublisherConnection: TypeAlias = NodeConnection[Guard | None]
 OnClose = Callable[["Subscriber"], Awaitable[None]]
@@ -130,7 +130,7 @@ class Subscriber:
                 await self._receive_from(uri)
             except Exception as error:  # noqa: BLE001 - after any error try again later
                 self._record_failure(uri, error)
-            pause = _FIRST_PAUSE if self.received > before else min(2 * pause, _LONGEST_PAUSE)
+            pause = _FIRST_PAUSE if self.received > before else min(2 * pause, LONGEST_PAUSE)
             await asyncio.sleep(pause)
 
     async def _receive_from(self, uri: str) -> None:

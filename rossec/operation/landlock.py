@@ -17,7 +17,7 @@ _READ_FILE: Final = 1 << 2
 _READ: Final = _READ_FILE | 1 << 3  # and directories
 _ALL: Final = (1 << 13) - 1  # every access that the first version of Landlock knows
 _PR_SET_NO_NEW_PRIVS: Final = 38
-_LIBC: Final = ctypes.CDLL(None, use_errno=True)
+LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
 
 class _Ruleset(ctypes.Structure):
@@ -44,7 +44,7 @@ def read_only(paths: Iterable[Path]) -> None:
     try:
         for path in paths:
             _allow(ruleset, path)
-        if _LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
+        if LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "prctl")
         _call(_RESTRICT_SELF, ruleset, 0)
     finally:
@@ -64,7 +64,7 @@ def _allow(ruleset: int, path: Path) -> None:
 
 
 def _call(number: int, *arguments: object) -> int:
-    result: int = _LIBC.syscall(number, *arguments)
+    result: int = LIBC.syscall(number, *arguments)
     if result < 0:
         error = ctypes.get_errno()
         raise OSError(error, f"Landlock: {os.strerror(error)}")

@@ -12,7 +12,7 @@ from typing import Final
 _PR_GET_DUMPABLE: Final = 3
 _PR_SET_DUMPABLE: Final = 4
 _PR_SET_NO_NEW_PRIVS: Final = 38
-_LIBC: Final = ctypes.CDLL(None, use_errno=True)
+LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
 
 def protect_memory() -> None:
@@ -34,7 +34,7 @@ def is_protected() -> bool:
 
 
 def _prctl(option: int, value: int) -> int:
-    result: int = _LIBC.prctl(option, value, 0, 0, 0)
+    result: int = LIBC.prctl(option, value, 0, 0, 0)
     if result < 0:
         raise OSError(ctypes.get_errno(), f"prctl {option}")
     return result

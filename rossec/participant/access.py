@@ -30,7 +30,7 @@ NO_LIST: Final = (
 )
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
 MAX_GRANTS: Final = 16
-_CACHE_SIZE: Final = 1024
+CACHE_SIZE: Final = 1024
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ class Access:
             return known
         grant = self._verifier().open(data, now)
         self._verified[digest] = grant
-        if len(self._verified) > _CACHE_SIZE:
+        if len(self._verified) > CACHE_SIZE:
             self._verified.popitem(last=False)
         return grant
 

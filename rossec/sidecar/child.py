@@ -33,7 +33,7 @@ _FORWARDED: Final = (
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
 _DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
-_LIBC: Final = ctypes.CDLL(None, use_errno=True)
+LIBC: Final = ctypes.CDLL(None, use_errno=True)
 _SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, code; 128 bytes
 _BY_KERNEL: Final = 0x80  # SI_KERNEL
 
@@ -76,7 +76,7 @@ def adopt_orphans() -> None:
     Raises:
         OSError: the kernel refuses.
     """
-    if _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
+    if LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
 
 
@@ -95,7 +95,7 @@ async def run(
 
         def prepare() -> None:
             # A program whose sidecar was killed has no connections left and must end.
-            _LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
+            LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             if limits is not None:
                 restore_limit(limits)
@@ -147,10 +147,10 @@ def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
 
 def _signalfd(numbers: Sequence[signal.Signals]) -> int:
     wanted = ctypes.create_string_buffer(128)  # sigset_t
-    _LIBC.sigemptyset(wanted)
+    LIBC.sigemptyset(wanted)
     for number in numbers:
-        _LIBC.sigaddset(wanted, number)
-    descriptor: int = _LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
+        LIBC.sigaddset(wanted, number)
+    descriptor: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
     if descriptor < 0:
         raise OSError(ctypes.get_errno(), "signalfd")
     return descriptor

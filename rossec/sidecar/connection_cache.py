@@ -11,7 +11,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.executor import SlaveApiClient
 
-_LIFETIME: Final = 5.0
+LIFETIME: Final = 5.0
 
 
 class ConnectionCache:
@@ -40,7 +40,7 @@ class ConnectionCache:
     ) -> None:
         if old is not None:
             await old.rpc.close()
-        await asyncio.sleep(_LIFETIME)
+        await asyncio.sleep(LIFETIME)
         if self._clients.get(remote) is client:
             del self._clients[remote]
             await client.rpc.close()

@@ -15,7 +15,7 @@ from grants.filters.layout import MAX_DEPTH, MAX_TEXT, SEPARATOR, TYPE_NAME
 from rossec.errors import MessageError
 from rossec.participant.definitions import Definition
 
-_MAX_TYPES: Final = 8 * MAX_DEPTH  # types that one type consists of
+MAX_TYPES: Final = 8 * MAX_DEPTH  # types that one type consists of
 
 
 def known_type(name: str) -> Definition | None:
@@ -30,7 +30,7 @@ def known_type(name: str) -> Definition | None:
             if current not in texts:
                 texts[current] = _text(current)
                 pending += sorted(layout.dependencies(current, texts[current]))
-            if len(texts) > _MAX_TYPES:
+            if len(texts) > MAX_TYPES:
                 return None
         whole = "\n".join((texts.pop(name), *(_section(*item) for item in texts.items())))
         return Definition(name, layout.parse(name, whole).md5, whole)

@@ -21,14 +21,14 @@ from rossec.sidecar.plain_stream import PlainStream
 
 _BACKLOG: Final = 64
 _ATTEMPTS: Final = 16
-_CONNECTIONS: Final = 256  # at a time and port; a program has one or two
+CONNECTIONS: Final = 256  # at a time and port; a program has one or two
 _IPV6: Final = "::1"
 _NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
 _WITHOUT_IPV4: Final = (
     "this host has no 127.0.0.1: programs get the host name %s and ROS_IPV6=on; roscpp does not"
     " start without 127.0.0.1 (ip address add 127.0.0.1/8 dev lo)"
 )
-_PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
+PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
 
 _log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
@@ -86,11 +86,11 @@ class LoopbackPort:
         except (BlockingIOError, InterruptedError, ConnectionAbortedError):  # the caller is gone
             return
         except OSError as error:  # out of descriptors: the socket would stay readable
-            _log.warning("cannot accept programs for %s s: %s", _PAUSE, error)
+            _log.warning("cannot accept programs for %s s: %s", PAUSE, error)
             self._loop.remove_reader(self._socket.fileno())
-            self._loop.call_later(_PAUSE, self._start_accepting)
+            self._loop.call_later(PAUSE, self._start_accepting)
             return
-        if len(self._tasks) >= _CONNECTIONS:
+        if len(self._tasks) >= CONNECTIONS:
             _log.warning("too many connections at loopback port %d", self.port)
             sock.close()
             return

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-_PROC: Final = Path("/proc")
+PROC: Final = Path("/proc")
 _MAX_STAT: Final = 4096  # usually some 300 bytes
 _PARENT, _STARTED = 1, 19  # proc_pid_stat(5), counted from after the program's name
 
@@ -24,7 +24,7 @@ class Process(NamedTuple):
 
 def parents() -> Iterator[tuple[int, int]]:
     """The PID of each process of this host, with its parent's."""
-    for entry in os.listdir(_PROC):  # noqa: PTH208 - names only, and many
+    for entry in os.listdir(PROC):  # noqa: PTH208 - names only, and many
         if entry.isdecimal():
             stat = _status(int(entry))
             if stat is not None:
@@ -70,7 +70,7 @@ def descends(pid: int, ancestor: int) -> bool:
 def _status(pid: int) -> tuple[int, int] | None:
     """Its parent PID and start time."""
     try:
-        with open(f"{_PROC}/{pid}/stat", "rb", buffering=0) as file:  # noqa: PTH123 - often
+        with open(f"{PROC}/{pid}/stat", "rb", buffering=0) as file:  # noqa: PTH123 - often
             stat = file.read(_MAX_STAT)
     except OSError:  # it has ended
         return None
@@ -82,7 +82,7 @@ def _status(pid: int) -> tuple[int, int] | None:
 def descriptors(pid: int) -> list[str]:
     """The names of its open descriptors; empty if it has ended or is not accessible."""
     try:
-        return os.listdir(f"{_PROC}/{pid}/fd")  # noqa: PTH208 - as above
+        return os.listdir(f"{PROC}/{pid}/fd")  # noqa: PTH208 - as above
     except OSError:
         return []
 
@@ -90,7 +90,7 @@ def descriptors(pid: int) -> list[str]:
 def socket_at(pid: int, descriptor: str) -> int | None:
     """The inode of the socket at a descriptor of a process; None: not a socket."""
     try:
-        target = os.readlink(f"{_PROC}/{pid}/fd/{descriptor}")  # noqa: PTH115 - takes a str
+        target = os.readlink(f"{PROC}/{pid}/fd/{descriptor}")  # noqa: PTH115 - takes a str
     except OSError:
         return None
     return int(target[8:-1]) if target.startswith("socket:[") else None

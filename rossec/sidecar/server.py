@@ -30,7 +30,7 @@ from rossec.sidecar.plain_stream import PlainStream
 
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 _log = logging.getLogger("rossec.sidecar")
-_LIMIT: Final = 256  # identities in use
+LIMIT: Final = 256  # identities in use
 _ANONYMOUS: Final = re.compile(r"([_-][0-9]+)+$")  # suffixes of rospy, roscpp and tools
 
 
@@ -133,7 +133,7 @@ class Sidecar:
             if self._default is not None:
                 return self._default
             raise ConfigurationError(f"{name} has no identity here", _enroll_hint(name))
-        if len(self._agents) >= _LIMIT:
+        if len(self._agents) >= LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
         return self._agent(home)
 

@@ -21,8 +21,8 @@ from rossec.sidecar.processes import (
     socket_at,
 )
 
-_TIME_SLICE: Final = 0.002  # seconds
-_REMEMBERED: Final = 4096  # sockets
+TIME_SLICE: Final = 0.002  # seconds
+REMEMBERED: Final = 4096  # sockets
 
 
 class _SocketLocation(NamedTuple):
@@ -71,7 +71,7 @@ class SocketOwners:
 
     async def _search(self, wanted: frozenset[int]) -> None:
         missing = set(wanted)
-        end = time.monotonic() + _TIME_SLICE
+        end = time.monotonic() + TIME_SLICE
         for inode, location in self._open_sockets():
             if inode in missing:
                 missing.discard(inode)
@@ -80,13 +80,13 @@ class SocketOwners:
                     return
             if time.monotonic() >= end:
                 await asyncio.sleep(0)
-                end = time.monotonic() + _TIME_SLICE
+                end = time.monotonic() + TIME_SLICE
 
     def _remember(self, inode: int, location: _SocketLocation) -> None:
         self._locations[inode] = location
         # A program that connects again often uses the same descriptor.
         self._seen[location.process].discard(location.descriptor)
-        if len(self._locations) > _REMEMBERED:
+        if len(self._locations) > REMEMBERED:
             del self._locations[next(iter(self._locations))]
 
     def _open_sockets(self) -> Iterator[tuple[int | None, _SocketLocation]]:

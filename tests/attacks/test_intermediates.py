@@ -112,7 +112,7 @@ async def signing(
     site = Site(tmp_path / "site")
     if request.param == "tree":
         monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
-        monkeypatch.setattr("rossec.node.subscriber._LONGEST_PAUSE", 0.5)  # a proof at each attempt
+        monkeypatch.setattr("rossec.node.subscriber.LONGEST_PAUSE", 0.5)  # a proof at each attempt
         site.revoke(bytes(32))
     async with site.running():
         yield site

@@ -18,7 +18,7 @@ FAST: Final = """
 import struct
 from rossec.inprocess import connector
 import rossec.net.threads.carrier
-rossec.net.threads.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
+rossec.net.threads.carrier.SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import ChannelLimits
 limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(seconds=1))
 connector.ACCEPTED = connector.DIALLED = limits

@@ -258,7 +258,7 @@ def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.Monk
 
 def test_so_many_certificates_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(certificates, "_cache", OrderedDict())
-    monkeypatch.setattr(certificates, "_CACHE_SIZE", 2)
+    monkeypatch.setattr(certificates, "CACHE_SIZE", 2)
     first, *others = (SITE.leaf() for _ in range(3))
     identity = SITE.anchor.verify([first], NOW)
     for leaf in others:

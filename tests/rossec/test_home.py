@@ -64,8 +64,9 @@ def test_a_request_and_its_key(tmp_path: Path) -> None:
 def test_an_existing_key_is_not_replaced(tmp_path: Path) -> None:
     home = enrolled(tmp_path)
     before = content(tmp_path)
-    with pytest.raises(KeyRefused, match=r"node\.key exists and is not overwritten"):
+    with pytest.raises(KeyRefused, match="/robot1/camera has a key already") as caught:
         home.create_request("home")
+    assert str(home.request_path) in caught.value.hint
     assert content(tmp_path) == before
 
 

@@ -30,7 +30,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "nodes": (),  # [NodeView]
     "grants": (),  # [GrantView]: in force, and those that ended within 30 days
     "identity-requests": (),  # [IdentityRequestView]
-    "questions": (),  # [Question]
+    "questions": (),  # [GrantQuestion]
     "consider": (bytes, str, int),  # as "grant" below: [AskedRight] that would be granted
     "invitations": (),  # [InvitationView]
     "phones": (),  # [PhoneView]
@@ -40,7 +40,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "denials": (),  # [DenialView] of the last day, newest first; raises if there is no master
     "graph": (),  # [FactView]; raises if there is no master
     "policy": (),  # PolicyView
-    "standing": (int, int),  # epoch, seq: Standing
+    "standing": (int, int),  # epoch, seq: ListStanding
     # taking away; a list number [epoch, seq], [0, 0] while the key is locked
     "deny-request": (bytes, str),  # id, reason: nothing
     "deny-question": (bytes, str),  # id, reason: nothing

@@ -73,7 +73,7 @@ class AskedRight(NamedTuple):
     permissions: bytes  # CBOR list of the AIF entries that would be granted
 
 
-class Question(NamedTuple):
+class GrantQuestion(NamedTuple):
     """A request for grants that waits for a person."""
 
     id: bytes
@@ -171,7 +171,7 @@ class PolicyView(NamedTuple):
     mistakes: tuple[str, ...]
 
 
-class Standing(NamedTuple):
+class ListStanding(NamedTuple):
     """How far a revocation list has come."""
 
     epoch: int

@@ -16,12 +16,12 @@ from ca.encoding import Value
 from ca.errors import EncodingError, HintedError
 from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.operations import KeyOperations
+from rossec.authority.keyservice.rounds import Rounds
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.net.aio.tasks import TaskSet
 
-ROUND: Final = 60.0  # seconds between two rounds
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 SLOW: Final = 1.0  # seconds in which a master that runs, or does not, has answered
 PAUSE: Final = 45.0  # seconds without calls after one that failed slowly; less than a round
@@ -51,7 +51,12 @@ class NetworkWork:
     ) -> None:
         self._face = face
         self._applies = applies
-        self._work = AuthorityWork(rossec_home, operations, self.deliver, policy)
+        self.work = AuthorityWork(rossec_home, operations, self.deliver, policy)
+        self.rounds = Rounds(self._in_thread)
+        self.rounds.add(self.work.maintain)
+        if applies:
+            self.rounds.add(self.work.apply_if_changed)
+        self.has_master = False  # whether the last call succeeded
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="authority")
         self._tasks = TaskSet()
         self._joined: list[str] = []  # names that have no grants yet
@@ -74,13 +79,16 @@ class NetworkWork:
         arguments: list[Value] = list(map(_as_value, call.statement))
         asked = self._face.call(call.method, arguments, within)
         try:
-            return asyncio.run_coroutine_threadsafe(asked, self._loop).result()
+            answer = asyncio.run_coroutine_threadsafe(asked, self._loop).result()
         except (HintedError, TimeoutError) as error:
-            if time.monotonic() - began > SLOW:
+            self.has_master = False
+            if time.monotonic() - began > SLOW and not call.waits:
                 self._resume = time.monotonic() + PAUSE
             reason = str(error) or "no answer in time"
             what = f"the master did not get {call.what}: {reason}"
             raise NotDelivered(what, call.hint) from error
+        self.has_master = True
+        return answer
 
     async def run(self) -> None:
         """Serve until this is cancelled."""
@@ -93,7 +101,7 @@ class NetworkWork:
             await asyncio.to_thread(self._thread.shutdown, cancel_futures=True)
 
     async def _join(self, data: bytes) -> Value:
-        answer, name = await self._in_thread(self._work.join, data)
+        answer, name = await self._in_thread(self.work.join, data)
         if name is not None:
             self._joined.append(name)
             self._tasks.spawn(self._give_to_joined(), name="grants of nodes that joined")
@@ -101,7 +109,7 @@ class NetworkWork:
 
     async def _give_to_joined(self) -> None:
         """For all that joined meanwhile at once: the policy is read once, and one call delivers."""
-        give = self._work.apply if self._applies else self._work.grant_outright
+        give = self.work.apply if self._applies else self.work.grant_outright
         async with self._giving:
             names, self._joined = self._joined, []
             if names:
@@ -112,29 +120,22 @@ class NetworkWork:
             await self._face.started()
         except ConfigurationError:
             return  # `rossec ca serve` reports it, and ends
-        while True:
-            try:
-                await self._in_thread(self._work.maintain)
-                if self._applies:
-                    await self._in_thread(self._work.apply_if_changed)
-            except Exception:  # noqa: BLE001 - without the next, revocations would stay behind
-                _log.exception("a round of the authority failed")
-            await asyncio.sleep(ROUND)
+        await self.rounds.run()
 
     async def _in_thread(self, task: Callable[..., _T], *arguments: object) -> _T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, task, *arguments)
 
 
 def _as_value(item: object) -> Value:
-    """An argument of a call: bytes, or a list of them.
+    """An argument of a call: a plain value, or a list of such.
 
     Raises:
         EncodingError: of another type.
     """
     match item:
-        case bytes():
+        case bytes() | str() | int():
             return item
         case list():
             return [_as_value(each) for each in item]
         case _:
-            raise EncodingError("an argument of a call that is not bytes")
+            raise EncodingError("an argument of a call that is no plain value")

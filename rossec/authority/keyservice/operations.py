@@ -43,6 +43,7 @@ class KeyOperations:
         self._authority = authority
         self._audit = audit
         self._describe = describe
+        self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
 
     def carry_out(self, request: Request, caller: object) -> Value:
         """Carry out a request of `caller`, whose text names it in the audit.
@@ -105,7 +106,16 @@ class KeyOperations:
         except HintedError:
             self.held.lock()
             raise
+        self.on_unlock()
         return self.status()
+
+    def audit(self, text: str) -> None:
+        """Write a line about something that is not signed, or before it is.
+
+        Raises:
+            KeyServiceRefused: it cannot be written.
+        """
+        self._audit(text)
 
     def lock(self, caller: object) -> Value:
         """Drop the key at once; returns as `status`."""
@@ -140,3 +150,7 @@ class OwnSigner:
     def sign(self, message: bytes) -> bytes:
         """As `KeyOperations.sign`, for the purpose named in the audit."""
         return self._operations.sign(message, self.purpose)
+
+
+def _nothing() -> None:
+    """No work waits."""

@@ -59,6 +59,23 @@ class AuthorityWork:
         self._applied: tuple[object, int] = None, 0
         self._published = b""
 
+    @property
+    def is_locked(self) -> bool:
+        """Whether the key is not held now."""
+        return self._operations.held.remaining() is None
+
+    def now(self) -> int:
+        """Seconds since the epoch."""
+        return self._now()
+
+    def policy_path(self) -> Path:
+        """The policy file that the service uses."""
+        return policyfile.place(self._rossec_home, self._policy)
+
+    def home(self) -> AuthorityHome:
+        """The authority's directory."""
+        return AuthorityHome.at(self._rossec_home)
+
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         """Decide a node's request; returns the message for it, and its name if it was issued.
 
@@ -67,7 +84,7 @@ class AuthorityWork:
             HintedError: it could not be decided now; nothing was changed.
         """
         request = JoinRequest.from_bytes(data)
-        with self._service(JOIN_PURPOSE) as service:
+        with self.service(JOIN_PURPOSE) as service:
             try:
                 answer = joining.join(service.unlock(), request, self._now())
             except AuthorityLocked:
@@ -80,11 +97,11 @@ class AuthorityWork:
 
         Grants are renewed at two thirds of their time.
         """
-        if self._operations.held.remaining() is None:
+        if self.is_locked:
             return
         try:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
-            with self._service(APPLY_PURPOSE) as service:
+            with self.service(APPLY_PURPOSE) as service:
                 plan = service.plan_policy(policy, names, renew_due=True)
                 if plan.signs or plan.revoke:
                     service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
@@ -102,8 +119,8 @@ class AuthorityWork:
     def grant_outright(self, names: Collection[str]) -> None:
         """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
-            with self._service(APPLY_PURPOSE) as service:
-                signed = service.grant_outright(*names)
+            with self.service(APPLY_PURPOSE) as service:
+                signed = service.grant_outright(*names, place=self._policy)
                 if signed:
                     service.deposit([data for _, data in signed])
         except HintedError as error:
@@ -116,7 +133,7 @@ class AuthorityWork:
     def apply_if_changed(self) -> None:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
         try:
-            status = policyfile.place(self._rossec_home, self._policy).stat()
+            status = self.policy_path().stat()
             with contextlib.closing(AuthorityHome.at(self._rossec_home).store()) as store:
                 state = status.st_mtime_ns, status.st_size, store.log.head(self._now()).size
         except (HintedError, OSError) as error:
@@ -124,16 +141,16 @@ class AuthorityWork:
             return
         last, at = self._applied
         if state != last or not 0 <= self._now() - at < PERIOD:
-            if self._operations.held.remaining() is not None:
+            if not self.is_locked:
                 self._applied = state, self._now()
             self.apply()
 
     def maintain(self) -> None:
         """Renew the own node's identity and the list long before they expire; deliver grants."""
-        if self._operations.held.remaining() is None:
+        if self.is_locked:
             return
         try:
-            with self._service(MAINTENANCE_PURPOSE) as service:
+            with self.service(MAINTENANCE_PURPOSE) as service:
                 authority = service.unlock()
                 if renewals.own_node_is_due(authority, self._now()):
                     renewals.renew_own_node(authority, self._now())
@@ -151,7 +168,13 @@ class AuthorityWork:
             self._published = newest
 
     @contextlib.contextmanager
-    def _service(self, purpose: str) -> Iterator[AuthorityService]:
+    def service(self, purpose: str) -> Iterator[AuthorityService]:
+        """What the authority does for its users; `purpose` is audited with every signature.
+
+        For one thread, and closed afterwards. Where the key is needed and not held, it raises
+        `AuthorityLocked`.
+        """
+
         def find_signer(home: AuthorityHome) -> OwnSigner:
             self._operations.held.check()
             return OwnSigner(self._operations, home.own_key(), purpose)

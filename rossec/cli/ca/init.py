@@ -38,6 +38,7 @@ def init(
     """
     token = None if uri is None else KeyUri.parse(uri)
     master = NodeHome.of(environment.home, MASTER)
+    AuthorityHome.check_new(environment.home)
     if with_master:
         check_new(master)
     if token is None:

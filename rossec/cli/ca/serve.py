@@ -94,6 +94,7 @@ def serve(
             network = NetworkWork(
                 environment.home, operations, face, applies=applies, policy=policy_path
             )
+            operations.on_unlock = network.rounds.wake
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)

@@ -16,6 +16,7 @@ from ca.revocation.state import Revocations, open_timestamp
 from grants import document
 from grants.model import Grant
 from rossec import files
+from rossec.channel.suite_selection import post_quantum
 from rossec.cli.node.known_revocations import known_revocations
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.clock import format_time
@@ -102,12 +103,12 @@ def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
     own = settings.read((), environment.variables, default_name=home.name)
-    yield asyncio.run(_ask_master(home, own))
+    yield asyncio.run(_ask_master(home, own, post_quantum(environment.variables)))
 
 
-async def _ask_master(home: NodeHome, own: settings.Settings) -> str:
+async def _ask_master(home: NodeHome, own: settings.Settings, suites: tuple[int, ...]) -> str:
     anchor = home.anchor()
-    context = SecureContext(home.credentials(), anchor.verify)
+    context = SecureContext(home.credentials(), anchor.verify, suites=suites)
     stream = await connect(own.master_host, own.master_port, context, WireProtocol.HTTP)
     try:
         if stream.peer.name != MASTER:

@@ -81,7 +81,8 @@ def show(environment: Environment, name: str, as_json: bool) -> None:
     if identity.wildcard:
         say(f"also for anonymous nodes, {identity.name}_*")
     say(f"fingerprint {format_fingerprint(identity.thumbprint)}")
-    say(f"{len(home.grants())} grants in {home.path}")
+    count = len(home.grants())
+    say(f"{count} {'grant' if count == 1 else 'grants'} in {home.path}")
 
 
 def _shown(home: NodeHome, identity: Identity) -> dict[str, object]:

@@ -20,8 +20,8 @@ from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.terminal import note, printable, say, say_json
 
-_PAUSE: Final = 1.0  # seconds until the first reconnection
-_MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
+PAUSE: Final = 1.0  # seconds until the first reconnection
+MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
 _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 
 
@@ -63,7 +63,7 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
         ConfigurationError: the identity has expired and was not renewed.
         HintedError, OSError: there was no answer at all.
     """
-    view, pause, last_error = GraphView(), _PAUSE, ""
+    view, pause, last_error = GraphView(), PAUSE, ""
     own = LiveCredentials(home.credentials())
     renewal = IdentityRenewal(home, own, now())
     while True:
@@ -77,12 +77,12 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
                 raise
             _check_identity(home)
             if before != view.version:
-                pause, last_error = _PAUSE, ""
+                pause, last_error = PAUSE, ""
             if str(error) != last_error:
                 last_error = str(error)
                 note(f"no graph changes received: {printable(last_error)}")
             await asyncio.sleep(pause)
-            pause = min(2 * pause, _MAX_PAUSE)
+            pause = min(2 * pause, MAX_PAUSE)
 
 
 @asynccontextmanager

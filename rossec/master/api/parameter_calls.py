@@ -35,7 +35,7 @@ from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Paramet
 from rossec.master.state.registry import Kind, NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT
 
-_MAX_ENCODED: Final = 2 * BODY_LIMIT  # by `encoded_size`, about the length of an answer
+MAX_ENCODED: Final = 2 * BODY_LIMIT  # by `encoded_size`, about the length of an answer
 _TOO_LONG: Final = f"rossec: an answer of more than {BODY_LIMIT} bytes: ask for less at a time"
 
 Fault = xmlrpc.client.Fault
@@ -171,7 +171,7 @@ class ParameterCalls:
         return False
 
     def _parameter_names(self, request: CallRequest) -> Steps:
-        shown, bytes_left, at_once = list[str](), _MAX_ENCODED, request.caller.names_per_yield
+        shown, bytes_left, at_once = list[str](), MAX_ENCODED, request.caller.names_per_yield
         for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
                 shown.append(name)
@@ -233,6 +233,6 @@ class ParameterCalls:
 
 def _sendable(value: object) -> object:
     """The value, unless it is far too long: encoding it would already take long."""
-    if isinstance(value, dict) and parameter_values.exceeds(value, _MAX_ENCODED):
+    if isinstance(value, dict) and parameter_values.exceeds(value, MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

@@ -7,7 +7,7 @@ from typing import Final
 
 from aiohappyeyeballs import start_connection
 
-_STAGGER: Final = 0.25  # seconds; RFC 8305 section 5
+STAGGER: Final = 0.25  # seconds; RFC 8305 section 5
 
 
 async def dial(host: str, port: int, within: float) -> socket.socket:
@@ -45,7 +45,7 @@ async def _race(host: str, port: int) -> socket.socket:
     if not found:
         raise OSError(f"no address for {host}")
     cancelled = task is not None and task.cancelling()
-    sock = await start_connection(found, happy_eyeballs_delay=_STAGGER)
+    sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
     if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
         sock.close()
         raise asyncio.CancelledError

@@ -19,7 +19,7 @@ from rossec.net.aio.base import BaseStream
 from rossec.net.aio.transport import Transport
 from rossec.net.forks import forget_in_children
 
-_LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
+LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
 
 
 def wall_clock() -> int:
@@ -217,8 +217,8 @@ class Driver(BaseStream, Generic[PeerT]):
         if not self.transport.closed:
             self.transport.write_eof()
             self.transport.resume_reading()
-            self._abort_at = self._loop.time() + _LINGER
-            self._arm_timer(_LINGER)
+            self._abort_at = self._loop.time() + LINGER
+            self._arm_timer(LINGER)
 
     # -- time
 

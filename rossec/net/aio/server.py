@@ -25,7 +25,7 @@ from rossec.net.halfopen import HalfOpenSlot
 _log = logging.getLogger("rossec.net.server")
 _BACKLOG: Final = 128
 _ACCEPTS_PER_TURN: Final = 16
-_ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
+ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 _REPORT_EVERY: Final = 10.0
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
@@ -83,9 +83,9 @@ class SecureServer(Generic[PeerT]):
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
             except OSError as error:  # out of descriptors or memory: callers wait in the kernel
-                _log.warning("cannot accept connections for %s s: %s", _ACCEPT_PAUSE, error)
+                _log.warning("cannot accept connections for %s s: %s", ACCEPT_PAUSE, error)
                 self._loop.remove_reader(listener.fileno())
-                self._loop.call_later(_ACCEPT_PAUSE, self._add_reader, listener)
+                self._loop.call_later(ACCEPT_PAUSE, self._add_reader, listener)
                 return
             slot = self._admit(where[0])
             if slot is None:

@@ -24,7 +24,7 @@ Endpoint: TypeAlias = tuple[str, int]
 """An IP address and a port."""
 
 TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
-_OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
+OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
 _ESTABLISHED: Final = "01"
 _LISTEN: Final = " 0A"
 _TRIES: Final = 3  # the kernel returns the table in pieces: a row can be missed between two of them
@@ -152,7 +152,7 @@ def listeners(endpoint: Endpoint) -> list[Holder]:
 
 def is_known(user: int) -> bool:
     """Whether `user` is not the overflow id, which stands for other user namespaces."""
-    return user != int(_OVERFLOW.read_text())
+    return user != int(OVERFLOW.read_text())
 
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:

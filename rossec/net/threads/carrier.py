@@ -24,7 +24,7 @@ from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 
 _MAX_WAIT: Final = 3600.0  # then check the clock again: the host's may be set
-_SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
+SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
 AT_ONCE: Final = socket.MSG_DONTWAIT
 
 
@@ -41,7 +41,7 @@ class Carrier(Generic[PeerT]):
         self._timeout = sock.gettimeout()
         sock.settimeout(None)
         for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
-            sock.setsockopt(socket.SOL_SOCKET, option, _SLICE)
+            sock.setsockopt(socket.SOL_SOCKET, option, SLICE)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = sock
         self._core = core

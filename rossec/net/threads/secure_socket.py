@@ -19,7 +19,7 @@ from rossec.errors import ChannelClosed
 from rossec.net.context import SecureContext
 from rossec.net.threads.carrier import AT_ONCE, Carrier
 
-_PUMPED: Final = 16  # buffers in one go
+PUMPED: Final = 16  # buffers in one go
 
 
 class SecureSocket(Carrier[PeerT]):
@@ -120,7 +120,7 @@ class SecureSocket(Carrier[PeerT]):
         """
         end = self._end()
         with self._reading:
-            for _ in range(_PUMPED):
+            for _ in range(PUMPED):
                 if self._error is not None or not self._take_in(end, AT_ONCE):
                     return
                 self._units.clear()

@@ -57,7 +57,7 @@ def noted(database: Database) -> list[str]:
 def test_no_command_writes_between_a_decision_and_its_record(
     path: Path, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_BUSY_TIMEOUT", 0)
+    monkeypatch.setattr(module, "BUSY_TIMEOUT", 0)
     other = Database.open(path)
     with database.transaction() as db:
         assert noted(database) == []

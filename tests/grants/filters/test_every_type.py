@@ -197,7 +197,7 @@ def test_random_filters_equal_genpy(
     package: str, minimum: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Arrays of elements of different sizes are treated in both ways: collected, and one by one."""
-    monkeypatch.setattr(message_rewriter, "_MIN_COLLECTED", minimum)
+    monkeypatch.setattr(message_rewriter, "MIN_COLLECTED", minimum)
     kinds = {name: kind for name, kind in debian_types().items() if name.startswith(f"{package}/")}
     assert kinds
     for name, kind in kinds.items():

@@ -73,7 +73,7 @@ def test_a_collected_array_equals_one_by_one(count: int, monkeypatch: pytest.Mon
     expected = message(count, treated=True)
     assert b"".join(generate(node)(message(count, treated=False))) == expected
     for border in (0, 1 << 32):
-        monkeypatch.setattr(message_rewriter, "_MIN_COLLECTED", border)
+        monkeypatch.setattr(message_rewriter, "MIN_COLLECTED", border)
         assert b"".join(generate(node)(message(count, treated=False))) == expected
 
 

@@ -220,6 +220,15 @@ def test_a_new_identity_gets_what_the_policy_gives_it(office: Office) -> None:
     office.write("rossec: 1\n")
     with pytest.raises(HintedError):
         office.service.grant_outright("/here")
+
+
+def test_what_a_new_identity_gets_is_in_the_policy_that_was_given(
+    office: Office, tmp_path: Path
+) -> None:
+    (tmp_path / "given.yaml").write_text("rossec: 1\nrobot: r\nrules: []\n")
+    assert office.service.grant_outright("/there", place=tmp_path / "given.yaml") == []
+    assert office.service.grant_outright("/there", place=tmp_path / "none.yaml") == []
+    assert len(office.service.grant_outright("/there")) == 1
     (office.root / "ca" / "policy.yaml").unlink()
     assert office.service.grant_outright("/here") == []
 

@@ -81,7 +81,7 @@ async def test_the_person_walks_away() -> None:
 
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(authority, "_RETRY_DELAY", 0.0)
+    monkeypatch.setattr(authority, "RETRY_DELAY", 0.0)
 
 
 @pytest.mark.usefixtures("hurried")

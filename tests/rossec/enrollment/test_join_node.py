@@ -25,7 +25,7 @@ def clock() -> int:
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> JoinSite:
-    monkeypatch.setattr(join_node, "_RETRY_DELAY", 0.001)
+    monkeypatch.setattr(join_node, "RETRY_DELAY", 0.001)
     return JoinSite(tmp_path / "site")
 
 

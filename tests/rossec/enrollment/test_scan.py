@@ -64,7 +64,7 @@ def test_data_that_is_not_a_picture_is_refused(monkeypatch: pytest.MonkeyPatch) 
     "program", ["raise SystemExit(1)", "print('{')", "import time; time.sleep(60)"]
 )
 def test_a_reader_that_fails_or_hangs(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
-    monkeypatch.setattr(scan, "_SCANNER", (sys.executable, "-I", "-c", program))
+    monkeypatch.setattr(scan, "SCANNER", (sys.executable, "-I", "-c", program))
     monkeypatch.setattr(scan, "SECONDS", 1)
     with pytest.raises(ConfigurationError, match="took too long, or failed") as caught:
         scan.code_in(b"")

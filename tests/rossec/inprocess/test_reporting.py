@@ -29,7 +29,7 @@ def test_a_failure_after_a_success_is_logged_again() -> None:
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rossec.inprocess.reporting._REMEMBERED", 2)
+    monkeypatch.setattr("rossec.inprocess.reporting.REMEMBERED", 2)
     written: list[str] = []
     reporter = Reporter(written.append)
     for text in ("a", "b", "c", "a"):

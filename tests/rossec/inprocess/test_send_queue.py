@@ -92,7 +92,7 @@ async def test_queued_messages_are_sent_as_one_unit() -> None:
 async def test_a_message_after_a_pause_does_not_wait_for_the_sender(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(send_queue, "_PAUSE", 0.0)
+    monkeypatch.setattr(send_queue, "PAUSE", 0.0)
     made = transport()
     made.socket.at_once = True
     queue = send_queue.SendQueue(made, 0)
@@ -156,7 +156,7 @@ def test_a_call_that_is_not_allowed_is_not_sent(persistent: bool) -> None:
 
 async def test_a_connection_is_closed_with_no_lock_held(monkeypatch: pytest.MonkeyPatch) -> None:
     """rospy closes one under the lock of its topic, where this side then waits for the queue."""
-    monkeypatch.setattr(send_queue, "_PAUSE", -1.0)  # each message is one after a pause
+    monkeypatch.setattr(send_queue, "PAUSE", -1.0)  # each message is one after a pause
     made = transport()
     made.socket.at_once = True
     queue = send_queue.SendQueue(made, 0)

@@ -131,7 +131,7 @@ def test_a_caller_over_the_limit_is_dropped(site: Site) -> None:
 def test_a_host_without_descriptors_pauses_accepting(
     local_identity: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sockets, "_ACCEPT_PAUSE", 0.0)
+    monkeypatch.setattr(sockets, "ACCEPT_PAUSE", 0.0)
     answers: list[Any] = [
         OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed"),
     ]  # fmt: skip
@@ -239,7 +239,7 @@ def test_a_caller_that_is_gone_does_not_end_accept(
 
 
 def test_peek_does_not_wait_for_a_silent_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plain_stream, "_DEADLINE", 0.05)
+    monkeypatch.setattr(plain_stream, "DEADLINE", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as server:
         for sent in (b"", b"PO", b"\x06\0\0\0\x02\0"):
             with socket.create_connection(server.getsockname()) as caller:

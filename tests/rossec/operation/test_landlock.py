@@ -82,7 +82,7 @@ def test_files_and_directories_are_allowed_for_reading_and_all_else_is_handled(
 ) -> None:
     file, kernel = tmp_path / "file", PlayedKernel()
     file.touch()
-    monkeypatch.setattr(landlock, "_LIBC", kernel)
+    monkeypatch.setattr(landlock, "LIBC", kernel)
     landlock.read_only([tmp_path, file, tmp_path / "missing"])
     assert kernel.calls == [
         (444, 0x1FFF),
@@ -99,7 +99,7 @@ def test_a_process_that_may_gain_privileges_is_not_confined(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kernel = PlayedKernel(prctl=-1)
-    monkeypatch.setattr(landlock, "_LIBC", kernel)
+    monkeypatch.setattr(landlock, "LIBC", kernel)
     with pytest.raises(OSError, match="prctl"):
         landlock.read_only([tmp_path])
     assert kernel.calls[-1] == (38, 1)
@@ -111,6 +111,6 @@ def test_a_kernel_without_it_is_an_error(tmp_path: Path, monkeypatch: pytest.Mon
             ctypes.set_errno(38)
             return -1
 
-    monkeypatch.setattr(landlock, "_LIBC", Without())
+    monkeypatch.setattr(landlock, "LIBC", Without())
     with pytest.raises(OSError, match="Landlock: Function not implemented"):
         landlock.read_only([tmp_path])

@@ -50,6 +50,6 @@ def test_a_kernel_that_refuses_is_an_error(monkeypatch: pytest.MonkeyPatch) -> N
         def prctl(self, *_: int) -> int:
             return -1
 
-    monkeypatch.setattr(process_memory, "_LIBC", Refusing())
+    monkeypatch.setattr(process_memory, "LIBC", Refusing())
     with pytest.raises(OSError, match="prctl 4"):
         process_memory.protect_memory()

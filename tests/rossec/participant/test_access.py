@@ -144,7 +144,7 @@ def test_only_grants_that_cover_the_request_are_presented(site: Site) -> None:
 def test_the_cache_of_verified_grants_is_bounded(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(access, "_CACHE_SIZE", 2)
+    monkeypatch.setattr(access, "CACHE_SIZE", 2)
     own = Access(site.anchor, revocations(site))
     viewer = site.identity("/viewer")
     for _ in range(4):

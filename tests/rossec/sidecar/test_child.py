@@ -183,7 +183,7 @@ class RefusingKernel:
 
 async def test_a_kernel_that_refuses_starts_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    monkeypatch.setattr(child, "_LIBC", RefusingKernel())
+    monkeypatch.setattr(child, "LIBC", RefusingKernel())
     with pytest.raises(OSError, match="PR_SET_CHILD_SUBREAPER"):
         child.adopt_orphans()
     with pytest.raises(OSError, match="signalfd"):

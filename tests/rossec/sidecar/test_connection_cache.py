@@ -47,7 +47,7 @@ async def test_an_older_connection_is_closed() -> None:
 async def test_a_cached_connection_is_closed_after_its_lifetime(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(connection_cache, "_LIFETIME", 0.0)
+    monkeypatch.setattr(connection_cache, "LIFETIME", 0.0)
     cache, one, other = ConnectionCache(), FakeClient(), FakeClient()
     cache.put(ENDPOINT, _as(one))
     await until(lambda: one.closed)

@@ -62,7 +62,7 @@ def test_a_type_with_too_many_dependencies_is_unknown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
-    monkeypatch.setattr(host_types, "_MAX_TYPES", 2)
+    monkeypatch.setattr(host_types, "MAX_TYPES", 2)
     package(tmp_path / "my_robot", A="B b", B="C c", C="int8 c")
     assert known_type("my_robot/B") is not None
     assert known_type("my_robot/A") is None

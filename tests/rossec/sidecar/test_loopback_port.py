@@ -69,7 +69,7 @@ async def test_programs_of_other_users_are_dropped_before_reading() -> None:
 
 
 async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
+    monkeypatch.setattr(loopback_port, "CONNECTIONS", 1)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     first = PlainStream(await dial("127.0.0.1", listener.port, 10))
@@ -101,7 +101,7 @@ async def test_accepting_pauses_without_descriptors(
     monkeypatch.setattr(
         loopback_port, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach())
     )
-    monkeypatch.setattr(loopback_port, "_PAUSE", 0.05)
+    monkeypatch.setattr(loopback_port, "PAUSE", 0.05)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     assert await exchange_hello(listener.port) == b"hello"
@@ -141,7 +141,7 @@ async def test_a_slow_program_slows_the_sender() -> None:
 async def test_connections_above_the_limit_are_closed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
+    monkeypatch.setattr(loopback_port, "CONNECTIONS", 1)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     stream = PlainStream(await dial("127.0.0.1", listener.port, 10))

@@ -194,7 +194,7 @@ async def test_the_master_uri_has_a_host_name_without_ipv4(tmp_path: Path) -> No
 async def test_the_number_of_identities_is_bounded(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_LIMIT", 0)
+    monkeypatch.setattr(server, "LIMIT", 0)
     async with sidecar(pair.site) as running:
         program = Program("/talker", running)
         answer = await program.ask(running.uri, "getPid")

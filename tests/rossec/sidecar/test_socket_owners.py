@@ -36,7 +36,7 @@ async def test_waiting_callers_share_a_search(
     owners: SocketOwners, searches: list[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        socket_owners, "_TIME_SLICE", 0.0
+        socket_owners, "TIME_SLICE", 0.0
     )  # a fast search would end before the next call
     with programs(4) as several:
         ends = [several.connection(which) for which in range(4) for _ in range(5)]
@@ -111,7 +111,7 @@ async def test_a_pid_reused_during_verification_is_not_accepted(
 async def test_a_cancelled_caller_does_not_cancel_others(
     owners: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socket_owners, "_TIME_SLICE", 0.0)  # yield after each descriptor
+    monkeypatch.setattr(socket_owners, "TIME_SLICE", 0.0)  # yield after each descriptor
     with programs(2, files=20) as two, two.connection(0) as one, two.connection(1) as other:
         inodes = [peeruid.holder_of(end).inode for end in (one, other)]
         first, second = (asyncio.ensure_future(owners.holds(inode)) for inode in inodes)
@@ -125,7 +125,7 @@ async def test_a_cancelled_caller_does_not_cancel_others(
 async def test_the_location_cache_is_bounded(
     owners: SocketOwners, monkeypatch: pytest.MonkeyPatch, searches: list[None]
 ) -> None:
-    monkeypatch.setattr(socket_owners, "_REMEMBERED", 1)
+    monkeypatch.setattr(socket_owners, "REMEMBERED", 1)
     with programs() as one, one.connection(0) as end, one.connection(0) as other:
         for each in (end, other, end):
             assert await owners.holds(peeruid.holder_of(each).inode)

@@ -10,6 +10,7 @@ import pytest
 from ca.encoding import Value
 from ca.errors import EncodingError
 from rossec.authority.keyservice import network as module
+from rossec.authority.keyservice import rounds
 from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
@@ -110,7 +111,7 @@ async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
 
 
 async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ROUND", 0.01)
+    monkeypatch.setattr(rounds, "ROUND", 0.01)
     playing = Playing(tmp_path, applies=True)
     playing.working.work.join(playing.working.request(playing.working.invite()))
     running = asyncio.ensure_future(playing.network.run())
@@ -122,16 +123,16 @@ async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 async def test_a_round_that_crashes_is_not_the_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(module, "ROUND", 0.01)
-    rounds: list[int] = []
+    monkeypatch.setattr(rounds, "ROUND", 0.01)
+    crashed: list[int] = []
 
     def crash(_: AuthorityWork) -> None:
-        rounds.append(len(rounds))
+        crashed.append(len(crashed))
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(AuthorityWork, "maintain", crash)
     running = asyncio.ensure_future(Playing(tmp_path, applies=True).network.run())
-    await until(lambda: len(rounds) > 2, within=20)
+    await until(lambda: len(crashed) > 2, within=20)
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     assert "a round of the authority failed" in caplog.text
@@ -169,12 +170,32 @@ async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:
     running = asyncio.ensure_future(playing.network.run())
     await asyncio.sleep(0.05)
     assert await asyncio.to_thread(playing.network.deliver, call) == 1
+    assert playing.network.has_master
     for error in (KeyServiceRefused("it is off"), TimeoutError()):
         playing.face.error = error
         with pytest.raises(NotDelivered, match="the master did not get the list") as caught:
             await asyncio.to_thread(playing.network.deliver, call)
         assert caught.value.hint == "later"
-    with pytest.raises(EncodingError, match="not bytes"):
-        await asyncio.to_thread(playing.network.deliver, call._replace(statement=(5,)))
+        assert not playing.network.has_master
+    with pytest.raises(EncodingError, match="no plain value"):
+        await asyncio.to_thread(playing.network.deliver, call._replace(statement=(5.0,)))
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_an_answer_that_is_waited_for_and_fails_stops_no_other_call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SLOW", 0.0)
+    playing = Playing(tmp_path, applies=False)
+    node = NodeHome(tmp_path / "x", "/ca")
+    call = MasterCall(node, "rossec.watchGraph", ("", 0), "a question", "later", waits=True)
+    running = asyncio.ensure_future(playing.network.run())
+    await asyncio.sleep(0.05)
+    playing.face.error = TimeoutError()
+    with pytest.raises(NotDelivered, match="no answer in time"):
+        await asyncio.to_thread(playing.network.deliver, call)
+    playing.face.error = None
+    assert await asyncio.to_thread(playing.network.deliver, call) == 1
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)

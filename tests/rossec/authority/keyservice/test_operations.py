@@ -146,3 +146,22 @@ def test_its_own_signatures_are_audited_with_their_purpose(served: Served) -> No
     assert open_head(sign_head(signer, HEAD), SIGNER.public_key) == HEAD
     assert served.lines[1].endswith(", for a join")
     assert HEAD_PROFILE.typ == "rossec-log+cwt"
+
+
+def test_what_waited_for_the_key_is_told_when_it_is_there(served: Served) -> None:
+    told: list[bool] = []
+    served.operations.on_unlock = lambda: told.append(served.operations.held.remaining() == 60)
+    with pytest.raises(PassphraseRefused):
+        served.ask("unlock", 60, "wrong")
+    served.now += 100
+    assert told == []
+    served.ask("unlock", 60, RIGHT)
+    assert told == [True]
+
+
+def test_other_acts_are_audited_too(served: Served) -> None:
+    served.operations.audit("an approval")
+    assert served.lines[-1] == "an approval"
+    served.is_full = True
+    with pytest.raises(KeyServiceRefused):
+        served.operations.audit("another")

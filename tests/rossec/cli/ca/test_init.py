@@ -17,6 +17,8 @@ def test_a_new_authority_shows_itself(empty: Shell) -> None:
 
 def test_one_authority_per_home(shell: Shell) -> None:
     refused(shell.unlocked("ca", "init", "home"), "there is an authority", "another ROSSEC_HOME")
+    shell("node", "request", "/master")
+    refused(shell.unlocked("ca", "init", "home", "--master"), "there is an authority")
 
 
 def test_a_trust_domain_has_its_syntax(empty: Shell) -> None:

@@ -65,6 +65,9 @@ async def test_a_node_in_order_and_its_faults(
         code, said = await doctor("/robot", ROS_MASTER_URI="http://127.0.0.1:1")
         assert code == 1
         assert "3 checks failed" in said
+        code, said = await doctor("/robot", ROSSEC_POST_QUANTUM="often")
+        assert code == 1
+        assert "ROSSEC_POST_QUANTUM is 'often'" in said
         (tmp_path / "odd.toml").write_bytes(b"\xff")
         code, said = await doctor("/robot", ROSSEC_CONFIG=str(tmp_path / "odd.toml"))
         assert code == 1

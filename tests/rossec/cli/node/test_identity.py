@@ -14,7 +14,7 @@ def test_a_request_names_the_next_command(shell: Shell) -> None:
     assert said.out.splitlines()[-1] == (
         f"next, at the authority: rossec ca sign {shell.node('/robot')}/node.csr"
     )
-    refused(shell("node", "request", "/robot"), "exists and is not overwritten")
+    refused(shell("node", "request", "/robot"), "has a key already", "node.csr")
     refused(shell("node", "request", "robot"), "not an absolute ROS name", "/robot1/camera")
 
 
@@ -37,6 +37,7 @@ def test_an_installed_node_shows_itself(shell: Shell) -> None:
     assert shell("node", "show", "/robot").out.startswith("/robot of home until ")
     row = json.loads(shell("node", "show", "/robot", "--json").out)
     assert (row["name"], row["domain"], row["grants"]) == ("/robot", "home", 0)
+    assert "\n0 grants in " in shell("node", "show", "/robot").out
 
 
 def test_installing_shows_the_authority_and_asks(

@@ -80,7 +80,7 @@ async def test_following_a_master_through_its_restart(
     monkeypatch.setattr(module, "say", said.append)
     monkeypatch.setattr(module, "say_json", lambda value: said.append(json.dumps(value)))
     monkeypatch.setattr(module, "note", notes.append)
-    monkeypatch.setattr(module, "_PAUSE", 0.05)
+    monkeypatch.setattr(module, "PAUSE", 0.05)
     async with site.running():
         assert site.master is not None
         following = asyncio.ensure_future(
@@ -156,8 +156,8 @@ async def test_the_same_error_is_printed_once(site: Site, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(module, "note", notes.append)
     monkeypatch.setattr(module, "say", said.append)
-    monkeypatch.setattr(module, "_PAUSE", 0.01)
-    monkeypatch.setattr(module, "_MAX_PAUSE", 0.04)
+    monkeypatch.setattr(module, "PAUSE", 0.01)
+    monkeypatch.setattr(module, "MAX_PAUSE", 0.04)
     site.publish("/robot", "/robot/pose")
     async with site.running(), site.node("/robot") as robot:
         await robot.publisher("/robot/pose", POSE)

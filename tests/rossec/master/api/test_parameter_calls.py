@@ -112,7 +112,7 @@ def test_a_value_much_too_long_is_not_encoded(api: MasterApi, method: str) -> No
 def test_a_list_of_names_too_long_for_an_answer_is_refused_early(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parameter_calls, "_MAX_ENCODED", 5000)
+    monkeypatch.setattr(parameter_calls, "MAX_ENCODED", 5000)
     ask(api, everything("/a"), "setParam", "/many", {f"p{number}": 1 for number in range(99)})
     assert len(call_api(api, "getParamNames", ("/a",), everything("/a"), 0).answer[2]) == 99  # type: ignore[index]
     ask(api, everything("/a"), "setParam", "/more", {f"p{number}": 1 for number in range(99)})

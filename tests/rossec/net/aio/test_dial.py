@@ -49,7 +49,7 @@ def attempts(
 
     Each is connected to `port` after what `before` does.
     """
-    monkeypatch.setattr(module, "_STAGGER", 0.01)
+    monkeypatch.setattr(module, "STAGGER", 0.01)
     resolve(monkeypatch, *[(socket.AF_INET, name, port) for name in before])
     loop, used = asyncio.get_running_loop(), list[socket.socket]()
     sock_connect = loop.sock_connect

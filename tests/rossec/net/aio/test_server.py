@@ -228,7 +228,7 @@ async def test_accepting_goes_on_when_descriptors_come_back(
         return [Exhausted(fileno=sock.detach())]
 
     monkeypatch.setattr(server_module, "bind", bind_exhausted)
-    monkeypatch.setattr(server_module, "_ACCEPT_PAUSE", 0.01)
+    monkeypatch.setattr(server_module, "ACCEPT_PAUSE", 0.01)
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         await still_works(server)
     assert "too many open files" in caplog.text

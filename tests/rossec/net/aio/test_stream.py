@@ -176,7 +176,7 @@ async def test_when_closed_is_called_at_the_end_of_the_socket() -> None:
 async def test_a_peer_that_does_not_answer_the_close_is_aborted(
     server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(driver_module, "_LINGER", 0.1)
+    monkeypatch.setattr(driver_module, "LINGER", 0.1)
     stream = await call(server)
     await stream.send(b"x")
     await stream.receive()

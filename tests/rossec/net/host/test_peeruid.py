@@ -111,7 +111,7 @@ def test_a_unix_socket_tells_its_user() -> None:
 def test_the_overflow_user_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     overflow = tmp_path / "overflowuid"
     overflow.write_text(f"{os.getuid()}\n")
-    monkeypatch.setattr(peeruid, "_OVERFLOW", overflow)
+    monkeypatch.setattr(peeruid, "OVERFLOW", overflow)
     local, remote = socket.socketpair()
     with local, remote, pytest.raises(PeerUserRefused):
         require_user(local, {os.getuid()})

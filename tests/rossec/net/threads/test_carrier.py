@@ -146,7 +146,7 @@ def test_a_reader_without_a_deadline_runs_the_timers_of_the_core(
     listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel waits a slice at a time; between two the clock is looked at."""
-    monkeypatch.setattr("rossec.net.threads.carrier._SLICE", struct.pack("ll", 0, 20_000))
+    monkeypatch.setattr("rossec.net.threads.carrier.SLICE", struct.pack("ll", 0, 20_000))
     left, right = pair(listener)
     with left, right:
         left.settimeout(None)

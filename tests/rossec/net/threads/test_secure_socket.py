@@ -248,7 +248,7 @@ def test_pump_is_bounded_under_a_flood(
     listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A peer that talks without end to a side that only sends is read a bounded amount."""
-    monkeypatch.setattr("rossec.net.threads.secure_socket._PUMPED", 3)
+    monkeypatch.setattr("rossec.net.threads.secure_socket.PUMPED", 3)
     left, right = pair(listener)
     with left, right:
         taken = itertools.count()

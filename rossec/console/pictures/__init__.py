@@ -1,0 +1,1 @@
+"""Pictures as SVG with classes: pure functions from views and samples to elements."""

@@ -1,0 +1,124 @@
+"""Elements of SVG, built so that no text becomes markup and no style leaves the stylesheet. Pure.
+
+A class, never a `style` attribute: the pages' policy (CSP `style-src 'self'`) forbids those, and
+dark mode needs the classes. Numbers are finite and short. An element is safe where `__html__` is
+asked for (jinja2, markupsafe), as it escapes what it was given.
+"""
+
+import math
+import re
+from collections.abc import Iterable
+from typing import Final, TypeAlias
+from xml.sax.saxutils import escape
+
+from rossec.ros.text import printable
+
+NAMESPACE: Final = "http://www.w3.org/2000/svg"
+MAX_TEXT: Final = 200
+_TAGS: Final = frozenset(
+    {"circle", "desc", "g", "image", "line", "path", "polyline", "rect", "svg", "text", "title"}
+)
+_ATTRIBUTE: Final = re.compile(r"[a-zA-Z][a-zA-Z-]*", re.ASCII)
+_FORBIDDEN: Final = ("style", "href", "src")  # `image` adds its own
+_PICTURE: Final = "data:image/png;base64,"
+
+Child: TypeAlias = "Element | str"
+Point: TypeAlias = tuple[float, float]
+
+
+class Element:
+    """An element with its attributes and children, as text: `str(element)`."""
+
+    __slots__ = ("_text",)
+
+    def __init__(self, tag: str, *children: Child, **attributes: object) -> None:
+        """`class_` is the attribute `class`; an underscore within a name is a hyphen.
+
+        Raises:
+            ValueError: an element or attribute that does not belong in a picture.
+        """
+        if tag not in _TAGS:
+            raise ValueError(f"no {tag[:20]!r} in a picture")
+        written = "".join(_attribute(name, value) for name, value in attributes.items())
+        content = "".join(map(_child, children))
+        self._text = f"<{tag}{written}>{content}</{tag}>" if content else f"<{tag}{written}/>"
+
+    def __str__(self) -> str:
+        return self._text
+
+    def __html__(self) -> str:
+        return self._text
+
+    @classmethod
+    def picture(cls, data: str, **attributes: object) -> "Element":
+        """An `image` of base64 text of a PNG.
+
+        Raises:
+            ValueError: other characters.
+        """
+        if re.fullmatch(r"[A-Za-z0-9+/]+={0,2}", data) is None:
+            raise ValueError("not base64")
+        made = cls("image", **attributes)
+        made._text = f'{made._text[:-2]} href="{_PICTURE}{data}"/>'
+        return made
+
+
+def _attribute(name: str, value: object) -> str:
+    shown = name.rstrip("_").replace("_", "-")
+    if shown in _FORBIDDEN or shown.startswith("on") or _ATTRIBUTE.fullmatch(shown) is None:
+        raise ValueError(f"no attribute {name[:20]!r} in a picture")
+    text = number(value) if isinstance(value, int | float) else str(value)
+    return f' {shown}="{escape(printable(text, len(text)), {chr(34): "&quot;"})}"'
+
+
+def _child(child: Child) -> str:
+    return str(child) if isinstance(child, Element) else escape(printable(child, MAX_TEXT))
+
+
+def number(value: float) -> str:
+    """A coordinate with at most one decimal.
+
+    Raises:
+        ValueError: not finite.
+    """
+    if not math.isfinite(value):
+        raise ValueError("a coordinate that is not finite")
+    text = f"{value:.1f}".removesuffix(".0")
+    return "0" if text == "-0" else text
+
+
+def drawing(width: float, height: float, title: str, *children: Child, class_: str = "") -> Element:
+    """A picture of this size; `title` is what it shows, for those who cannot see it."""
+    return Element(
+        "svg",
+        Element("title", title),
+        *children,
+        viewBox=f"0 0 {number(width)} {number(height)}",
+        class_=f"picture {class_}".strip(),
+        role="img",
+        xmlns=NAMESPACE,
+    )
+
+
+def path(points: Iterable[Point], class_: str) -> Element:
+    """A line through `points`."""
+    pairs = [f"{number(x)} {number(y)}" for x, y in points]
+    return Element("path", d=f"M{' L'.join(pairs)}", class_=class_)
+
+
+def curve(start: Point, end: Point, class_: str) -> Element:
+    """A line from the right of one box to the left of another, horizontal at both ends."""
+    (x, y), (to_x, to_y) = start, end
+    middle = number((x + to_x) / 2)
+    line = f"M{number(x)} {number(y)} C{middle} {number(y)} {middle} {number(to_y)}"
+    return Element("path", d=f"{line} {number(to_x)} {number(to_y)}", class_=class_)
+
+
+def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> Element:
+    """A text at a point; `anchor` is `start`, `middle` or `end`."""
+    return Element("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
+
+
+def cut(text: str, most: int) -> str:
+    """A text that fits a box of `most` characters: its end says more than its beginning."""
+    return text if len(text) <= most else f"…{text[1 - most :]}"

@@ -1,0 +1,258 @@
+"""What happened, in sentences: entries of the record's log and denials, merged, newest first. Pure.
+
+A sentence has parts, so that a page can set names apart from its own words. Entries that only
+repeat another one (`issued` beside `certificate`) have no sentence; an entry of a kind that is not
+in the table is told by its own words, never left out.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple, TypeAlias
+
+from grants.model import Grant, Permission, Right
+from rossec.authority.console.views import DenialView, EventView, GrantQuestion, NodeView
+from rossec.console import words
+from rossec.console.matrix import HeldGrant
+from rossec.ros.text import printable
+
+
+class Part(NamedTuple):
+    """A piece of a sentence; a name is one of ROS, shown as such."""
+
+    text: str
+    is_name: bool = False
+
+
+class Sentence(NamedTuple):
+    """One thing that happened; `tone` is `joined`, `allowed`, `ended`, `refused`, `asked`, `note`.
+
+    `number` is that of the log entry, -1 of a denial; `node` is whom it is about, if it is one.
+    """
+
+    at: int
+    tone: str
+    verb: str
+    parts: tuple[Part, ...]
+    number: int
+    node: str
+
+    @property
+    def text(self) -> str:
+        """The whole of it, as plain text."""
+        return " ".join((self.verb, *(part.text for part in self.parts)))
+
+
+class Known(NamedTuple):
+    """What the ids in log entries mean: grants by id, nodes by key, questions by id, all in hex."""
+
+    grants: Mapping[str, Grant]
+    nodes: Mapping[str, str]
+    questions: Mapping[str, GrantQuestion]
+
+    @classmethod
+    def of(
+        cls,
+        held: Iterable[HeldGrant] = (),
+        nodes: Iterable[NodeView] = (),
+        questions: Iterable[GrantQuestion] = (),
+    ) -> "Known":
+        """The ids in these views."""
+        return cls(
+            {each.view.id.hex(): each.grant for each in held},
+            {node.key.hex(): node.name for node in nodes},
+            {each.id.hex(): each for each in questions},
+        )
+
+
+_Told: TypeAlias = tuple[str, str, tuple[Part, ...]] | None
+_Tell: TypeAlias = Callable[[EventView, Known], _Told]
+
+
+def story(
+    events: Sequence[EventView], denials: Iterable[DenialView], known: Known
+) -> list[Sentence]:
+    """Everything that has a sentence, newest first; equal denials are one with a number."""
+    certified = {event.subject for event in events if event.what == "certificate"}
+    told = [_event(each, known) for each in events if not _repeats(each, certified)]
+    found = [each for each in told if each is not None]
+    return sorted([*found, *refusals(denials)], key=lambda each: (-each.at, -each.number))
+
+
+def refusals(denials: Iterable[DenialView]) -> list[Sentence]:
+    """A sentence for each node, right and name that was denied, at its latest time."""
+    groups: dict[tuple[str, int, str], list[int]] = {}
+    for denial in denials:
+        groups.setdefault((denial.node, denial.right, denial.name), []).append(denial.at)
+    return [
+        Sentence(max(times), "refused", "Refused", _denial(node, right, name, len(times)), -1, node)
+        for (node, right, name), times in groups.items()
+    ]
+
+
+def _denial(node: str, right: int, name: str, times: int) -> tuple[Part, ...]:
+    often = f", {times} times" if times > 1 else ""
+    return (
+        _name(node),
+        Part(f"asked to {wanted(right)}"),
+        _name(name),
+        Part(f"without being allowed to{often}"),
+    )
+
+
+def wanted(right: int) -> str:
+    """The right with this number in words; an unknown number is said as it is."""
+    return words.rights(Right(right)) if 0 < right < 256 else f"do something ({right}) with"
+
+
+def permission(given: Permission) -> tuple[Part, ...]:
+    """`see /robot/pose (coarse)`."""
+    coarse = given.restriction is not None and given.restriction.restricts_messages
+    return (
+        Part(words.rights(given.rights)),
+        Part(words.topic(given.pattern), is_name=True),
+        *([Part("(coarse)")] if coarse else []),
+    )
+
+
+def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[Part, ...]:
+    """As `permission` for all, in the order of the grant; those with the same rights together."""
+    groups: dict[tuple[Right, bool], list[Permission]] = {}
+    for each in given:
+        coarse = each.restriction is not None and each.restriction.restricts_messages
+        groups.setdefault((each.rights, coarse), []).append(each)
+    parts: list[Part] = []
+    for (rights, coarse), members in groups.items():
+        parts += [*([Part("and")] if parts else []), Part(words.rights(rights))]
+        parts += [Part(words.topic(each.pattern), is_name=True) for each in members[:limit]]
+        if len(members) > limit:
+            parts.append(Part(f"and {len(members) - limit} more"))
+        parts += [Part("(coarse)")] * coarse
+    return tuple(parts)
+
+
+def _name(text: str) -> Part:
+    return Part(words.name(text), is_name=True)
+
+
+def _because(reason: str) -> tuple[Part, ...]:
+    return (Part(f"because: {printable(reason, 200)}"),) if reason else ()
+
+
+def _repeats(event: EventView, certified: set[str]) -> bool:
+    return event.what in _FOLDED or (event.what == "approved" and event.subject in certified)
+
+
+def _event(event: EventView, known: Known) -> Sentence | None:
+    told = _TELL.get(event.what, _unknown)(event, known)
+    if told is None:
+        return None
+    tone, verb, parts = told
+    node = event.subject if event.subject.startswith("/") else _node_of(event, known)
+    return Sentence(event.at, tone, verb, parts, event.number, node)
+
+
+def _node_of(event: EventView, known: Known) -> str:
+    grant = known.grants.get(event.subject)
+    return known.nodes.get(event.subject, "") if grant is None else grant.subject
+
+
+def _unknown(event: EventView, known: Known) -> _Told:
+    shown = known.nodes.get(event.subject, event.subject)
+    detail = (Part(printable(event.detail, 200)),) if event.detail else ()
+    return "note", printable(event.what, 40).capitalize(), (_name(shown), *detail)
+
+
+def _grant(event: EventView, known: Known) -> _Told:
+    grant = known.grants.get(event.detail)
+    if grant is None:
+        return "allowed", "Allowed", (_name(event.subject), Part("got a right that has ended"))
+    parts = (_name(event.subject), Part("may"), *permissions(grant.permissions))
+    return "allowed", "Allowed", parts
+
+
+def _revocation(event: EventView, known: Known) -> _Told:
+    grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
+    why = _because(event.detail)
+    if grant is not None:
+        gone = (_name(grant.subject), Part("may no longer"), *permissions(grant.permissions))
+        return "ended", "Ended", (*gone, *why)
+    if node is not None:
+        return "ended", "Removed", (_name(node), Part("has no name here any more"), *why)
+    return "ended", "Ended", (Part(f"what has the number {event.subject[:8]}"), *why)
+
+
+def _grant_request(event: EventView, known: Known) -> _Told:
+    question = known.questions.get(event.detail)
+    if question is None:
+        return "asked", "Asked", (_name(event.subject), Part("asked to be allowed something"))
+    rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
+    return "asked", "Asked", (_name(event.subject), Part("asked to"), *permissions(rights))
+
+
+def _decision(event: EventView, _known: Known) -> _Told:
+    answer, _, pattern = event.detail.rpartition(" ")
+    if answer == "granted":
+        return None  # the grant has an entry of its own
+    said = "was denied what it asked for:" if answer == "denied" else f"asked, {answer}:"
+    return "refused", "Denied", (_name(event.subject), Part(said), _name(pattern))
+
+
+def _collected(event: EventView, _: Known) -> _Told:
+    if event.detail not in ("pending", "approved"):
+        return None
+    return "note", "Expired", (_name(event.subject), Part("asked to join and got no answer"))
+
+
+def _about(tone: str, verb: str, text: str) -> _Tell:
+    """Says `text` of the subject, and why if there is a reason."""
+
+    def tell(event: EventView, _: Known) -> _Told:
+        return tone, verb, (_name(event.subject), Part(text), *_because(event.detail))
+
+    return tell
+
+
+def _plain(tone: str, verb: str, before: str) -> _Tell:
+    """Says `before`, then the subject; the detail is for programs."""
+
+    def tell(event: EventView, _: Known) -> _Told:
+        return tone, verb, (Part(before), _name(event.subject))
+
+    return tell
+
+
+def _pending(event: EventView, _: Known) -> _Told:
+    source = (Part(f"from {printable(event.detail, 80)}"),) if event.detail else ()
+    return "asked", "Asked", (_name(event.subject), Part("asked to join"), *source)
+
+
+def _certificate(event: EventView, _: Known) -> _Told:
+    return "joined", "Joined", (_name(event.subject), Part("has a name here now"))
+
+
+def _joined_by_code(event: EventView, _: Known) -> _Told:
+    return "note", "Code used", (_name(event.subject), Part("came with a join code"))
+
+
+def _restored(event: EventView, _: Known) -> _Told:
+    text = f"the record was put back {printable(event.detail, 80)}"
+    return "note", "Restored", (Part(text),)
+
+
+_FOLDED: Final = frozenset({"issued", "policy grant"})
+_TELL: Final[Mapping[str, _Tell]] = {
+    "pending": _pending,
+    "approved": _about("allowed", "Approved", "may join"),
+    "denied": _about("refused", "Denied", "may not join"),
+    "collected": _collected,
+    "certificate": _certificate,
+    "grant": _grant,
+    "revocation": _revocation,
+    "list": _plain("note", "Signed", "the list of what has ended, number"),
+    "grant request": _grant_request,
+    "decision": _decision,
+    "invitation": _plain("allowed", "Join code", "made for"),
+    "join": _joined_by_code,
+    "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
+    "imported": _plain("note", "Imported", "from an intermediate:"),
+    "restored": _restored,
+}

@@ -1,0 +1,204 @@
+"""What grants, filters, rights and spans of time are called on the pages. Pure.
+
+For people who live with robots and do not program them: short, and the most important field first.
+`sentences` says what happened, `matrix` who sees what. Every operator of a filter has its words
+here, which a test compares with `grants.filters.operators`; a text of a node or a policy that is
+shown passes `printable`.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from grants.model import FilterRule, Restriction, Right, Scalar
+from rossec.ros.text import printable
+
+MAX_NAME: Final = 120
+MINUTE, HOUR, DAY, YEAR = 60, 3600, 86400, 365 * 86400
+
+RIGHTS: Final[Mapping[Right, str]] = {
+    Right.PUBLISH: "send",
+    Right.SUBSCRIBE: "see",
+    Right.CALL: "use",
+    Right.PROVIDE: "offer",
+    Right.PARAM_GET: "read the setting",
+    Right.PARAM_SET: "change the setting",
+    Right.GRAPH: "list the names below",
+    Right.ADMIN: "manage",
+}
+
+_UNITS: Final = ((YEAR, "year"), (DAY, "day"), (HOUR, "hour"), (MINUTE, "minute"))
+
+
+def name(text: object) -> str:
+    """A name of a node or a topic, on one line and bounded."""
+    return printable(text, MAX_NAME)
+
+
+def count(number: int, what: str) -> str:
+    """`1 node`, `2 nodes`."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def listing(items: Iterable[str], limit: int = 4) -> str:
+    """`a, b and c`; of more than `limit`: `a, b, c, d and 3 more`."""
+    given = list(items)
+    shown, rest = given[:limit], len(given) - limit
+    if rest > 0:
+        shown.append(f"{rest} more")
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
+def rights(given: Right) -> str:
+    """`see and send`."""
+    return listing((RIGHTS[right] for right in given), len(RIGHTS))
+
+
+def duration(seconds: int) -> str:
+    """The largest whole unit: `23 hours`, `30 days`."""
+    for size, unit in _UNITS:
+        if seconds >= size:
+            return count(seconds // size, unit)
+    return "less than a minute"
+
+
+def ago(at: int, now: int) -> str:
+    """`just now`, `16 minutes ago`; a time that is still to come is `just now` too."""
+    return "just now" if now - at < MINUTE else f"{duration(now - at)} ago"
+
+
+def left(until: int, now: int) -> str:
+    """`23 hours left`; `over` when there is none."""
+    return f"{duration(until - now)} left" if until > now else "over"
+
+
+def term(expires: int, cap: int, now: int) -> str:
+    """How long a grant lasts: it is renewed, without asking, until `cap`."""
+    if cap <= expires:
+        return left(expires, now)
+    return f"renewed by itself, {left(cap, now)}" if cap > now else "over"
+
+
+def topic(pattern: str) -> str:
+    """A pattern of names, as text: `everything below /robot`."""
+    if pattern == "/**":
+        return "everything"
+    if pattern.endswith("/**") and "*" not in pattern[:-3]:
+        return f"everything below {name(pattern[:-3])}"
+    return name(pattern)
+
+
+# By operator, with the field's name, its unit (a space before it) and the parameters by name.
+OPERATORS: Final[Mapping[str, str]] = {
+    "clear": "without {field}",
+    "drop": "without {field}",
+    "zero": "{field} blanked out",
+    "round": "{field} to {step}{unit}",
+    "clamp": "{field} between {low} and {high}{unit}",
+    "set": "{field} always {value}",
+    "redact": "{field} replaced by {text}",
+    "truncate": "only the first {length} of {field}",
+    "hash": "{field} as a pseudonym",
+    "pixelate": "{field} in squares of {block} pixels",
+}
+
+# Ends of field paths: what people call them, the unit of their numbers. The order is that of
+# importance: the first that fits is said first.
+_FIELDS: Final[tuple[tuple[str, str, str], ...]] = (
+    ("position", "position", "m"),
+    ("position.x", "position to the east", "m"),
+    ("position.y", "position to the north", "m"),
+    ("position.z", "height", "m"),
+    ("point", "position", "m"),
+    ("latitude", "latitude", "degrees"),
+    ("longitude", "longitude", "degrees"),
+    ("altitude", "height", "m"),
+    ("translation", "position", "m"),
+    ("ranges", "distances", "m"),
+    ("intensities", "brightness of the rays", ""),
+    ("data", "content", ""),
+    ("orientation", "direction", ""),
+    ("rotation", "direction", ""),
+    ("header.frame_id", "the map's name", ""),
+    ("child_frame_id", "the robot's frame", ""),
+    ("pose", "position and direction", ""),
+    ("twist", "speed", ""),
+    ("linear", "speed", "m/s"),
+    ("angular", "turning", ""),
+    ("covariance", "uncertainty", ""),
+    ("position_covariance", "uncertainty", ""),
+    ("status[*].message", "messages", ""),
+    ("status[*].hardware_id", "hardware numbers", ""),
+    ("status[*].values", "measured values", ""),
+    ("percentage", "charge", ""),
+    ("voltage", "voltage", "V"),
+    ("header.stamp", "time", "s"),
+    ("stamp", "time", "s"),
+    ("header.seq", "numbering", ""),
+    ("header", "map, time and numbering", ""),
+)
+_OWN_NAMES: Final[Mapping[tuple[str, str], str]] = {
+    ("sensor_msgs/Image", "data"): "picture",
+    ("sensor_msgs/CompressedImage", "data"): "picture",
+    ("sensor_msgs/PointCloud2", "data"): "points",
+    ("std_msgs/String", "data"): "text",
+}
+
+
+def field_name(path: str, type_name: str | None = None) -> str:
+    """What the field at `path` is called; an unknown one by its path."""
+    own = _OWN_NAMES.get((type_name or "", path))
+    return own if own is not None else _field(path)[1]
+
+
+def _field(path: str) -> tuple[int, str, str]:
+    """Place in the order, name and unit of the longest end of `path` that is known."""
+    fits = [
+        (len(end), order, said, unit)
+        for order, (end, said, unit) in enumerate(_FIELDS)
+        if path == end or path.endswith(f".{end}")
+    ]
+    if not fits:
+        return len(_FIELDS), name(path.replace("[*]", "").replace("_", " ")), ""
+    _, order, said, unit = max(fits)
+    return order, said, unit and f" {unit}"
+
+
+def _value(value: Scalar) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"“{printable(value, 40)}”" if isinstance(value, str) else f"{value:g}"
+
+
+def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
+    """One rule: `position to 2 m`."""
+    _, _, unit = _field(rule.path)
+    said = field_name(rule.path, type_name)
+    given = {parameter: _value(value) for parameter, value in rule.parameters}
+    text = OPERATORS[rule.operator].format(field=said, unit=unit, **given)
+    return f"{text}, only in a part of it" if "width" in given else text
+
+
+def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[str]:
+    """Every rule, the most important first; each text once."""
+    ordered = sorted(rules, key=lambda rule: (_field(rule.path)[0], rule.path))
+    return list(dict.fromkeys(filter_rule(rule, type_name) for rule in ordered))
+
+
+def rate(number: float) -> str:
+    """`at most 5 a second`, `at most one every 5 s`."""
+    return (
+        f"at most {number:g} a second" if number >= 1 else f"at most one every {1 / number:.3g} s"
+    )
+
+
+def restriction(given: Restriction) -> list[str]:
+    """What a restriction does, part by part: filters, rate, conditions."""
+    parts = filters(given.filters, given.type)
+    if given.rate is not None:
+        parts.append(rate(given.rate))
+    return [*parts, *(f"only when {printable(text, 200)}" for text in given.conditions)]
+
+
+def restrictions(given: Iterable[Restriction]) -> str:
+    """Everything that applies together: `position to 2 m, without direction`; else empty."""
+    return ", ".join(dict.fromkeys(part for each in given for part in restriction(each)))

@@ -1,0 +1,117 @@
+"""What happened, in sentences."""
+
+import pytest
+
+from grants.model import Right
+from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
+from rossec.console.sentences import Known, Sentence, permission, refusals, story, wanted
+from tests.support.consolehome import COARSE, HOSTILE, NOW, demo, sees
+
+NOTHING = Known.of()
+
+
+def told(what: str, subject: str = "/lamp", detail: str = "", known: Known = NOTHING) -> str:
+    found = story([EventView(3, NOW, what, subject, detail)], (), known)
+    return found[0].text if found else ""
+
+
+def texts(sentences: list[Sentence]) -> list[str]:
+    return [each.text for each in sentences]
+
+
+def test_the_story_of_the_demo() -> None:
+    home = demo()
+    found = story(home.events, home.denials, home.known)
+    assert texts(found)[:2] == [
+        "Refused /heating asked to see /robot/scan without being allowed to",
+        "Ended /doctor may no longer see /robot/camera because: the visit is over",
+    ]
+    assert "Allowed /heating may see /robot/pose (coarse)" in texts(found)
+    assert "Allowed /robot may send /robot/pose /robot/scan /robot/camera" in texts(found)
+    assert "Joined /doctor has a name here now" in texts(found)
+    assert [each.at for each in found] == sorted((each.at for each in found), reverse=True)
+    assert {each.node for each in found} == {"/robot", "/doctor", "/heating"}
+
+
+@pytest.mark.parametrize(
+    ("what", "detail", "text"),
+    [
+        ("pending", "code", "Asked /lamp asked to join from code"),
+        ("approved", "", "Approved /lamp may join"),
+        ("denied", "unknown", "Denied /lamp may not join because: unknown"),
+        ("collected", "pending", "Expired /lamp asked to join and got no answer"),
+        ("collected", "issued", ""),
+        ("issued", "", ""),
+        ("policy grant", "r1", ""),
+        ("certificate", "aa", "Joined /lamp has a name here now"),
+        ("grant", "aa", "Allowed /lamp got a right that has ended"),
+        ("revocation", "lost", "Ended what has the number /lamp because: lost"),
+        ("list", "", "Signed the list of what has ended, number /lamp"),
+        ("grant request", "aa", "Asked /lamp asked to be allowed something"),
+        ("decision", "granted /x", ""),
+        ("decision", "denied /x", "Denied /lamp was denied what it asked for: /x"),
+        ("decision", "no answer /x", "Denied /lamp asked, no answer: /x"),
+        ("invitation", "3 uses, aa", "Join code made for /lamp"),
+        ("join", "aa", "Code used /lamp came with a join code"),
+        ("invitation ended", "", "Ended /lamp can no longer be joined with its code"),
+        ("imported", "1f", "Imported from an intermediate: /lamp"),
+        ("restored", "from 12 entries", "Restored the record was put back from 12 entries"),
+        ("never heard of", "more", "Never heard of /lamp more"),
+    ],
+)
+def test_an_entry_in_words(what: str, detail: str, text: str) -> None:
+    assert told(what, detail=detail) == text
+
+
+def test_an_approval_is_told_while_the_identity_is_not_issued() -> None:
+    approved = EventView(1, NOW, "approved", "/lamp", "")
+    issued = EventView(2, NOW, "certificate", "/lamp", "aa")
+    assert texts(story([approved], (), NOTHING)) == ["Approved /lamp may join"]
+    assert texts(story([approved, issued], (), NOTHING)) == ["Joined /lamp has a name here now"]
+
+
+def test_ids_are_told_as_what_they_are() -> None:
+    home = demo()
+    key = home.nodes[1].key.hex()
+    assert told("revocation", key, "sold", home.known) == (
+        "Removed /doctor has no name here any more because: sold"
+    )
+    asked = AskedRight(int(Right.SUBSCRIBE), "/robot/pose", "", "", "", b"")
+    question = GrantQuestion(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,))
+    known = Known.of(questions=[question])
+    assert told("grant request", detail=b"q".hex(), known=known) == (
+        "Asked /lamp asked to see /robot/pose"
+    )
+
+
+def test_equal_denials_are_one_sentence() -> None:
+    again = [DenialView(NOW - at, "/lamp", 4, "/door") for at in (9, 3, 5)]
+    assert texts(refusals([*again, DenialView(NOW, "/lamp", 2, "/door")])) == [
+        "Refused /lamp asked to use /door without being allowed to, 3 times",
+        "Refused /lamp asked to see /door without being allowed to",
+    ]
+    assert refusals(again)[0].at == NOW - 3
+
+
+def test_a_right_that_is_none_is_said_as_it_is() -> None:
+    assert wanted(256) == "do something (256) with"
+    assert wanted(2) == "see"
+
+
+def test_a_permission_in_words() -> None:
+    assert [part.text for part in permission(sees("/a/**", COARSE))] == [
+        "see", "everything below /a", "(coarse)",
+    ]  # fmt: skip
+
+
+def test_a_hostile_text_is_one_bounded_line() -> None:
+    said = told("denied", HOSTILE, HOSTILE)
+    assert "\u202e" not in said
+    assert len(said) < 500
+
+
+def test_many_permissions_are_bounded() -> None:
+    home = demo()
+    made = home.grant("/doctor", *(sees(f"/t{at}") for at in range(9)), at=NOW)
+    said = told("grant", "/doctor", made.id.hex(), home.known)
+    assert said == "Allowed /doctor may see /t0 /t1 /t2 /t3 and 5 more"
