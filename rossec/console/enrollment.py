@@ -22,7 +22,7 @@ from rossec.errors import KeyServiceFailed
 
 REJECTED: Final = "rejected at the console"
 DONE, WAITING = "done", "waiting"  # states of an outcome
-_POLL: Final = 1.0  # seconds
+POLL: Final = 1.0  # seconds
 _PATIENCE: Final = 3600  # seconds that a label waits for the key; a screen code ends sooner
 
 
@@ -210,7 +210,7 @@ class Enrollment:
         """
         while outcome.state == WAITING:
             self._end_if_late()
-            await asyncio.sleep(_POLL)
+            await asyncio.sleep(POLL)
             try:
                 outcome = await self._service.outcome(outcome.id)
             except KeyServiceFailed:  # it is started again; the record has the approval
