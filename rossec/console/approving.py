@@ -103,7 +103,7 @@ def carried_out(sources: Sources, act: Act, outcome: Outcome) -> str:
     """Take note of an approval; returns the page on which the person sees what comes of it."""
     if act.kind == "enroll" and act.subject:
         sources.enrollments.approved(act.subject, outcome)
-    return act.next.format(id=outcome.id.hex())
+    return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 
 async def _enrollment(sources: Sources, form: Form) -> Act:
@@ -261,10 +261,13 @@ def _grant_seconds(duration: str) -> int:
 
 
 def _octets(form: Form, field: str) -> bytes:
-    text = form[field]
-    if not re.fullmatch(r"(?:[0-9a-f]{2}){1,64}", text):
+    """An identifier, as base64url."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]{2,120}", form[field], re.ASCII):
         raise FormRefused(f"the field {field} is no identifier", _RELOAD)
-    return bytes.fromhex(text)
+    try:
+        return base64.b64decode(form[field] + "=" * (-len(form[field]) % 4), altchars=b"-_")
+    except binascii.Error as error:
+        raise FormRefused(f"the field {field} is no identifier", _RELOAD) from error
 
 
 def _number(form: Form, field: str, most: int) -> int:
