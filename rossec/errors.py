@@ -120,7 +120,7 @@ class KeyMessageRefused(WireError):
 
 
 class HttpRefused(WireError):
-    """HTTP that is malformed, too long, or not a plain XML-RPC exchange.
+    """HTTP that is malformed, too long, or not what the server answers.
 
     `status` is the HTTP status code a server answers with.
     """
