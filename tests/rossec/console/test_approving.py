@@ -15,7 +15,8 @@ from rossec.console.approving import DAY, Act, carried_out, certificate_request,
 from rossec.console.enrollment import Enrollment
 from rossec.errors import EnrollmentUnknown, FormRefused
 
-QUESTION = "ab" * 16
+QUESTION = "q" * 22
+QUESTION_ID = base64.urlsafe_b64decode(QUESTION + "==")
 WAITS = IdentityRequestView(
     b"\1" * 32, "/arm", b"k", "invitation", 0, 9, "pending", False, False, b"csr"
 )
@@ -78,23 +79,23 @@ DIGITS = base64.b64encode(b"request").decode()
 GIVEN: list[tuple[str, dict[str, str], list[object], str]] = [
     ("enroll", {"enrollment": "e1"}, [*ENROLL, False], "/add/e1"),
     ("enroll", {"enrollment": "e2", "name": "/fridge"}, [*ENROLL, True], "/add/e2"),
-    ("enroll", {"request": "01" * 32}, [*JOIN, False], "/approved/{id}"),
-    ("enroll", {"request": "02" * 32, "name": "/arm"}, [*JOIN, True], "/approved/{id}"),
+    ("enroll", {"request": "AQEB" * 10 + "AQE"}, [*JOIN, False], "/approved/{id}"),
+    ("enroll", {"request": "AgIC" * 10 + "AgI", "name": "/arm"}, [*JOIN, True], "/approved/{id}"),
     (
         "grant", {"question": QUESTION, "coarse": "room", "duration": "week"},
-        [bytes.fromhex(QUESTION), "room", 7 * DAY], "/approved/{id}",
+        [QUESTION_ID, "room", 7 * DAY], "/approved/{id}",
     ),
     (
         "grant", {"question": QUESTION, "coarse": "", "duration": "open"},
-        [bytes.fromhex(QUESTION), "", 0], "/approved/{id}",
+        [QUESTION_ID, "", 0], "/approved/{id}",
     ),
-    ("policy", {"digest": "00" * 32}, [bytes(32)], "/approved/{id}"),
+    ("policy", {"digest": "A" * 43}, [bytes(32)], "/approved/{id}"),
     ("delegate", {"days": "90", "ticket": "eight-hours"}, [90 * DAY, 8 * 3600], "/approved/{id}"),
     (
         "intermediate", {"csr": DIGITS, "may": "enroll", "days": "1"},
         [b"request", True, DAY], "/approved/{id}",
     ),
-    ("passkey", {"proposal": "0a"}, [b"\n"], "/phones"),
+    ("passkey", {"proposal": "Cg"}, [b"\n"], "/phones"),
     ("invitation", INVITATION, ["/cam/*", 3, 3600, False], "/invited/{id}"),
     ("invitation", INVITATION | {"anonymous": "on"}, ["/cam/*", 3, 3600, True], "/invited/{id}"),
     (
@@ -136,11 +137,12 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
     ("enroll", {"enrollment": "e2"}, FormRefused, "has changed meanwhile"),
     ("enroll", {"enrollment": "e1", "name": "/fridge"}, FormRefused, "has changed meanwhile"),
     ("enroll", {"enrollment": "e2", "name": "/fridge "}, FormRefused, "the name is /fridge"),
-    ("enroll", {"request": "03" * 32}, FormRefused, "answered already"),
-    ("enroll", {"request": "02" * 32}, FormRefused, "has changed meanwhile"),
-    ("grant", GRANT | {"question": QUESTION.upper()}, FormRefused, "is no identifier"),
+    ("enroll", {"request": "AwMD" * 10 + "AwM"}, FormRefused, "answered already"),
+    ("enroll", {"request": "AgIC" * 10 + "AgI"}, FormRefused, "has changed meanwhile"),
+    ("grant", GRANT | {"question": "a+/b"}, FormRefused, "is no identifier"),
     ("grant", GRANT | {"question": ""}, FormRefused, "is no identifier"),
-    ("grant", GRANT | {"question": "ab" * 65}, FormRefused, "is no identifier"),
+    ("grant", GRANT | {"question": "qqqqq"}, FormRefused, "is no identifier"),
+    ("grant", GRANT | {"question": "q" * 121}, FormRefused, "is no identifier"),
     ("grant", GRANT | {"duration": "always"}, FormRefused, "not one of the durations"),
     ("grant", GRANT | {"coarse": "x" * 201}, FormRefused, "not the name of a filter"),
     ("delegate", {"days": "0", "ticket": "day"}, FormRefused, "days is a number from 1"),
@@ -193,6 +195,6 @@ def test_the_page_after_an_approval_is_the_one_of_its_kind() -> None:
     assert carried_out(sources, act, outcome) == "/add/e1"
     assert sources.heard == [("e1", outcome)]
     assert carried_out(sources, Act("policy", [], "/approved/{id}"), outcome) == (
-        f"/approved/{'ab' * 16}"
+        "/approved/q6urq6urq6urq6urq6urqw"
     )
     assert len(sources.heard) == 1
