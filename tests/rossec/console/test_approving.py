@@ -157,7 +157,8 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
     ("invitation", INVITATION | {"lasts": "year"}, FormRefused, "lasts is one of"),
     ("invitation", INVITATION | {"anonymous": "yes"}, FormRefused, "not a tick"),
     (
-        "invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused, "a single node",
+        "invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused,
+        "a single node",
     ),
     ("revoke-master", {"reason": "a\nb", "name": "/master"}, FormRefused, "one line"),
     ("revoke-master", {"reason": "", "name": "/Master"}, FormRefused, "the name is /master"),
