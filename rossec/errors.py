@@ -75,6 +75,10 @@ class KeyServiceRefused(RossecError):
     """The authority's service refuses for another reason: it is busy, or cannot write its audit."""
 
 
+class PhoneCodeRefused(RossecError):
+    """A one-time code for the console that is wrong, used, too old, or one of too many."""
+
+
 class KeyServiceFailed(RossecError):
     """What answers as the authority's service is not it, or the answer is invalid."""
 

@@ -324,6 +324,7 @@ def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]
         await ended.wait()
         await asyncio.sleep(0.05)  # see tests.support.keyservice
         await server.close()
+        await service.close()
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(main()))
     thread.start()
@@ -333,5 +334,5 @@ def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]
     finally:
         loop.call_soon_threadsafe(ended.set)
         thread.join(10)
+        loop.run_until_complete(loop.shutdown_default_executor())
         loop.close()
-        service.close()
