@@ -325,6 +325,7 @@ def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]
         await asyncio.sleep(0.05)  # see tests.support.keyservice
         await server.close()
         await service.close()
+        await loop.shutdown_default_executor()
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(main()))
     thread.start()
@@ -334,5 +335,4 @@ def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]
     finally:
         loop.call_soon_threadsafe(ended.set)
         thread.join(10)
-        loop.run_until_complete(loop.shutdown_default_executor())
         loop.close()

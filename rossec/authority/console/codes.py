@@ -19,7 +19,6 @@ from typing import Final, NamedTuple
 from rossec import clock
 from rossec.errors import PhoneCodeRefused
 
-
 LIFETIME: Final = 120.0  # seconds
 MAX_FAILURES: Final = 5
 PERIOD: Final = 60.0  # seconds in which failures count, and for which they lock

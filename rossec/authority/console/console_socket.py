@@ -71,9 +71,7 @@ class ConsoleSocket:
     """
 
     def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
-        rules = SocketRules(
-            messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users
-        )
+        rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
         self._service = service
         self._server = KeyServer(where.path, service.carry_out, peers.remember, rules)
 
