@@ -75,7 +75,16 @@ def _first(chromium: Chromium, site: ConsoleSite, cookie: dict[str, str]) -> dic
     rounds = []
     for _ in range(_ROUNDS):
         with chromium.window(site.origin, checked=False) as window:
-            window.context.add_cookies([{**cookie, "url": site.origin, "secure": True}])
+            window.context.add_cookies(
+                [
+                    {
+                        "name": cookie["name"],
+                        "value": cookie["value"],
+                        "url": site.origin,
+                        "secure": True,
+                    }
+                ]
+            )
             rounds.append(_times(window, "/"))
     return _medians(rounds)
 

@@ -1,4 +1,4 @@
-"""The first phone by a code, logging in with it, a second phone by a link; and what a code is not."""
+"""The first phone by a code, logging in with it, a second one by a link; what a code is not."""
 
 import re
 from collections.abc import Iterator
