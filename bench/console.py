@@ -50,41 +50,31 @@ def measure(seconds: float) -> dict[str, Any]:
         with_robot(site)
         site.start_console()
         with chromium.window(site.origin, checked=False) as window:
-            cookie = _log_in(site, window)
+            cookies = _log_in(site, window)
             pages = {path: _page(window, path) for path in PAGES}
-            first = _first(chromium, site, cookie)
+            first = _first(chromium, site, cookies)
         return {
             "first_page_without_cache": first,
             "pages": pages,
             "share_of_a_core": {
-                "idle": _shares(site, 0, cookie, seconds / 2),
-                f"{OPEN} pages": _shares(site, OPEN, cookie, seconds / 2),
+                "idle": _shares(site, 0, cookies, seconds / 2),
+                f"{OPEN} pages": _shares(site, OPEN, cookies, seconds / 2),
             },
         }
 
 
 def _log_in(site: ConsoleSite, window: Window) -> dict[str, str]:
-    """Log in by a code, to look; the session's cookie."""
+    """Log in by a code, to look; the cookies."""
     only_look(window, site)
-    (cookie,) = window.context.cookies()
-    return {"name": cookie["name"], "value": cookie["value"]}
+    return window.cookies()
 
 
-def _first(chromium: Chromium, site: ConsoleSite, cookie: dict[str, str]) -> dict[str, float]:
+def _first(chromium: Chromium, site: ConsoleSite, cookies: dict[str, str]) -> dict[str, float]:
     """The first page in a browser that has nothing of the console yet."""
     rounds = []
     for _ in range(_ROUNDS):
         with chromium.window(site.origin, checked=False) as window:
-            window.context.add_cookies(
-                [
-                    {
-                        "name": cookie["name"],
-                        "value": cookie["value"],
-                        "url": site.origin,
-                        "secure": True,
-                    }
-                ]
-            )
+            window.put_cookies(cookies)
             rounds.append(_times(window, "/"))
     return _medians(rounds)
 
@@ -107,7 +97,7 @@ def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:
 
 
 def _shares(
-    site: ConsoleSite, count: int, cookie: dict[str, str], seconds: float
+    site: ConsoleSite, count: int, cookies: dict[str, str], seconds: float
 ) -> dict[str, float]:
     """Processor time of each process over the time that passed, while `count` pages are open."""
     named = {
@@ -116,7 +106,7 @@ def _shares(
     }
     # In a thread of its own: playwright's loop runs in this one.
     with ThreadPoolExecutor(1) as pool:
-        watched = _watched(site, named, count, cookie, seconds)
+        watched = _watched(site, named, count, cookies, seconds)
         return pool.submit(asyncio.run, watched).result()
 
 
@@ -124,11 +114,11 @@ async def _watched(
     site: ConsoleSite,
     named: dict[str, list[int]],
     count: int,
-    cookie: dict[str, str],
+    cookies: dict[str, str],
     seconds: float,
 ) -> dict[str, float]:
     async with asyncio.TaskGroup() as group:
-        streams = [group.create_task(_stream(site, cookie)) for _ in range(count)]
+        streams = [group.create_task(_stream(site, cookies)) for _ in range(count)]
         await asyncio.sleep(_SETTLED)
         assert not any(stream.done() for stream in streams)
         before, begin = _used(named), time.perf_counter()
@@ -143,13 +133,14 @@ def _used(named: dict[str, list[int]]) -> dict[str, float]:
     return {name: sum(Master(pid, 0).cpu() for pid in pids) for name, pids in named.items()}
 
 
-async def _stream(site: ConsoleSite, cookie: dict[str, str]) -> None:
+async def _stream(site: ConsoleSite, cookies: dict[str, str]) -> None:
     """Read the news as an open page does."""
+    header = "; ".join(f"{name}={value}" for name, value in cookies.items())
     reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
     try:
         writer.write(
             f"GET /news HTTP/1.1\r\nHost: localhost:{site.port}\r\nAccept: text/event-stream\r\n"
-            f"Cookie: {cookie['name']}={cookie['value']}\r\n\r\n".encode()
+            f"Cookie: {header}\r\n\r\n".encode()
         )
         head = await reader.readuntil(b"\r\n\r\n")
         assert head.startswith(b"HTTP/1.1 200"), head

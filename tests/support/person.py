@@ -3,7 +3,6 @@
 import contextlib
 import re
 from collections.abc import Iterator
-from typing import Any
 
 from playwright.sync_api import Locator
 
@@ -55,7 +54,6 @@ def heading(window: Window) -> str:
 @contextlib.contextmanager
 def thief(chromium: Chromium, window: Window) -> Iterator[Window]:
     """Another browser with the session of `window`: its cookie, and no passkey."""
-    cookies: list[Any] = window.context.cookies()
     with chromium.window(window.origin, checked=False) as other:
-        other.context.add_cookies(cookies)
+        other.put_cookies(window.cookies())
         yield other
