@@ -75,6 +75,26 @@ class KeyServiceRefused(RossecError):
     """The authority's service refuses for another reason: it is busy, or cannot write its audit."""
 
 
+class FormRefused(RossecError):
+    """A form of the console with other fields than its page has, or a field that is no answer."""
+
+
+class EnrollmentUnknown(RossecError):
+    """An enrollment that the console does not run, or no longer."""
+
+
+class TooManyEnrollments(RossecError):
+    """More enrollments at a time than the console runs."""
+
+
+class PictureRefused(RossecError):
+    """A picture without a code, or one that could not be read in time."""
+
+
+class ScannerBusy(RossecError):
+    """Another picture is being read."""
+
+
 class KeyServiceFailed(RossecError):
     """What answers as the authority's service is not it, or the answer is invalid."""
 
