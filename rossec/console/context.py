@@ -9,9 +9,9 @@ from typing import Protocol
 
 from rossec import clock
 from rossec.authority.console.client import ConsoleClient
+from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
 from rossec.console.news import News
-from rossec.console.enrollments import Enrollments
 from rossec.console.pending import PendingActs
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings

@@ -1,7 +1,8 @@
 """Whether anything changed: one question a second to the service, for all open pages.
 
 A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
-and how often something changed in this console. The service is asked only while a page waits. A stream ends with its session; there are at most 100 of them.
+and how often something changed in this console. The service is asked only while a page waits. A
+stream ends with its session; there are at most 100 of them.
 """
 
 import asyncio
