@@ -192,7 +192,7 @@ class ConsoleClient:
         """End a passkey: it approves nothing more."""
         await self.ask("remove-phone", phone, reason)
 
-    async def prepare(self, kind: str, *arguments: int | str | bytes) -> Prepared:
+    async def prepare(self, kind: str, *arguments: Value) -> Prepared:
         """Have a statement made, to be approved; the arguments are those of `PREPARED`."""
         return from_value(Prepared, await self.ask("prepare", kind, [*arguments]))
 
