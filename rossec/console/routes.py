@@ -3,7 +3,13 @@
 from typing import Final
 
 from rossec.console import assets
-from rossec.console.pages import login, phones
+from rossec.console.pages import approve, login, news, phones
 from rossec.console.routing import Page
 
-ROUTES: Final[tuple[Page, ...]] = (*assets.PAGES, *login.PAGES, *phones.PAGES)
+ROUTES: Final[tuple[Page, ...]] = (
+    *assets.PAGES,
+    *login.PAGES,
+    *phones.PAGES,
+    *news.PAGES,
+    *approve.PAGES,
+)
