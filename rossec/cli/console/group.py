@@ -13,6 +13,10 @@ _CONSOLE: Final = {
         "console.phone:phone",
         "Show a one-time code that logs in a phone, and can set it up to approve.",
     ),
+    "tls": (
+        "console.tls:tls",
+        "Show the console's own TLS authority (--lan): its fingerprint, in words and hex.",
+    ),
 }
 
 

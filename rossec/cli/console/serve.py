@@ -11,6 +11,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.console.service import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment
+from rossec.console.address import remove_address, write_address
 from rossec.console.options import Options, read_options
 from rossec.errors import ConfigurationError
 from rossec.operation.json_log import log_as_json
@@ -52,6 +53,7 @@ def serve(environment: Environment, options: Options, *, log: str, as_json: bool
     web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
 
     def ready() -> None:
+        write_address(home.path, endpoint.origin)
         _say_ready(client, endpoint.origin, as_json=as_json)
         notify(READY, environment.variables)
 
@@ -59,6 +61,7 @@ def serve(environment: Environment, options: Options, *, log: str, as_json: bool
         asyncio.run(supervise(endpoint, web, environment.variables, ready))
     finally:
         notify(STOPPING, environment.variables)
+        remove_address(home.path)
         client.close()
 
 

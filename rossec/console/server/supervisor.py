@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rossec.console.options import Endpoint
-from rossec.console.server.listening import listen
+from rossec.console.listening import listen
 from rossec.console.server.web_process import Certificates, WebOptions, WebProcess
 from rossec.console.settings import Settings
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
