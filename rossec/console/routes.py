@@ -3,7 +3,10 @@
 from typing import Final
 
 from rossec.console import assets
-from rossec.console.pages import login, phones
+from rossec.console.pages import happened, login, nodes, phones, privacy, today, who
 from rossec.console.routing import Page
 
-ROUTES: Final[tuple[Page, ...]] = (*assets.PAGES, *login.PAGES, *phones.PAGES)
+ROUTES: Final[tuple[Page, ...]] = (
+    *assets.PAGES, *login.PAGES, *phones.PAGES,
+    *today.PAGES, *who.PAGES, *nodes.PAGES, *happened.PAGES, *privacy.PAGES,
+)  # fmt: skip
