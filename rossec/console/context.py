@@ -9,9 +9,14 @@ from typing import Protocol
 
 from rossec import clock
 from rossec.authority.console.client import ConsoleClient
+from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
 from rossec.console.news import News
+<<<<<<< HEAD
 from rossec.console.samples import Preview
+=======
+from rossec.console.pending import PendingActs
+>>>>>>> con
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings
 
@@ -48,8 +53,14 @@ class ConsoleContext:
     sessions: Sessions = field(init=False)
     news: News = field(init=False)
     failures: FailureLimit = field(init=False)
+    pending: PendingActs = field(init=False)
+    enrollments: Enrollments = field(init=False)
 
     def __post_init__(self) -> None:
         self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
         self.news = News(self.service.status)
         self.failures = FailureLimit()
+        self.pending = PendingActs()
+        self.enrollments = Enrollments(
+            self.service, self.settings.domain, self.clock, self.news.changed
+        )

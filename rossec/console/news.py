@@ -1,7 +1,8 @@
 """Whether anything changed: one question a second to the service, for all open pages.
 
-A stream has numbers only, so it tells nothing that the page itself would not. The service is asked
-only while a page waits. A stream ends with its session; there are at most 100 of them.
+A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
+and how often something changed in this console. The service is asked only while a page waits. A
+stream ends with its session; there are at most 100 of them.
 """
 
 import asyncio
@@ -30,15 +31,20 @@ class News:
 
     def __init__(self, status: Callable[[], Awaitable[Status]], period: float = PERIOD) -> None:
         self._status, self._period = status, period
-        self._changed = asyncio.Condition()
+        self._news = asyncio.Condition()
         self._tasks = TaskSet()
         self._streams = 0
         self._number: int | None = None
+        self._own = self._told_own = 0
 
     @property
-    def number(self) -> int | None:
+    def number(self) -> str | None:
         """As of the last question; None: nobody waits, so nobody asked."""
-        return self._number
+        return None if self._number is None else f"{self._number}.{self._own}"
+
+    def changed(self) -> None:
+        """Note that something changed in this console; the streams say so within a second."""
+        self._own += 1
 
     @property
     def streams(self) -> int:
@@ -64,36 +70,36 @@ class News:
         try:
             if not len(self._tasks):
                 self._tasks.spawn(self._poll(), "news")
-            told: int | None = None
+            told: str | None = None
             yield _COMMENT
             while is_valid():
-                if self._number is not None and self._number != told:
-                    told = self._number
+                if self.number is not None and self.number != told:
+                    told = self.number
                     yield f"data: {told}\n\n".encode()
                 elif not await self._wait(told, beat):
                     yield _COMMENT
         finally:
             self._streams -= 1
 
-    async def _wait(self, told: int | None, beat: float) -> bool:
+    async def _wait(self, told: str | None, beat: float) -> bool:
         """Wait for another number than `told`; whether there is one."""
         try:
-            async with asyncio.timeout(beat), self._changed:
-                await self._changed.wait_for(lambda: self._number not in {None, told})
+            async with asyncio.timeout(beat), self._news:
+                await self._news.wait_for(lambda: self.number not in {None, told})
         except TimeoutError:
             return False
         return True
 
     async def _poll(self) -> None:
         while self._streams:
+            before = self.number
             try:
-                number = (await self._status()).number
+                self._number = (await self._status()).number
             except HintedError as error:  # the page that is loaded next says so
                 _log.info("no news: %s", error)
-            else:
-                if number != self._number:
-                    self._number = number
-                    async with self._changed:
-                        self._changed.notify_all()
+            if self.number != before or self._own != self._told_own:
+                self._told_own = self._own
+                async with self._news:
+                    self._news.notify_all()
             await asyncio.sleep(self._period)
         self._number = None

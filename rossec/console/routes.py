@@ -3,10 +3,28 @@
 from typing import Final
 
 from rossec.console import assets
-from rossec.console.pages import happened, login, nodes, phones, privacy, today, who
+from rossec.console.pages import (
+    approve,
+    happened,
+    login,
+    news,
+    nodes,
+    phones,
+    privacy,
+    today,
+    who,
+)
 from rossec.console.routing import Page
 
 ROUTES: Final[tuple[Page, ...]] = (
-    *assets.PAGES, *login.PAGES, *phones.PAGES,
-    *today.PAGES, *who.PAGES, *nodes.PAGES, *happened.PAGES, *privacy.PAGES,
-)  # fmt: skip
+    *assets.PAGES,
+    *login.PAGES,
+    *phones.PAGES,
+    *news.PAGES,
+    *approve.PAGES,
+    *today.PAGES,
+    *who.PAGES,
+    *nodes.PAGES,
+    *happened.PAGES,
+    *privacy.PAGES,
+)
