@@ -12,7 +12,7 @@ from rossec.console.context import ConsoleContext
 from rossec.console.forms import to_base64url
 from rossec.console.matrix import Access, Matrix, TopicRow
 from rossec.console.overview import Overview
-from rossec.console.pictures import flow, looks, place
+from rossec.console.pictures import flow, place
 from rossec.console.rendering import render
 from rossec.console.routing import Page
 from rossec.console.sentences import Known, Part, permissions, story
@@ -54,7 +54,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
         context, request, "today.html", live=True,
         authority=await context.service.status(), waiting=await _waiting(context),
         counts=counts(home.matrix), matrix=part, rows=len(busy.rows),
-        receivers=len(busy.receivers), silent=silent(home), comparison=_comparison(context, busy),
+        receivers=len(busy.receivers), silent=silent(home), **_looks(context, busy),
         flow=flow.draw(part, overview.refused_names(denied)), sentences=told[:THINGS],
         new=_new(request, [each.number for each in told]), without_master=home.without_master,
     )  # fmt: skip
@@ -97,13 +97,18 @@ def silent(home: Overview) -> int:
     return len({node.name for node in home.nodes if not node.revoked_at} - looking)
 
 
-def _comparison(context: ConsoleContext, matrix: Matrix) -> looks.Comparison | None:
-    """The topic that shows best that it depends who looks: seen in two ways, a place before all."""
+def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, object]:
+    """The topic that shows best that it depends who looks: seen in two ways, a place before all.
+
+    `moving` is the node whose place it is, if it is one's.
+    """
     for row in sorted(matrix.rows, key=_contrast, reverse=True):
         found = overview.comparison(context, row)
         if found is not None:
-            return found._replace(looks=found.looks[:LOOKS])
-    return None
+            one = len(row.publishers) == 1 and place.has_place(row.type)
+            moving = row.publishers[0] if one else ""
+            return {"comparison": found._replace(looks=found.looks[:LOOKS]), "moving": moving}
+    return {"comparison": None, "moving": ""}
 
 
 def _contrast(row: TopicRow) -> tuple[bool, bool, int]:
