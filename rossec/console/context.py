@@ -12,11 +12,8 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
 from rossec.console.news import News
-<<<<<<< HEAD
-from rossec.console.samples import Preview
-=======
 from rossec.console.pending import PendingActs
->>>>>>> con
+from rossec.console.samples import Preview
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings
 

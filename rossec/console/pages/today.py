@@ -1,6 +1,6 @@
 """Today: what waits for an answer, who sees what, what it looks like, and what happened."""
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -97,7 +97,7 @@ def silent(home: Overview) -> int:
     return len({node.name for node in home.nodes if not node.revoked_at} - looking)
 
 
-def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, object]:
+def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
     """The topic that shows best that it depends who looks: seen in two ways, a place before all.
 
     `moving` is the node whose place it is, if it is one's.
