@@ -278,5 +278,5 @@ async def _connect(path: Path) -> _Connection:
 def _number(value: Value) -> tuple[int, int]:
     numbers = from_value(tuple[int, ...], value)
     if len(numbers) != 2:
-        raise KeyMessageRefused("a number of a list that is none", _NEWER)
+        raise KeyMessageRefused("a list has an epoch and a number", _NEWER)
     return numbers[0], numbers[1]
