@@ -56,7 +56,7 @@ def render(
         places=NAVIGATION if session is not None else (),
         here=request.url.path,
         read_only=context.settings.read_only,
-        number=context.news.number,
+        number=getattr(request.state, "number", ""),
         now=context.clock(),
         **values,
     )  # fmt: skip
