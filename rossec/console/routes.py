@@ -3,7 +3,19 @@
 from typing import Final
 
 from rossec.console import assets
-from rossec.console.pages import approve, login, news, phones
+from rossec.console.pages import (
+    add,
+    approve,
+    approved,
+    ask,
+    invite,
+    join,
+    login,
+    news,
+    phones,
+    policy,
+    revoke,
+)
 from rossec.console.routing import Page
 
 ROUTES: Final[tuple[Page, ...]] = (
@@ -12,4 +24,11 @@ ROUTES: Final[tuple[Page, ...]] = (
     *phones.PAGES,
     *news.PAGES,
     *approve.PAGES,
+    *approved.PAGES,
+    *add.PAGES,
+    *join.PAGES,
+    *ask.PAGES,
+    *revoke.PAGES,
+    *invite.PAGES,
+    *policy.PAGES,
 )
