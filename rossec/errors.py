@@ -75,6 +75,10 @@ class KeyServiceRefused(RossecError):
     """The authority's service refuses for another reason: it is busy, or cannot write its audit."""
 
 
+class PhoneCodeRefused(RossecError):
+    """A one-time code for the console that is wrong, used, too old, or one of too many."""
+
+
 class FormRefused(RossecError):
     """A form of the console with other fields than its page has, or a field that is no answer."""
 

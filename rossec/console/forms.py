@@ -26,11 +26,13 @@ async def read_form(request: Request) -> dict[str, str]:
     Raises:
         HttpRefused: another type, malformed, not UTF-8, or a field that comes twice.
     """
-    _require_type(request, _FORM)
     body = await request.body()
+    if not body:
+        return {}  # a form of a button alone
+    _require_type(request, _FORM)
     try:
         pairs = parse_qsl(
-            body.decode("ascii"), keep_blank_values=True, strict_parsing=bool(body),
+            body.decode("ascii"), keep_blank_values=True, strict_parsing=True,
             encoding="utf-8", errors="strict", max_num_fields=MAX_FIELDS,
         )  # fmt: skip
     except ValueError as error:  # UnicodeDecodeError is one

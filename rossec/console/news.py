@@ -1,7 +1,8 @@
 """Whether anything changed: one question a second to the service, for all open pages.
 
 A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
-and how often something changed in this console. The service is asked only while a page waits. A stream ends with its session; there are at most 100 of them.
+and how often something changed in this console. The service is asked only while a page waits. A
+stream ends with its session; there are at most 100 of them.
 """
 
 import asyncio
@@ -41,6 +42,16 @@ class News:
         """As of the last question; None: nobody waits, so nobody asked."""
         return None if self._number is None else f"{self._number}.{self._own}"
 
+    async def ask(self) -> str:
+        """The number as of now, for a page that is made from here on; empty: nobody answers.
+
+        What changes while the page is made is news to it then.
+        """
+        try:
+            return f"{(await self._status()).number}.{self._own}"
+        except HintedError:
+            return ""
+
     def changed(self) -> None:
         """Note that something changed in this console; the streams say so within a second."""
         self._own += 1
@@ -67,11 +78,11 @@ class News:
     async def _events(self, is_valid: Callable[[], bool], beat: float) -> AsyncIterator[bytes]:
         self._streams += 1
         try:
-            if not len(self._tasks):
-                self._tasks.spawn(self._poll(), "news")
             told: str | None = None
             yield _COMMENT
             while is_valid():
+                if not len(self._tasks):
+                    self._tasks.spawn(self._poll(), "news")
                 if self.number is not None and self.number != told:
                     told = self.number
                     yield f"data: {told}\n\n".encode()

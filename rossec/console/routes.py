@@ -8,13 +8,18 @@ from rossec.console.pages import (
     approve,
     approved,
     ask,
+    happened,
     invite,
     join,
     login,
     news,
+    nodes,
     phones,
     policy,
+    privacy,
     revoke,
+    today,
+    who,
 )
 from rossec.console.routing import Page
 
@@ -31,4 +36,9 @@ ROUTES: Final[tuple[Page, ...]] = (
     *revoke.PAGES,
     *invite.PAGES,
     *policy.PAGES,
+    *today.PAGES,
+    *who.PAGES,
+    *nodes.PAGES,
+    *happened.PAGES,
+    *privacy.PAGES,
 )

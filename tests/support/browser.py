@@ -109,6 +109,17 @@ class Window:
         answer: dict[str, Any] = self.devtools.send(method, given)
         return answer
 
+    def cookies(self) -> dict[str, str]:
+        """The cookies of the site: name to value."""
+        return {each["name"]: each["value"] for each in self.context.cookies()}
+
+    def put_cookies(self, cookies: Mapping[str, str]) -> None:
+        """Have these cookies too; as of https, since their names begin with `__Host-`."""
+        url = self.origin.replace("http:", "https:")
+        self.context.add_cookies(
+            [{"name": name, "value": value, "url": url} for name, value in cookies.items()]
+        )
+
     def is_too_wide(self) -> bool:
         """Whether the page scrolls sideways on the narrowest phones."""
         size = self.page.viewport_size
@@ -197,7 +208,8 @@ class Chromium:
         """A window with an authenticator; nothing may have gone wrong in it when it closes."""
         given = {
             "viewport": {"width": size[0], "height": size[1]},
-            "device_scale_factor": 2, "locale": "en-GB", "permissions": ["camera"], **options,
+            "device_scale_factor": 2, "locale": "en-GB", "permissions": ["camera"],
+            "reduced_motion": "reduce", **options,
         }  # fmt: skip
         window = Window(self.browser.new_context(**given), origin)
         window.add_authenticator()

@@ -1,8 +1,8 @@
 """Approving: the service makes a statement, a passkey signs its digest, the service verifies that.
 
 The same two requests for every kind (`approve.js` makes them): `/prepare/KIND` with the form's
-fields, `/approve/ID` with the assertion. Nothing is decided here: a console that lies about what it
-shows can ask for another signature, but not without the phone, and the record keeps what was signed.
+fields, `/approve/ID` with the assertion. Nothing is decided here: a console that lies about what
+it shows can ask for another signature, but not without the phone, and the record keeps it.
 """
 
 from typing import Final
