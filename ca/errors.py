@@ -204,3 +204,59 @@ class TokenRefused(KeyRefused):
 
 class BackupRefused(CAError):
     """A file that is not a backup of an authority, or must not be restored here."""
+
+
+class ApprovalRefused(CAError):
+    """Root of why a passkey's approval, or the passkey, is refused."""
+
+
+class StatementRefused(ApprovalRefused):
+    """A statement to be approved that is malformed, or whose payload is another."""
+
+
+class AssertionMalformed(ApprovalRefused):
+    """What a browser sent for a passkey is too large or not of the form of WebAuthn."""
+
+
+class OtherChallenge(ApprovalRefused):
+    """A passkey signed another statement, or for another purpose."""
+
+
+class OtherOrigin(ApprovalRefused):
+    """A passkey was used at another page, or belongs to another console."""
+
+
+class NotVerified(ApprovalRefused):
+    """A passkey was used without a finger, face or PIN."""
+
+
+class PasskeyCloned(ApprovalRefused):
+    """A passkey's counter did not increase: the assertion is old, or there is a copy of the key."""
+
+
+class AssertionForged(ApprovalRefused):
+    """An assertion that the recorded key of the passkey did not sign."""
+
+
+class PasskeyRefused(ApprovalRefused):
+    """A passkey that cannot be registered."""
+
+
+class PasskeyUnknown(ApprovalRefused):
+    """A passkey that is not recorded, or has ended."""
+
+
+class ApprovalUsed(ApprovalRefused):
+    """A statement that was approved before: it is used once."""
+
+
+class ApprovalOutdated(ApprovalRefused):
+    """An approval that came too late, or is about a record that was restored since."""
+
+
+class ApprovalOver(ApprovalRefused):
+    """An approval that is unknown, or was carried out or ended already."""
+
+
+class ConsoleExtraMissing(ApprovalRefused):
+    """The library that reads passkeys is not installed."""

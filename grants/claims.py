@@ -6,7 +6,7 @@ its own would become an unrestricted right; restrictions are inside the scope en
 """
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any, Final
 
@@ -42,7 +42,6 @@ _UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
 
 def from_draft(draft: Draft, issuer: bytes) -> Value:
     """The claims of `draft`, to be signed by the key with the thumbprint `issuer`."""
-    scope: list[Value] = [_scope_entry(permission) for permission in draft.permissions]
     return {
         _ISS: issuer_uri(issuer),
         _SUB: draft.subject,
@@ -51,9 +50,14 @@ def from_draft(draft: Draft, issuer: bytes) -> Value:
         _NBF: draft.not_before,
         _CTI: draft.serial,
         _CNF: {_CKT: draft.holder},
-        _SCOPE: encode(scope),
+        _SCOPE: scope_of(draft.permissions),
         _CAP: draft.cap,
     }
+
+
+def scope_of(permissions: Iterable[Permission]) -> bytes:
+    """The `scope` claim: a CBOR list of AIF entries."""
+    return encode([_scope_entry(permission) for permission in permissions])
 
 
 def _scope_entry(permission: Permission) -> Value:
@@ -155,6 +159,18 @@ def _read_grant(claims: dict[Any, Any], grant_id: bytes) -> Grant:
         id=grant_id,
         issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
     )
+
+
+def read_scope(scope: bytes) -> tuple[Permission, ...]:
+    """The permissions in a `scope` claim.
+
+    Raises:
+        GrantMalformed: outside the closed schema.
+    """
+    try:
+        return _permissions(scope)
+    except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
+        raise GrantMalformed(f"in a scope: {error}", error.hint) from None
 
 
 @lru_cache(maxsize=256)

@@ -1,16 +1,19 @@
 """The log in the authority's record: written with every change, and audited as a whole.
 
 `audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
-record with its log entry, replays the transitions of every request, and checks each signed head.
+record with its log entry, replays the transitions of every request and the approvals of persons,
+and checks each signed head.
 """
 
 from itertools import zip_longest
+from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import LogDamaged
 from ca.revocation.merkle import Tree, root_of
 from ca.store import schema
+from ca.store.approval_replay import RESTORED, replay_approvals
 from ca.store.database import Database
 from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.log_entries import (
@@ -25,6 +28,7 @@ from ca.store.log_entries import (
 )
 
 COLLECTED = "collected"
+_OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
 _HINT = "somebody changed the record: restore a backup, and find out who"
 
 
@@ -46,6 +50,19 @@ class AuthorityLog:
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
         size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
         return Head(size, root_of(split_peaks(peaks)), now)
+
+    def root_at(self, size: int) -> bytes | None:
+        """The root of the first `size` entries; None if there are not so many."""
+        if size == 0:
+            return root_of(())
+        rows = self._database.rows("SELECT peaks FROM log WHERE number = ?", size - 1)
+        return root_of(split_peaks(rows[0][0])) if rows else None
+
+    def last_restore(self) -> int:
+        """The number of the entry about the last restore from a backup; -1: there was none."""
+        query = "SELECT number FROM log WHERE what = ? ORDER BY number DESC LIMIT 1"
+        rows = self._database.rows(query, RESTORED)
+        return int(rows[0][0]) if rows else -1
 
     def add_head(self, data: bytes, now: int) -> None:
         """Store a signed head."""
@@ -78,6 +95,7 @@ class AuthorityLog:
         for what in schema.LOGGED_TABLES:
             self._check_rows(what, [entry for entry in entries if entry.what == what])
         self._check_requests(entries)
+        replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
         newest = Head(0, root_of(()), 0)
         for data in (*self.heads(), *more):
             head = open_head(data, key)
@@ -93,15 +111,17 @@ class AuthorityLog:
 
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
         """Check that the rows of a table are those in the log, in the same order."""
-        table, columns = schema.LOGGED_TABLES[what]
-        rows = self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
-        for row, entry in zip_longest(rows, entries):
+        for row, entry in zip_longest(self._rows_of(what), entries):
             if entry is None:
                 raise LogDamaged(f"a {what} is recorded that is not in the log", _HINT)
             if row is None or digest_of(row) != entry.digest:
                 raise LogDamaged(
                     f"the {what} of log entry {entry.number} is missing or was changed", _HINT
                 )
+
+    def _rows_of(self, what: str) -> list[Any]:
+        table, columns = schema.LOGGED_TABLES[what]
+        return self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
 
     def _check_requests(self, entries: list[LogEntry]) -> None:
         """Check that every request took allowed transitions, and is in the state the log says."""

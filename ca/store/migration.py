@@ -2,7 +2,8 @@
 
 Version 2 made a tree of the log. Version 3 took the requests for grants and their answers into the
 log, which until then were tables of their own, and knows which grants came from a policy: those
-signed before count as made by hand. Each step runs inside the caller's transaction.
+signed before count as made by hand. Version 4 adds passkeys and approvals, of which there were
+none. Each step runs inside the caller's transaction.
 """
 
 import sqlite3
@@ -24,6 +25,9 @@ def migrate(db: sqlite3.Connection) -> None:
     if schema.version(db) == 2:
         _to_version_3(db)
         _finish(db, 3)
+    if schema.version(db) == 3:
+        _to_version_4(db)
+        _finish(db, 4)
 
 
 def _to_version_2(db: sqlite3.Connection) -> None:
@@ -60,6 +64,11 @@ def _to_version_3(db: sqlite3.Connection) -> None:
         db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
         subject = names.get(row[0], "")
         schema.append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
+
+
+def _to_version_4(db: sqlite3.Connection) -> None:
+    for statement in (*schema.VERSION_4, *schema.append_only_triggers(schema.APPROVALS)):
+        db.execute(statement)
 
 
 def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:

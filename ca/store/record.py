@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any, Self
 
 from ca.errors import RequestClosed, StoreError
+from ca.store.approvals import ApprovalState, ApprovalTable
 from ca.store.database import Database
 from ca.store.identities import IdentityTable
 from ca.store.invitations import InvitationTable
 from ca.store.log import AuthorityLog
 from ca.store.log_entries import digest_of
+from ca.store.passkeys import PasskeyTable
 from ca.store.requests import RequestTable
 from ca.store.rows import CertificateRow, GrantRow, RevocationRow
 from ca.store.schema import append_entry
@@ -31,7 +33,8 @@ __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 class Store:
     """An open record. Create it with `create` or `open`.
 
-    `requests` are those for identities, `identities` what came of them, `log` what was done.
+    `requests` are those for identities, `identities` what came of them, `log` what was done;
+    `passkeys` and `approvals` say who approved it.
     """
 
     def __init__(self, database: Database) -> None:
@@ -40,6 +43,8 @@ class Store:
         self.requests = RequestTable(database, self.identities)
         self.invitations = InvitationTable(database)
         self.log = AuthorityLog(database)
+        self.passkeys = PasskeyTable(database)
+        self.approvals = ApprovalTable(database, self.passkeys, self.log)
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -200,6 +205,19 @@ class Store:
     def revoked_entries(self) -> frozenset[bytes]:
         """Everything revoked."""
         return frozenset(row.entry for row in self.revocations())
+
+    def remove_passkey(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
+        """End a passkey, and every approval by it that was not carried out.
+
+        Raises:
+            PasskeyUnknown: there is none, or it has ended.
+        """
+        with self.database.transaction():
+            self.passkeys.end(id, reason, now)
+            for approval in self.approvals.waiting():
+                if approval.passkey == id:
+                    why = f"its phone was removed: {reason}"
+                    self.approvals.end(approval.id, ApprovalState.FAILED, why, now)
 
     def next_number(self) -> tuple[int, int]:
         """Epoch and sequence number for the next revocation list."""

@@ -16,13 +16,19 @@ from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.log_entries import LogEntry, extend_peaks
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
-VERSION: Final = 3
+VERSION: Final = 4
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
 ANSWERS: Final = "answer"  # of version 2, and append-only as well
 DECISIONS: Final = (  # of version 3, all append-only
     "grant_request", "decision", "policy_grant", "invitation", "invitation_use", "invitation_end",
 )  # fmt: skip
+APPROVALS: Final = (  # of version 4, all append-only
+    "passkey", "passkey_end", "approval", "approval_end",
+)  # fmt: skip
+_APPROVAL: Final = (
+    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
+)
 # For each kind of log entry: the table, and the columns in the order of the digest.
 LOGGED_TABLES: Final = {
     "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
@@ -35,6 +41,10 @@ LOGGED_TABLES: Final = {
     "invitation": ("invitation", "id, key, pattern, uses, wildcard, expires, at"),
     "join": ("invitation_use", "invitation, request, name, thumbprint, at"),
     "invitation ended": ("invitation_end", "invitation, reason, at"),
+    "passkey": ("passkey", "id, name, cose_key, aaguid, rp_id, origin, approval, at"),
+    "passkey ended": ("passkey_end", "passkey, reason, at"),
+    "approval": ("approval", _APPROVAL),
+    "approval ended": ("approval_end", "approval, state, result, at"),
 }
 
 VERSION_1: Final = (  # unchanged since version 1
@@ -95,6 +105,28 @@ VERSION_3: Final = (
         invitation BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
 )
+VERSION_4: Final = (
+    """CREATE TABLE passkey (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, cose_key BLOB NOT NULL, aaguid BLOB NOT NULL,
+        rp_id TEXT NOT NULL, origin TEXT NOT NULL, approval BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE passkey_end (
+        passkey BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    # The id is that of the statement: one statement is approved once.
+    """CREATE TABLE approval (
+        id BLOB PRIMARY KEY, kind INTEGER NOT NULL, subject BLOB NOT NULL,
+        statement BLOB NOT NULL, payload BLOB NOT NULL, passkey BLOB NOT NULL,
+        client_data BLOB NOT NULL, authenticator_data BLOB NOT NULL, signature BLOB NOT NULL,
+        at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX approval_subject ON approval (kind, subject)",
+    "CREATE INDEX approval_passkey ON approval (passkey)",
+    """CREATE TABLE approval_end (
+        approval BLOB PRIMARY KEY, state TEXT NOT NULL, result TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4)
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -118,8 +150,8 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 def create(db: sqlite3.Connection) -> None:
     """Create the tables of a new record."""
-    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS)
-    for statement in (*VERSION_1, *VERSION_2, *VERSION_3, *append_only_triggers(append_only)):
+    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS)
+    for statement in (*_TABLES, *append_only_triggers(append_only)):
         db.execute(statement)
     for statement in request_triggers():
         db.execute(statement)
@@ -177,7 +209,7 @@ def check(db: sqlite3.Connection) -> None:
     """
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
     found = {name: _normal(sql) for name, sql in rows}
-    for statement in (*VERSION_1, *VERSION_2, *VERSION_3):
+    for statement in _TABLES:
         kind, name = statement.split()[1:3]
         if kind == "TABLE" and found.get(name) != _normal(statement):
             raise StoreError(

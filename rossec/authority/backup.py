@@ -21,6 +21,7 @@ from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
 from ca.revocation.state import open_list
 from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from ca.store import backup
+from ca.store.approval_replay import RESTORED
 from ca.store.log_entries import LogEntry
 from rossec import files
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
@@ -31,6 +32,7 @@ from rossec.authority.signing import SigningAuthority
 _SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm", LOCK)
 _HINT: Final = "take another backup, and find out who made this one"
 _PUBLIC: Final = ".pem"
+_REASON: Final = "restored from a backup"
 
 
 @dataclass(frozen=True)
@@ -215,10 +217,13 @@ def _start_new_epoch(
 ) -> int:
     """Start a new epoch and add missing revocations; an intermediate has neither.
 
-    Invitations end: the backup does not know which of their uses were taken since.
+    Invitations end: the backup does not know which of their uses were taken since. So do passkeys,
+    of which one may have been removed since, and what was approved and not carried out.
     """
-    authority.store.log_event("restored", "record", f"from {entries} entries", now)
-    authority.store.invitations.end_all("restored from a backup", now)
+    authority.store.log_event(RESTORED, "record", f"from {entries} entries", now)
+    authority.store.invitations.end_all(_REASON, now)
+    authority.store.approvals.end_waiting(_REASON, now)
+    authority.store.passkeys.end_all(_REASON, now)
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()

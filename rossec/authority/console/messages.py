@@ -8,6 +8,11 @@ only takes away (`deny-*`, `revoke-*`, `end-*`, `remove-phone`) needs none.
 from collections.abc import Mapping
 from typing import Final
 
+from ca.encoding import Value
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.messages import Request
+from rossec.errors import KeyMessageRefused, KeyServiceRefused
+
 SOCKET: Final = "console.sock"  # in the authority's directory
 MAX_REQUEST: Final = 64 * 1024
 MAX_ANSWER: Final = 4 * 1024 * 1024
@@ -63,3 +68,34 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "propose-passkey": (bytes, str, str, bytes, bytes),  # as above, code of "phone-link": Proposal
     "phone-link": (),  # a one-time code for "propose-passkey", text
 }
+
+
+def read_request(body: bytes) -> Request:
+    """Read the body of a request's frame.
+
+    Raises:
+        KeyMessageRefused: malformed, or not in the tables above.
+    """
+    request = messages.read_request(body, OPERATIONS, MAX_REQUEST)
+    match request:
+        case Request("prepare", (str() as kind, list() as arguments)) if tuple(
+            map(type, arguments)
+        ) != PREPARED.get(kind):
+            raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)
+    return request
+
+
+def checked(answer: Value) -> Value:
+    """The answer, if it is one that the console reads.
+
+    Raises:
+        KeyServiceRefused: it is too long.
+    """
+    if len(messages.write_answer(answer)) > MAX_ANSWER:
+        raise KeyServiceRefused(
+            f"the answer has more than {MAX_ANSWER} bytes", "use the commands of the authority"
+        )
+    return answer
+
+
+_HINT: Final = "are the service and the console of one version of rossec?"

@@ -74,15 +74,23 @@ def write_request(request: Request) -> bytes:
     return frame([VERSION, request.operation, *request.arguments])
 
 
-def read_request(body: bytes) -> Request:
-    """Read the body of a request's frame.
+def read_request(
+    body: bytes,
+    operations: Mapping[str, tuple[type, ...]] = OPERATIONS,
+    limit: int = MAX_FRAME,
+) -> Request:
+    """Read the body of a request's frame, for the table `operations`.
 
     Raises:
         KeyMessageRefused: malformed, another version, or not an operation with its arguments.
     """
-    match _decode(body):
-        case [1, str() as operation, *arguments] if operation in OPERATIONS:
-            if tuple(map(type, arguments)) == OPERATIONS[operation]:
+    match _decode(body, limit):
+        case [version, str() as operation, *arguments] if operation in operations:
+            if (
+                type(version) is int
+                and version == VERSION
+                and tuple(map(type, arguments)) == operations[operation]
+            ):
                 return Request(operation, tuple(arguments))
     raise KeyMessageRefused("a request that is not in the table of operations", _HINT)
 
@@ -98,14 +106,14 @@ def write_refusal(error: HintedError) -> bytes:
     return frame([1, kinds.get(type(error), "refused"), str(error), error.hint])
 
 
-def read_answer(body: bytes) -> Value:
+def read_answer(body: bytes, limit: int = MAX_FRAME) -> Value:
     """Read the body of an answer's frame.
 
     Raises:
         HintedError: the refusal that the answer is, as one of `REFUSALS`.
         KeyMessageRefused: malformed.
     """
-    match _decode(body):
+    match _decode(body, limit):
         case [0, value]:
             return value
         case [1, str() as kind, str() as message, str() as hint] if kind in REFUSALS:
@@ -113,8 +121,8 @@ def read_answer(body: bytes) -> Value:
     raise KeyMessageRefused("an answer of another form", _HINT)
 
 
-def _decode(body: bytes) -> Value:
+def _decode(body: bytes, limit: int) -> Value:
     try:
-        return decode(body, limit=MAX_FRAME)
+        return decode(body, limit=limit)
     except EncodingError as error:
         raise KeyMessageRefused(f"a message that is malformed: {error}", _HINT) from error

@@ -1,4 +1,4 @@
-"""The service's socket: `ca/service.sock`, for the user of the authority alone. A shell.
+"""A socket of the service: `ca/service.sock`, for the user of the authority alone. A shell.
 
 Every connection is one caller, admitted by the user id that the kernel reports. It may send any
 number of requests, one after the other. Its number of connections, the size of a message and the
@@ -8,10 +8,11 @@ time for one are bounded; what is malformed is answered with a refusal and ends 
 import asyncio
 import logging
 import os
-from collections.abc import Awaitable, Callable
+import socket
+from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from ca.encoding import Value
 from ca.errors import HintedError
@@ -34,6 +35,25 @@ def admit_all(_: UnixPeer) -> None:
     """Admit every process of the user."""
 
 
+class SocketRules(NamedTuple):
+    """What a socket takes, and from whom.
+
+    Args:
+        read_request: reads the body of a frame. Raises `KeyMessageRefused`.
+        max_request: bytes of the body.
+        max_callers: connections at a time.
+        users: who may connect; empty: the user of this process.
+    """
+
+    read_request: Callable[[bytes], Request] = messages.read_request
+    max_request: int = messages.MAX_FRAME
+    max_callers: int = MAX_CALLERS
+    users: Collection[int] = ()
+
+
+KEY_RULES: Final = SocketRules()
+
+
 class KeyServer:
     """Listens at `path`.
 
@@ -41,14 +61,20 @@ class KeyServer:
         path: of the socket; a stale one is replaced, so the caller holds the lock of the service.
         carry_out: carries out one request. Raises `HintedError` for a refusal.
         admit: raises `PeerUserRefused` for a process that may not ask.
+        rules: of the socket.
     """
 
     def __init__(
-        self, path: Path, carry_out: CarryOut, admit: Callable[[UnixPeer], None] = admit_all
+        self,
+        path: Path,
+        carry_out: CarryOut,
+        admit: Callable[[UnixPeer], None] = admit_all,
+        rules: SocketRules = KEY_RULES,
     ) -> None:
         self._path = path
         self._carry_out = carry_out
         self._admit = admit
+        self._rules = rules
         self._server: asyncio.Server | None = None
         self._callers: set[asyncio.StreamWriter] = set()
 
@@ -60,8 +86,14 @@ class KeyServer:
         """
         self._path.unlink(missing_ok=True)
         self._server = await asyncio.start_unix_server(
-            self._serve, sock=listen_at(self._path), limit=messages.MAX_FRAME
+            self._serve, sock=self._listen(), limit=self._rules.max_request
         )
+
+    def _listen(self) -> socket.socket:
+        sock = listen_at(self._path)
+        if self._rules.users:
+            self._path.chmod(0o666)  # the directory, and who connects, decide
+        return sock
 
     async def close(self) -> None:
         """Stop listening, and end every connection."""
@@ -85,9 +117,9 @@ class KeyServer:
 
     async def _answer_all(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         caller = self._admitted(writer)
-        if len(self._callers) > MAX_CALLERS:
+        if len(self._callers) > self._rules.max_callers:
             busy = KeyServiceRefused(
-                f"{MAX_CALLERS} programs use the authority's service now", "try again"
+                f"{self._rules.max_callers} programs use the authority's service now", "try again"
             )
             await _send(writer, messages.write_refusal(busy))
             return
@@ -96,7 +128,8 @@ class KeyServer:
                 first = await reader.readexactly(1)
             try:
                 async with asyncio.timeout(DEADLINE):
-                    request = messages.read_request(await _read_frame(reader, first))
+                    body = await _read_frame(reader, first, self._rules.max_request)
+                    request = self._rules.read_request(body)
             except KeyMessageRefused as error:
                 await _send(writer, messages.write_refusal(error))
                 return
@@ -110,7 +143,7 @@ class KeyServer:
         """
         try:
             sock = raw_socket(writer.get_extra_info("socket"))
-            require_user(sock, {os.geteuid()})
+            require_user(sock, self._rules.users or {os.geteuid()})
             peer = unix_peer(sock)
             self._admit(peer)
         except PeerUserRefused as error:
@@ -125,9 +158,9 @@ class KeyServer:
             return messages.write_refusal(error)
 
 
-async def _read_frame(reader: asyncio.StreamReader, first: bytes) -> bytes:
+async def _read_frame(reader: asyncio.StreamReader, first: bytes, limit: int) -> bytes:
     head = first + await reader.readexactly(messages.HEAD - 1)
-    return await reader.readexactly(messages.frame_size(head))
+    return await reader.readexactly(messages.frame_size(head, limit))
 
 
 async def _send(writer: asyncio.StreamWriter, data: bytes) -> None:

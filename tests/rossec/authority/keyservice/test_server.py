@@ -12,7 +12,7 @@ from rossec.authority.keyservice import messages
 from rossec.authority.keyservice import server as module
 from rossec.authority.keyservice.caller import Caller
 from rossec.authority.keyservice.messages import Request, write_request
-from rossec.authority.keyservice.server import KeyServer
+from rossec.authority.keyservice.server import KeyServer, SocketRules
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.net.host.peeruid import UnixPeer
 
@@ -130,8 +130,10 @@ async def test_one_who_reads_no_answers_is_dropped(
     assert await exchange(path, STATUS)
 
 
-async def test_callers_are_bounded(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_CALLERS", 3)
+async def test_callers_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "x.sock"
+    server = KeyServer(path, carry_out, rules=SocketRules(max_callers=3))
+    await server.start()
     others = [await asyncio.open_unix_connection(path) for _ in range(3)]
     for reader, writer in others:
         writer.write(STATUS)
@@ -144,6 +146,23 @@ async def test_callers_are_bounded(path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert await exchange(path, STATUS)
     for _, writer in others[1:]:
         writer.close()
+    await server.close()
+
+
+async def test_rules_say_what_a_request_is_and_how_long(tmp_path: Path) -> None:
+    def read_request(body: bytes) -> Request:
+        return messages.read_request(body, {"nodes": ()})
+
+    path = tmp_path / "x.sock"
+    rules = SocketRules(read_request, max_request=64, users={os.getuid(), 0})
+    server = KeyServer(path, carry_out, rules=rules)
+    await server.start()
+    assert path.stat().st_mode & 0o777 == 0o666, "another user may connect, and is looked at"
+    assert await exchange(path, messages.frame([1, "nodes"])) == ["nodes", os.getuid(), os.getpid()]
+    for data in (STATUS, messages.frame([1, "nodes", bytes(64)])):
+        with pytest.raises(KeyMessageRefused):
+            await exchange(path, data)
+    await server.close()
 
 
 async def test_another_user_gets_no_answer(

@@ -1,0 +1,1 @@
+"""Approvals by passkey: what is approved, and the proof of it. Pure."""

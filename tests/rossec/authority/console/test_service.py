@@ -1,0 +1,61 @@
+"""Operations to handlers: in threads of their parts, bounded answers, refusals."""
+
+import asyncio
+import threading
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from ca.encoding import Value
+from rossec.authority.console import messages
+from rossec.authority.console.service import ConsoleService
+from rossec.authority.keyservice.caller import Caller
+from rossec.authority.keyservice.messages import Request
+from rossec.errors import KeyServiceRefused
+
+CALLER = Caller(1, 2, "rossec console")
+
+
+class Part:
+    def __init__(self, **handlers: Callable[..., Value]) -> None:
+        self._handlers = handlers
+
+    def handlers(self) -> Mapping[str, Callable[..., Value]]:
+        return self._handlers
+
+
+async def test_each_part_has_a_thread_and_waits_for_no_other() -> None:
+    until = threading.Event()
+    slow = Part(graph=lambda: until.wait(10) and threading.get_ident())
+    fast = Part(status=threading.get_ident, redeem=lambda code: [threading.get_ident(), code])
+    service = ConsoleService(slow, fast)
+    async with asyncio.TaskGroup() as group:
+        waiting = group.create_task(service.carry_out(Request("graph"), CALLER))
+        await asyncio.sleep(0)
+        status = await service.carry_out(Request("status"), CALLER)
+        assert await service.carry_out(Request("redeem", ("x",)), CALLER) == [status, "x"]
+        until.set()
+    assert waiting.result() not in {status, False, threading.get_ident()}
+    service.close()
+
+
+async def test_an_operation_without_a_handler_is_refused() -> None:
+    service = ConsoleService(Part(status=lambda: None))
+    assert service.missing == messages.OPERATIONS.keys() - {"status"}
+    with pytest.raises(KeyServiceRefused, match="does not do graph"):
+        await service.carry_out(Request("graph"), CALLER)
+    service.close()
+
+
+async def test_an_answer_that_is_too_long_is_refused() -> None:
+    service = ConsoleService(Part(nodes=lambda: bytes(messages.MAX_ANSWER)))
+    with pytest.raises(KeyServiceRefused, match="the answer has more"):
+        await service.carry_out(Request("nodes"), CALLER)
+    service.close()
+
+
+@pytest.mark.parametrize("operation", ["sign", "status"])
+def test_an_operation_has_one_handler_and_is_in_the_table(operation: str) -> None:
+    parts = [Part(**{operation: lambda: None}) for _ in range(2)]
+    with pytest.raises(ValueError, match="not an operation"):
+        ConsoleService(*parts)

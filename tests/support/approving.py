@@ -1,0 +1,82 @@
+"""Approvals for tests: a phone that is registered, statements, and its touch on them."""
+
+from ca.approvals.approval import Approval
+from ca.approvals.assertion import Assertion, Passkey
+from ca.approvals.statement import (
+    LIFETIME,
+    Delegate,
+    Enroll,
+    ForeignDomain,
+    Grant,
+    Intermediate,
+    Invitation,
+    Kind,
+    NewPasskey,
+    PolicyChange,
+    RevokeMaster,
+    Statement,
+    What,
+)
+from ca.store.record import Store
+from tests.support import passkeys
+
+NOW = 1_800_000_000
+DIGESTS = [bytes([number]) * 32 for number in range(9)]
+DEVICE = passkeys.Passkey()
+WHATS: dict[Kind, What] = {
+    Kind.ENROLL: Enroll(
+        DIGESTS[1], "/robot", DIGESTS[2], wildcard=False, lifetime=9, replaces=True
+    ),
+    Kind.GRANT: Grant(b"r" * 16, DIGESTS[3]),
+    Kind.POLICY: PolicyChange(DIGESTS[0], DIGESTS[4]),
+    Kind.DELEGATE: Delegate(DIGESTS[5], 86400, 3600),
+    Kind.INTERMEDIATE: Intermediate(DIGESTS[6], enrolls=True, lifetime=86400),
+    Kind.PASSKEY: NewPasskey(b"credential", DIGESTS[7], "Ann's phone"),
+    Kind.INVITATION: Invitation("/fleet/*", 30, NOW + 3600, wildcard=False),
+    Kind.FOREIGN_DOMAIN: ForeignDomain(DIGESTS[8]),
+    Kind.REVOKE_MASTER: RevokeMaster("stolen"),
+}
+
+
+def registered(device: passkeys.Passkey, name: str = "Ann's phone", at: int = NOW) -> Passkey:
+    """A passkey as it is recorded when the terminal adds it."""
+    return Passkey(
+        device.id, name, device.cose_key, bytes(16), device.rp_id, device.origin, b"", at
+    )
+
+
+PASSKEY = registered(DEVICE)
+
+
+def state(
+    what: What,
+    *,
+    id: bytes = b"i" * 16,  # noqa: A002
+    store: Store | None = None,
+    made: int = NOW,
+) -> Statement:
+    """A statement about the record as it is now."""
+    kind = next(kind for kind, known in WHATS.items() if type(known) is type(what))
+    head = None if store is None else store.log.head(made)
+    size, root = (0, bytes(32)) if head is None else (head.size, head.root)
+    return Statement(kind, id, "home", made, made + LIFETIME, size, root, what)
+
+
+def touch(
+    statement: Statement, payload: bytes = b"", device: passkeys.Passkey = DEVICE, at: int = NOW
+) -> Approval:
+    """The approval of a statement by a device."""
+    return Approval.of(statement, payload, Assertion(*device.sign(statement.challenge)), at)
+
+
+def approve(
+    store: Store,
+    what: What = WHATS[Kind.DELEGATE],
+    payload: bytes = b"",
+    *,
+    id: bytes = b"i" * 16,  # noqa: A002
+    device: passkeys.Passkey = DEVICE,
+    at: int = NOW,
+) -> Approval:
+    """A touch on a statement about `store` as it is now."""
+    return touch(state(what, id=id, store=store, made=at), payload, device, at)
