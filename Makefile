@@ -8,7 +8,7 @@ READY := .venv/.ready
 .PHONY: help demo test attacks check static cover bench ros format clean
 help:
 	@echo "make demo    the main job, end to end, in under 30 s (no ROS needed)"
-	@echo "make test    the whole suite and its coverage gates (installs Debian's ROS packages when it can)"
+	@echo "make test    the whole suite and its coverage gates (installs Debian's ROS packages and Chromium when it can)"
 	@echo "make attacks the attacks of docs/threat-model.md alone"
 	@echo "make static  formatting, lint, types, import contracts, wheel contents"
 	@echo "make cover   the unit tests with their coverage gates"

@@ -99,6 +99,12 @@ def format_duration(seconds: int) -> str:
     return " ".join(parts[:2]) or "0s"
 
 
+def seconds_left_today(now: int) -> int:
+    """Seconds until midnight, local time."""
+    local = _time.localtime(now)
+    return max(60, 86400 - (local.tm_hour * 3600 + local.tm_min * 60 + local.tm_sec))
+
+
 def correct(moment: int) -> bool:
     """As of `Clock`."""
     return HOST.correct(moment)

@@ -75,6 +75,30 @@ class KeyServiceRefused(RossecError):
     """The authority's service refuses for another reason: it is busy, or cannot write its audit."""
 
 
+class PhoneCodeRefused(RossecError):
+    """A one-time code for the console that is wrong, used, too old, or one of too many."""
+
+
+class FormRefused(RossecError):
+    """A form of the console with other fields than its page has, or a field that is no answer."""
+
+
+class EnrollmentUnknown(RossecError):
+    """An enrollment that the console does not run, or no longer."""
+
+
+class TooManyEnrollments(RossecError):
+    """More enrollments at a time than the console runs."""
+
+
+class PictureRefused(RossecError):
+    """A picture without a code, or one that could not be read in time."""
+
+
+class ScannerBusy(RossecError):
+    """Another picture is being read."""
+
+
 class KeyServiceFailed(RossecError):
     """What answers as the authority's service is not it, or the answer is invalid."""
 
@@ -100,7 +124,7 @@ class KeyMessageRefused(WireError):
 
 
 class HttpRefused(WireError):
-    """HTTP that is malformed, too long, or not a plain XML-RPC exchange.
+    """HTTP that is malformed, too long, or not what the server answers.
 
     `status` is the HTTP status code a server answers with.
     """

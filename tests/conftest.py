@@ -1,8 +1,13 @@
-"""ROS tests never pass silently: without ROS they are reported as not run, in CI they fail."""
+"""No test passes silently: without ROS or a browser those that need it are reported as not run.
+
+In CI they fail.
+"""
 
 import importlib.util
 import os
+import shutil
 import signal
+from typing import Final
 
 import coverage
 import pytest
@@ -18,10 +23,15 @@ settings.load_profile("untimed")
 # A background shell ignores Ctrl-C, and what it starts inherits that, with what a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_ROS = all(
+_ROS: Final = all(
     importlib.util.find_spec(name) is not None
     for name in ("rospy", "rosmaster", "rosgraph", "geometry_msgs", "sensor_msgs", "nav_msgs")
 )
+# What a marked test needs, and whether it is there.
+_NEEDED: Final = {
+    "ros": ("ROS packages", _ROS),
+    "browser": ("Chromium", shutil.which("chromium") is not None),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -46,10 +56,11 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    if _ROS:
-        return
-    if os.environ.get("CI"):
-        raise pytest.UsageError("the ROS packages are missing: see tools/ros-packages.sh")
-    for item in items:
-        if item.get_closest_marker("ros"):
-            item.add_marker(pytest.mark.skip(reason="NOT RUN: no ROS packages on this machine"))
+    for marker, (what, is_there) in _NEEDED.items():
+        if is_there:
+            continue
+        if os.environ.get("CI"):
+            raise pytest.UsageError(f"no {what} on this machine: see tools/ros-packages.sh")
+        for item in items:
+            if item.get_closest_marker(marker):
+                item.add_marker(pytest.mark.skip(reason=f"NOT RUN: no {what} on this machine"))

@@ -6,7 +6,6 @@ recorded together with the grants it gives, or not at all.
 """
 
 import secrets
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -28,6 +27,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
 from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.clock import seconds_left_today
 from rossec.errors import ConfigurationError
 
 MAX_PENDING: Final = 16  # prompts that one node may have pending
@@ -244,9 +244,3 @@ def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
 
 def _denial_reason(verdict: Verdict) -> str:
     return f"rule {verdict.rules[0].id}" if verdict.rules else "by default"
-
-
-def seconds_left_today(now: int) -> int:
-    """Seconds until midnight, local time."""
-    local = time.localtime(now)
-    return max(60, 86400 - (local.tm_hour * 3600 + local.tm_min * 60 + local.tm_sec))

@@ -1,1 +1,1 @@
-"""The pages of the person who lives with the robots. Reserved: nothing is here yet."""
+"""The console: pages for the person who lives with the robots."""

@@ -152,3 +152,10 @@ def test_no_other_module_reads_the_hosts_clock() -> None:
 )
 def test_durations_are_formatted_in_two_units(seconds: int, shown: str) -> None:
     assert clock.format_duration(seconds) == shown
+
+
+@pytest.mark.parametrize(("hour", "minute", "left"), [(0, 0, 86400), (12, 0, 43200), (23, 59, 60)])
+def test_today_ends_at_midnight(hour: int, minute: int, left: int) -> None:
+    moment = int(time.mktime((2026, 5, 4, hour, minute, 0, 0, 0, -1)))
+    assert clock.seconds_left_today(moment) == left
+    assert clock.seconds_left_today(moment + 59) == max(60, left - 59)

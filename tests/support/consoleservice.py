@@ -324,6 +324,8 @@ def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]
         await ended.wait()
         await asyncio.sleep(0.05)  # see tests.support.keyservice
         await server.close()
+        await service.close()
+        await loop.shutdown_default_executor()
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(main()))
     thread.start()
@@ -334,4 +336,3 @@ def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]
         loop.call_soon_threadsafe(ended.set)
         thread.join(10)
         loop.close()
-        service.close()

@@ -192,7 +192,7 @@ class ConsoleClient:
         """End a passkey: it approves nothing more."""
         await self.ask("remove-phone", phone, reason)
 
-    async def prepare(self, kind: str, *arguments: int | str | bytes) -> Prepared:
+    async def prepare(self, kind: str, *arguments: Value) -> Prepared:
         """Have a statement made, to be approved; the arguments are those of `PREPARED`."""
         return from_value(Prepared, await self.ask("prepare", kind, [*arguments]))
 
@@ -278,5 +278,5 @@ async def _connect(path: Path) -> _Connection:
 def _number(value: Value) -> tuple[int, int]:
     numbers = from_value(tuple[int, ...], value)
     if len(numbers) != 2:
-        raise KeyMessageRefused("a number of a list that is none", _NEWER)
+        raise KeyMessageRefused("a list has an epoch and a number", _NEWER)
     return numbers[0], numbers[1]

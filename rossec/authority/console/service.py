@@ -64,10 +64,10 @@ class ConsoleService:
         call = partial(_answer, handler, request.arguments)
         return await asyncio.get_running_loop().run_in_executor(thread, call)
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """End the threads; what runs is finished first."""
         for thread in self._threads:
-            thread.shutdown(cancel_futures=True)
+            await asyncio.to_thread(thread.shutdown, cancel_futures=True)
 
 
 def _answer(handler: Handler, arguments: tuple[Value, ...]) -> Value:

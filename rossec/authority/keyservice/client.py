@@ -96,6 +96,17 @@ class KeyServiceClient:
         """Lock it. Returns as `status`."""
         return _as_status(self.ask(Request(messages.LOCK)))
 
+    def phone_code(self) -> str:
+        """A one-time code for the console: to look, or to add a phone.
+
+        Raises:
+            HintedError: as `ask`.
+        """
+        code = self.ask(Request(messages.PHONE_CODE))
+        if not isinstance(code, str):
+            raise KeyServiceFailed("the service gives no code", _HINT)
+        return code
+
     def close(self) -> None:
         """End the connection."""
         if self._socket is not None:

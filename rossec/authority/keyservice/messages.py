@@ -16,6 +16,7 @@ from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
     KeyServiceRefused,
+    PhoneCodeRefused,
     SigningRefused,
 )
 
@@ -27,17 +28,20 @@ MAX_PASSPHRASE: Final = 4096
 MAX_UNLOCKED: Final = 7 * 86400  # seconds; 0: while the service runs
 
 STATUS, UNLOCK, LOCK, SIGN = "status", "unlock", "lock", "sign"
+PHONE_CODE: Final = "phone-code"
 OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     STATUS: (),
     UNLOCK: (int, str),  # seconds, passphrase or PIN
     LOCK: (),
     SIGN: (bytes,),  # what `Signer.sign` gets
+    PHONE_CODE: (),  # a one-time code, text: to look at the console, or to add a phone
 }
 REFUSALS: Final[Mapping[str, type[HintedError]]] = {
     "locked": AuthorityLocked,
     "unknown": SigningRefused,
     "passphrase": PassphraseRefused,
     "token": TokenRefused,
+    "code": PhoneCodeRefused,
     "refused": KeyServiceRefused,
     "malformed": KeyMessageRefused,
 }

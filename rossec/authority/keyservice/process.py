@@ -71,6 +71,7 @@ class KeyServiceProcess:
         home: of the authority.
         operations: of its key.
         admit: raises `PeerUserRefused` for a process that may not ask.
+        phone_code: makes a code for the console, for a caller; audited.
     """
 
     def __init__(
@@ -78,8 +79,10 @@ class KeyServiceProcess:
         home: AuthorityHome,
         operations: KeyOperations,
         admit: Callable[[UnixPeer], None],
+        phone_code: Callable[[Caller], str] | None = None,
     ) -> None:
         self.operations = operations
+        self._phone_code = phone_code
         self._server = KeyServer(home.path / SOCKET, self._carry_out, admit)
 
     async def start(self) -> None:
@@ -104,6 +107,10 @@ class KeyServiceProcess:
             await asyncio.sleep(TICK)
 
     async def _carry_out(self, request: Request, caller: Caller) -> Value:
+        if request.operation == messages.PHONE_CODE:
+            if self._phone_code is None:
+                raise KeyServiceRefused("this service has no console", "restart: rossec ca serve")
+            return self._phone_code(caller)
         if request.operation == messages.UNLOCK:
             return await asyncio.to_thread(self.operations.carry_out, request, caller)
         return self.operations.carry_out(request, caller)

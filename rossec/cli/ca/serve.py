@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from rossec.authority.console import console_socket
+from rossec.authority.console.serving import Console
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice.face import ANY
 from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
@@ -19,13 +21,13 @@ from rossec.authority.keyservice.process import (
     audit_to,
     operations_of,
 )
-from rossec.authority.keyservice.server import admit_all
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at
 from rossec.clock import format_duration
 from rossec.enrollment.address import JOIN_PORT
 from rossec.errors import ConfigurationError
+from rossec.net.host.peeruid import UnixPeer
 from rossec.operation.audit_log import AUDIT, audit_written
 from rossec.operation.json_log import log_as_json
 from rossec.operation.process_memory import protect_memory
@@ -51,6 +53,13 @@ OPERATOR = "the operator who started it"
 @click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
 @options.policy
 @options.master_uri
+@click.option(
+    "--console-user", metavar="NAME", help="another user whose console may show this authority"
+)
+@click.option(
+    "--console-socket", "console_socket_path", type=click.Path(path_type=Path), metavar="PATH",
+    help="where the console finds it; for --console-user",
+)  # fmt: skip
 @click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
 @click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
 @passphrase.option
@@ -64,6 +73,8 @@ def serve(
     applies: bool,
     policy_path: Path | None,
     master_uri: str | None,
+    console_user: str | None,
+    console_socket_path: Path | None,
     log: str,
     as_json: bool,
     passphrase_file: Path | None,
@@ -80,6 +91,7 @@ def serve(
         raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
     uri = master_at(environment, master_uri)
     settings.parse_uri(uri, "the master's URI")
+    where = console_socket.place(home.path, console_socket_path, console_user)
     options_of_face = FaceOptions(join_address, uri, log)
     with ExitStack() as stack:
         protect_memory()
@@ -99,8 +111,25 @@ def serve(
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
-        process = KeyServiceProcess(home, operations, admit_all if face is None else face.admit)
-        asyncio.run(_Serving(environment, home, process, face, network).run(as_json=as_json))
+        console = Console(where, environment.home, operations, network, policy_path)
+        admit = _Admission(console, face).admit
+        process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
+        serving = _Serving(environment, home, process, console, face, network)
+        asyncio.run(serving.run(as_json=as_json))
+
+
+@dataclass
+class _Admission:
+    """Who may use the service's socket: neither the network face nor the console's pages."""
+
+    console: Console
+    face: FaceProcess | None
+
+    def admit(self, peer: UnixPeer) -> None:
+        """Raise `PeerUserRefused` for one of them."""
+        if self.face is not None:
+            self.face.admit(peer)
+        self.console.peers.refuse(peer)
 
 
 @dataclass
@@ -110,6 +139,7 @@ class _Serving:
     environment: Environment
     home: AuthorityHome
     process: KeyServiceProcess
+    console: Console
     face: FaceProcess | None
     network: NetworkWork | None
 
@@ -118,12 +148,14 @@ class _Serving:
         audit, stop = logging.getLogger(AUDIT), stop_on_signals()
         try:
             await self.process.start()
+            await self.console.socket.start()
             audit.info("the service began")
             tasks = [self._until_stopped(stop, as_json=as_json), self.process.watch_time()]
             if self.network is not None:
                 tasks.append(self.network.run())
             await until_first_ends(*tasks)
         finally:
+            await self.console.socket.close()
             await self.process.close()
             audit.info("the service ended")
 
@@ -138,7 +170,8 @@ class _Serving:
         remaining = self.process.operations.held.remaining()
         if as_json:
             path = str(self.home.path / SOCKET)
-            say_json({"ready": path, "remaining": remaining, "join_port": port})
+            about: dict[str, object] = {"remaining": remaining, "join_port": port}
+            say_json({"ready": path, "console": str(self.console.where.path), **about})
             return
         say(f"authority of {self.home.domain}: {describe_remaining(remaining)}")
         if port:

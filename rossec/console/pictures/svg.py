@@ -18,7 +18,7 @@ MAX_TEXT: Final = 200
 _TAGS: Final = frozenset(
     {"circle", "desc", "g", "image", "line", "path", "polyline", "rect", "svg", "text", "title"}
 )
-_ATTRIBUTE: Final = re.compile(r"[a-zA-Z][a-zA-Z-]*", re.ASCII)
+_ATTRIBUTE: Final = re.compile(r"[a-zA-Z][a-zA-Z0-9-]*", re.ASCII)
 _FORBIDDEN: Final = ("style", "href", "src")  # `image` adds its own
 _PICTURE: Final = "data:image/png;base64,"
 

@@ -117,13 +117,18 @@ def holder_of(sock: socket.socket) -> Holder:
         PeerUserRefused, OSError: as `user_of`.
     """
     local, remote = sock.getpeername()[:2], sock.getsockname()[:2]
-    holder = _holder(local, remote)
+    holder = find_holder(local, remote)
     if holder is not None:
         return holder
     raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
 
 
-def _holder(local: Endpoint, remote: Endpoint) -> Holder | None:
+def find_holder(local: Endpoint, remote: Endpoint) -> Holder | None:
+    """The holder of the socket bound to `local` and connected to `remote`; None: no program.
+
+    Raises:
+        OSError: the kernel's tables cannot be read.
+    """
     try:
         entry = sockdiag.find(local, remote)
     except OSError:

@@ -14,7 +14,7 @@ from grants.policy.model import Subject
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import approvals as module
 from rossec.authority import requests
-from rossec.authority.approvals import ApprovalQueue, seconds_left_today, verdict_change
+from rossec.authority.approvals import ApprovalQueue, verdict_change
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError
@@ -134,11 +134,6 @@ def test_the_inbox_is_emptied_and_errors_are_reported(place: Place) -> None:
     assert trouble.startswith("bad.request: not a request")
     assert len(queue.pending()) == 1
     assert requests.inbox_files(place.home.path) == []
-
-
-def test_today_ends_at_midnight() -> None:
-    left = seconds_left_today(int(time.time()))
-    assert 60 <= left <= 86400
 
 
 def test_signature_errors_have_hints() -> None:

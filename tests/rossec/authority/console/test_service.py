@@ -36,7 +36,7 @@ async def test_each_part_has_a_thread_and_waits_for_no_other() -> None:
         assert await service.carry_out(Request("redeem", ("x",)), CALLER) == [status, "x"]
         until.set()
     assert waiting.result() not in {status, False, threading.get_ident()}
-    service.close()
+    await service.close()
 
 
 async def test_an_operation_without_a_handler_is_refused() -> None:
@@ -44,14 +44,14 @@ async def test_an_operation_without_a_handler_is_refused() -> None:
     assert service.missing == messages.OPERATIONS.keys() - {"status"}
     with pytest.raises(KeyServiceRefused, match="does not do graph"):
         await service.carry_out(Request("graph"), CALLER)
-    service.close()
+    await service.close()
 
 
 async def test_an_answer_that_is_too_long_is_refused() -> None:
     service = ConsoleService(Part(nodes=lambda: bytes(messages.MAX_ANSWER)))
     with pytest.raises(KeyServiceRefused, match="the answer has more"):
         await service.carry_out(Request("nodes"), CALLER)
-    service.close()
+    await service.close()
 
 
 @pytest.mark.parametrize("operation", ["sign", "status"])

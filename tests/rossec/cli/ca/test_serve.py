@@ -89,8 +89,10 @@ def test_it_holds_the_key_until_it_is_ended(shell: Shell) -> None:
 
 def test_it_says_for_programs_that_it_is_ready(shell: Shell) -> None:
     said = serve(shell, "--json", "--unlock-for", "0")
-    path = str(shell.root / "ca" / "service.sock")
-    assert json.loads(said.out) == {"ready": path, "remaining": 0, "join_port": None}
+    path, console = (str(shell.root / "ca" / f"{name}.sock") for name in ("service", "console"))
+    assert json.loads(said.out) == {
+        "ready": path, "console": console, "remaining": 0, "join_port": None,
+    }  # fmt: skip
 
 
 def test_it_starts_locked_without_a_passphrase(

@@ -1,0 +1,98 @@
+"""One-time codes: what a person reads at the terminal, or at a phone that is there already.
+
+Only their SHA-256 is kept, in memory, and compared in constant time. A code is used once, for one
+purpose, within `LIFETIME`. After `MAX_FAILURES` wrong ones within a minute none is taken for a
+minute, right or wrong: a code has 128 bits, so this is against noise rather than guessing. Time is
+that of a clock that cannot be set.
+"""
+
+import base64
+import hashlib
+import hmac
+import secrets
+import threading
+from collections import deque
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+from rossec import clock
+from rossec.errors import PhoneCodeRefused
+
+LIFETIME: Final = 120.0  # seconds
+MAX_FAILURES: Final = 5
+PERIOD: Final = 60.0  # seconds in which failures count, and for which they lock
+MAX_CODES: Final = 16  # outstanding; one more ends the oldest
+_SIZE: Final = 16  # bytes
+
+
+class CodeUse(StrEnum):
+    """What a code is for."""
+
+    TERMINAL = "terminal"  # to look, or to add a passkey
+    PHONE = "phone"  # to propose a passkey
+
+
+class _Code(NamedTuple):
+    digest: bytes
+    use: CodeUse
+    end: float
+
+
+class Codes:
+    """The codes that were made and not used yet; threads may share it."""
+
+    def __init__(
+        self,
+        elapsed: clock.Seconds | None = None,
+        random: Callable[[int], bytes] = secrets.token_bytes,
+    ) -> None:
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._random = random
+        self._lock = threading.Lock()  # guards what follows
+        self._codes: deque[_Code] = deque(maxlen=MAX_CODES)
+        self._failures: deque[float] = deque(maxlen=MAX_FAILURES)
+        self._locked_until = float("-inf")
+
+    def make(self, use: CodeUse) -> str:
+        """A new code, base64url."""
+        text = base64.urlsafe_b64encode(self._random(_SIZE)).rstrip(b"=").decode()
+        with self._lock:
+            self._codes.append(_Code(_digest(text), use, self._elapsed() + LIFETIME))
+        return text
+
+    def check(self, text: str, use: CodeUse) -> None:
+        """Return if `text` is a code for this use; it stays one.
+
+        Raises:
+            PhoneCodeRefused: it is not, not any more, or too many were wrong.
+        """
+        with self._lock:
+            self._find(text, use)
+
+    def use(self, text: str, use: CodeUse) -> None:
+        """As `check`, and it is used up."""
+        with self._lock:
+            self._codes.remove(self._find(text, use))
+
+    def _find(self, text: str, use: CodeUse) -> _Code:
+        now = self._elapsed()
+        if now < self._locked_until:
+            raise PhoneCodeRefused(
+                "too many codes were wrong", f"wait {self._locked_until - now:.0f} seconds"
+            )
+        given = _digest(text)
+        found = [code for code in self._codes if hmac.compare_digest(code.digest, given)]
+        if found and found[0].use is use and now < found[0].end:
+            return found[0]
+        self._failures.append(now)
+        if len(self._failures) == MAX_FAILURES and now - self._failures[0] < PERIOD:
+            self._locked_until = now + PERIOD
+            self._failures.clear()
+        raise PhoneCodeRefused(
+            "this code is not valid, or not any more", "make a new one: rossec console phone"
+        )
+
+
+def _digest(text: str) -> bytes:
+    return hashlib.sha256(text.encode(errors="surrogatepass")).digest()

@@ -1,0 +1,57 @@
+"""The pages as one ASGI application, behind the guard; a refusal becomes a page with its hint.
+
+The application knows no address but those of its settings, so a request's `Host` decides nothing.
+"""
+
+import logging
+from collections.abc import Awaitable, Callable
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from ca.errors import HintedError
+from rossec.console.context import ConsoleContext
+from rossec.console.rendering import render
+from rossec.console.routes import ROUTES
+from rossec.console.routing import Page
+from rossec.console.server.guard import Guard, wants_json
+from rossec.errors import HttpRefused, KeyServiceFailed
+from rossec.ros.text import printable
+
+_log = logging.getLogger("rossec.console")
+
+
+def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASGIApp:
+    """The console's application."""
+    routes = [Route(page.path, _endpoint(page, context), methods=page.methods) for page in pages]
+    app = Starlette(routes=routes)
+    return Guard(app, context, pages, lambda request, error: show_error(request, context, error))
+
+
+def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        try:
+            return await page.handler(request, context)
+        except HintedError as error:
+            return show_error(request, context, error)
+
+    return answer
+
+
+def status_of(error: HintedError) -> int:
+    """The HTTP status that says what an error says."""
+    if isinstance(error, HttpRefused):
+        return error.status
+    return 503 if isinstance(error, KeyServiceFailed) else 422
+
+
+def show_error(request: Request, context: ConsoleContext, error: HintedError) -> Response:
+    """A refusal as a page, or as JSON for a script."""
+    status = status_of(error)
+    if wants_json(request.headers):
+        told = {"error": printable(error), "hint": printable(error.hint)}
+        return JSONResponse(told, status)
+    return render(context, request, "error.html", status, message=str(error), hint=error.hint)

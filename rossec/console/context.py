@@ -1,0 +1,60 @@
+"""What every page gets: the service, this console's settings, and what it remembers.
+
+Nothing here is written to a disk: a console that is started again knows nobody, and asks again.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from rossec import clock
+from rossec.authority.console.client import ConsoleClient
+from rossec.console.enrollments import Enrollments
+from rossec.console.failures import FailureLimit
+from rossec.console.news import News
+from rossec.console.pending import PendingActs
+from rossec.console.sessions import Sessions
+from rossec.console.settings import Settings
+
+
+class Scanner(Protocol):
+    """Reads codes out of pictures, in a process of its own."""
+
+    async def read(self, frame: bytes) -> str | None:
+        """The text of the code in a picture (JPEG, PNG); None: there is none in it.
+
+        Raises:
+            HintedError: it cannot be read now.
+        """
+        ...
+
+
+@dataclass
+class ConsoleContext:
+    """One console.
+
+    Args:
+        service: the authority's service.
+        settings: what it was started with.
+        scanner: reads codes; None: this console has none.
+        clock: seconds since the epoch.
+    """
+
+    service: ConsoleClient
+    settings: Settings
+    scanner: Scanner | None = None
+    clock: Callable[[], int] = clock.now
+    sessions: Sessions = field(init=False)
+    news: News = field(init=False)
+    failures: FailureLimit = field(init=False)
+    pending: PendingActs = field(init=False)
+    enrollments: Enrollments = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
+        self.news = News(self.service.status)
+        self.failures = FailureLimit()
+        self.pending = PendingActs()
+        self.enrollments = Enrollments(
+            self.service, self.settings.domain, self.clock, self.news.changed
+        )

@@ -1,0 +1,253 @@
+"""Where the console listens, and what a browser calls it. Pure: options in, an endpoint out.
+
+A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it
+was made at: so there is one origin, it is known before anything listens, and another one means new
+passkeys. A name is a DNS name: browsers refuse addresses as RP ids ("invalid domain").
+"""
+
+import ipaddress
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+from rossec.errors import ConfigurationError
+
+PORT: Final = 7411
+HAND_OUT_PORT: Final = 7410
+LOCALHOST: Final = "localhost"
+_LOOPBACK: Final = ("127.0.0.1", "::1")
+_EVERY: Final = ("0.0.0.0", "::")  # noqa: S104 - what --lan asks for; who may see it, sessions say
+_MAX_NAME: Final = 253
+# RFC 1123 section 2.1. The last label is not a number: URLs would take it for an IPv4 address.
+_LABEL: Final = r"[a-z0-9](?:[a-z0-9-]{0,61}[a-z0-9])?"
+_NAME: Final = re.compile(rf"(?:{_LABEL}\.)*(?![0-9]+\Z){_LABEL}", re.ASCII)
+_DEFAULT_PORTS: Final = {"http": 80, "https": 443}
+
+
+class Tls(StrEnum):
+    """Who makes the certificate that the console shows."""
+
+    NONE = "none"  # plain HTTP: on this host alone, or behind a proxy
+    OWN = "own"  # the console's own TLS authority
+    FILES = "files"  # --tls-cert and --tls-key
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of `rossec console`, as they were given."""
+
+    lan: bool = False
+    name: str | None = None
+    tls_certificate: Path | None = None
+    tls_key: Path | None = None
+    unix_path: Path | None = None
+    origin: str | None = None
+    port: int | None = None
+    read_only: bool = False
+    hand_out: bool = False
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """What follows from the options.
+
+    Attributes:
+        origin: as browsers send it, such as `https://rossec.local:7411`.
+        name: the host of `origin`, to which passkeys belong.
+        addresses: to listen at; none if `unix_path` is set.
+        port: to listen at.
+        tls: who makes the certificate.
+        tls_certificate, tls_key: the files of `Tls.FILES`.
+        read_only: nothing but looking; no code that could do more is there.
+        hand_out: for ten minutes, hand out the certificate of the own TLS authority.
+    """
+
+    origin: str
+    name: str
+    addresses: tuple[str, ...] = ()
+    port: int = 0
+    unix_path: Path | None = None
+    tls: Tls = Tls.NONE
+    tls_certificate: Path | None = None
+    tls_key: Path | None = None
+    read_only: bool = False
+    hand_out: bool = False
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only programs of this host can connect."""
+        return self.unix_path is not None or self.addresses == _LOOPBACK
+
+    @property
+    def hsts(self) -> bool:
+        """Whether browsers shall insist on https; an own authority may be removed again."""
+        return self.tls is Tls.FILES
+
+
+def read_options(options: Options, hostname: str) -> Endpoint:
+    """The endpoint for `options` on the host called `hostname`.
+
+    Raises:
+        ConfigurationError: options that do not go together, or a name that cannot be used.
+    """
+    _check_pairs(options)
+    if options.unix_path is not None:
+        return _behind_proxy(options, options.unix_path)
+    port = PORT if options.port is None else options.port
+    if not 0 < port < 1 << 16:
+        raise ConfigurationError(f"{port} is not a port", "give one from 1 to 65535")
+    if not options.lan and options.tls_certificate is None:
+        return _on_this_host(options, port)
+    name = check_name(_default_name(hostname) if options.name is None else options.name)
+    if name == LOCALHOST:
+        raise ConfigurationError(
+            "no other device can reach localhost", "give the name of this host: --name NAME.local"
+        )
+    return Endpoint(
+        origin=f"https://{_with_port(name, 'https', port)}",
+        name=name,
+        addresses=_EVERY,
+        port=port,
+        tls=Tls.OWN if options.lan else Tls.FILES,
+        tls_certificate=options.tls_certificate,
+        tls_key=options.tls_key,
+        read_only=options.read_only,
+        hand_out=options.hand_out,
+    )
+
+
+def check_name(name: str) -> str:
+    """The DNS name `name` in lower case.
+
+    Raises:
+        ConfigurationError: an address, or not a DNS name.
+    """
+    if _is_address(name):
+        raise ConfigurationError(
+            f"{name} is an address: a passkey cannot belong to one",
+            "give a name, such as --name rossec.local",
+        )
+    found = name.lower()
+    if len(found) > _MAX_NAME or not _NAME.fullmatch(found) or found == "local":
+        raise ConfigurationError(
+            f"{name!a} is not a DNS name",
+            "letters, digits and hyphens between dots, such as --name rossec.local",
+        )
+    return found
+
+
+def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool) -> None:
+    """Check that the passkeys that exist, made at the origins `recorded`, can approve here.
+
+    Raises:
+        ConfigurationError: all are of other origins, and `rename` was not given.
+    """
+    if rename or not recorded or endpoint.origin in recorded:
+        return
+    others = ", ".join(sorted(recorded))
+    raise ConfigurationError(
+        f"the phones' passkeys belong to {others} and cannot approve at {endpoint.origin}",
+        "start it with the options of before; or add --rename and register every phone anew",
+    )
+
+
+def _check_pairs(options: Options) -> None:
+    """Raise for options that do not go together."""
+    has_files = options.tls_certificate is not None or options.tls_key is not None
+    ways = [options.lan, has_files, options.unix_path is not None]
+    conflicts = (
+        (sum(ways) > 1, "--lan, --tls-cert and --unix exclude each other", "choose one"),
+        (
+            has_files and None in {options.tls_certificate, options.tls_key, options.name},
+            "a certificate needs its key and its name",
+            "give all of --tls-cert FILE --tls-key FILE --name NAME",
+        ),
+        (
+            (options.unix_path is None) != (options.origin is None),
+            "a proxy needs both --unix and --origin",
+            "--unix PATH --origin https://NAME, as browsers see it",
+        ),
+        (
+            options.name is not None and not (options.lan or has_files),
+            "--name is for --lan and --tls-cert",
+            "without them browsers call it localhost",
+        ),
+        (
+            options.hand_out and not options.lan,
+            "--hand-out is for --lan: only there is a TLS authority to hand out",
+            "add --lan",
+        ),
+        (
+            options.port is not None and options.unix_path is not None,
+            "--port is not for --unix",
+            "the proxy has the port",
+        ),
+    )
+    for conflict, message, hint in conflicts:
+        if conflict:
+            raise ConfigurationError(message, hint)
+
+
+def _on_this_host(options: Options, port: int) -> Endpoint:
+    host = _with_port(LOCALHOST, "http", port)
+    return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
+
+
+def _behind_proxy(options: Options, path: Path) -> Endpoint:
+    """The origin is the proxy's; headers that a proxy adds are never read."""
+    origin = options.origin or ""
+    try:
+        parts = urlsplit(origin)
+        scheme, name, port = parts.scheme, parts.hostname or "", parts.port
+    except ValueError as error:
+        raise _origin_refused(origin) from error
+    plain = f"{scheme}://{parts.netloc}"
+    if origin.rstrip("/") != plain or "@" in parts.netloc or scheme not in _DEFAULT_PORTS:
+        raise _origin_refused(origin)
+    name = check_name(name)
+    if scheme == "http" and name != LOCALHOST:
+        raise ConfigurationError(
+            f"{plain} is not encrypted: browsers allow no passkey there",
+            "let the proxy serve https, and give --origin https://NAME",
+        )
+    host = _with_port(name, scheme, port or _DEFAULT_PORTS[scheme])
+    return Endpoint(
+        f"{scheme}://{host}",
+        name,
+        unix_path=path,
+        read_only=options.read_only,
+    )
+
+
+def _origin_refused(origin: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"{origin!a} is not an origin", "write it as --origin https://ca.example.org"
+    )
+
+
+def _with_port(name: str, scheme: str, port: int) -> str:
+    """As browsers write it in `Host` and `Origin`: without the scheme's own port."""
+    return name if port == _DEFAULT_PORTS[scheme] else f"{name}:{port}"
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True
+
+
+def _default_name(hostname: str) -> str:
+    """`<hostname>.local`, as mDNS announces it (RFC 6762 section 3)."""
+    name = f"{hostname.partition('.')[0].lower()}.local"
+    try:
+        return check_name(name)
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
+        ) from error

@@ -1,0 +1,1 @@
+"""The pages, one module each: a table `PAGES`, and functions that answer."""

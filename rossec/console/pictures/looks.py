@@ -1,0 +1,172 @@
+"""What a topic looks like to each of its receivers: one picture for each way to see it. Pure.
+
+A type has a picture (`place`, `laser`, `image`, `series`) or its fields as text, with those struck
+that a receiver does not get. All receivers with the same restrictions share one.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from grants.model import FilterRule
+from grants.policy.privacy import filters_of
+from rossec.console import words
+from rossec.console.matrix import Access, Cell
+from rossec.console.pictures import image, laser, place, series
+from rossec.console.pictures.svg import Element
+from rossec.console.samples import Recorded, SeenTopic, try_see
+from rossec.ros.text import printable
+
+MAX_LOOKS: Final = 6
+MAX_FIELDS: Final = 24
+_MAX_VALUE: Final = 60
+
+
+class FieldLine(NamedTuple):
+    """A field of a message as text; `removed`: the receiver gets nothing in its place."""
+
+    path: str
+    value: str
+    removed: bool
+
+
+class Look(NamedTuple):
+    """How some receivers see a topic: a heading, a line below it, and a picture or fields."""
+
+    receivers: tuple[str, ...]
+    heading: str
+    caption: str
+    access: Access
+    picture: Element | None
+    fields: tuple[FieldLine, ...]
+
+
+class Comparison(NamedTuple):
+    """The looks of one topic; `more`: ways to see it that are not shown."""
+
+    topic: str
+    type: str
+    looks: tuple[Look, ...]
+    more: int
+    is_made_up: bool
+
+
+def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
+    """The different ways in which the receivers of `cells` see `recorded`, the widest first."""
+    ways: dict[Any, list[Cell]] = {}
+    for cell in cells:
+        if cell.access in (Access.ALL, Access.COARSE):
+            ways.setdefault(cell.restrictions, []).append(cell)
+    groups = sorted(ways.values(), key=lambda group: (group[0].access is not Access.ALL, group[0]))
+    shown = groups[:MAX_LOOKS]
+    exact = try_see(recorded, "", ())
+    seen = [try_see(recorded, group[0].receiver, group[0].restrictions) for group in shown]
+    drawer = _drawer(exact, [each for each in seen if each], [group[0] for group in shown])
+    looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
+    return Comparison(
+        recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up
+    )
+
+
+class _Drawer(NamedTuple):
+    """What the pictures of one topic share."""
+
+    exact: SeenTopic | None
+    frame: place.Frame | None
+    reach: float
+    field: str
+    span: series.Span | None
+
+
+def _drawer(exact: SeenTopic | None, seen: list[SeenTopic], cells: list[Cell]) -> _Drawer:
+    if exact is None:
+        return _Drawer(None, None, 0.0, "", None)
+    restrictions = [each for cell in cells for each in cell.restrictions]
+    frame = place.frame_of([exact], restrictions) if place.has_place(exact.type) else None
+    is_scan = exact.type == laser.TYPE
+    reach = max(map(laser.reach_of, [exact, *seen])) if is_scan else 0.0
+    drawn = frame is not None or exact.type in (laser.TYPE, image.TYPE)
+    field = "" if drawn else series.field_of(exact)
+    return _Drawer(exact, frame, reach, field, series.span_of([exact, *seen], field))
+
+
+def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Look:
+    cell = group[0]
+    receivers = tuple(each.receiver for each in group)
+    if seen is None:
+        said = "gets nothing: the grant does not fit these messages"
+        return Look(receivers, said, cell.words, cell.access, None, ())
+    got = len(seen.samples)
+    if got == 0:
+        caption = f"none of {words.count(seen.sent, 'message')} passed: {cell.words}"
+        return Look(receivers, "gets none of these", caption, cell.access, None, ())
+    heading, detail, picture = _picture(drawer, cell, seen)
+    caption = ": ".join(filter(None, (detail, cell.words)))
+    lines = () if picture is not None else _fields(drawer.exact, seen, cell)
+    return Look(receivers, heading, printable(caption, 400), cell.access, picture, lines)
+
+
+def _picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, Element | None]:
+    """Heading, how much it is, and the picture; without one the fields are shown."""
+    messages = words.count(len(seen.samples), "message")
+    if drawer.frame is not None:
+        return _place(drawer.frame, cell, seen, messages)
+    if seen.type == laser.TYPE:
+        return "sees what the laser meets", messages, laser.draw(seen, drawer.reach)
+    if seen.type == image.TYPE:
+        heading = "sees the picture" if cell.access is Access.ALL else "sees this of the picture"
+        return heading, messages, image.draw(seen)
+    if drawer.field and drawer.span is not None:
+        name = words.field_name(drawer.field, seen.type)
+        return f"sees the {name}", messages, series.draw(seen, drawer.field, drawer.span)
+    return "sees these fields", messages, None
+
+
+def _place(
+    frame: place.Frame, cell: Cell, seen: SeenTopic, messages: str
+) -> tuple[str, str, Element | None]:
+    cells = place.cells_of(cell.restrictions, frame.origin)
+    picture = place.draw(seen, frame, max(cells, default=None))
+    if picture is None:
+        return "does not see the place", messages, None
+    number = place.places(seen)
+    if cells:
+        squares = words.count(number, "square")
+        return "sees which square", f"{squares} in {messages}", picture
+    places = words.count(number, "different place")
+    return "sees the exact place", f"{places} in {messages}", picture
+
+
+def _fields(exact: SeenTopic | None, seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
+    """The last message as text; what a filter removed has no value."""
+    rules = [rule for each in cell.restrictions for rule in each.filters]
+    whole = exact.samples[-1].fields if exact is not None and exact.samples else {}
+    found: list[FieldLine] = []
+    _walk(seen.samples[-1].fields, whole, "", rules, found)
+    return tuple(found[:MAX_FIELDS])
+
+
+def _walk(
+    fields: Mapping[str, Any],
+    whole: Mapping[str, Any],
+    above: str,
+    rules: list[FilterRule],
+    found: list[FieldLine],
+) -> None:
+    for name, value in fields.items():
+        path = f"{above}{name}"
+        if isinstance(value, Mapping):
+            inside = whole.get(name, {})
+            _walk(value, inside if isinstance(inside, Mapping) else {}, f"{path}.", rules, found)
+            continue
+        removed = any(
+            rule.operator in ("clear", "drop", "zero") for rule in filters_of(rules, path)
+        )
+        found.append(FieldLine(path, "" if removed else _text(value), removed))
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if hasattr(value, "__len__") and not isinstance(value, str):
+        return f"{len(value)} values"
+    return printable(value, _MAX_VALUE)

@@ -1,0 +1,278 @@
+"""Where something was: a track for one who sees the place, squares for one who sees cells. Pure.
+
+All pictures of one topic have one frame (`Frame`), or a comparison of them would lie. A position on
+the earth is drawn in metres around the first one (equirectangular, exact enough for a minute).
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from grants.model import FilterRule, Restriction
+from rossec.console.pictures.svg import Element, Point, drawing, label, path
+from rossec.console.samples import Sample, SeenTopic
+
+WIDTH, HEIGHT = 600.0, 500.0
+_SHADES: Final = 5
+_EARTH: Final = 111_320.0  # metres of a degree of latitude
+_MARGIN: Final = 1.2  # metres around what was seen, at least
+_MAX_CELLS: Final = 400
+_MAX_POINTS: Final = 300
+
+# The field with the place, by message type; `_ON_EARTH` has latitude and longitude instead.
+_POSITION: Final[Mapping[str, str]] = {
+    "geometry_msgs/Pose": "position",
+    "geometry_msgs/PoseStamped": "pose.position",
+    "geometry_msgs/PoseWithCovarianceStamped": "pose.pose.position",
+    "geometry_msgs/PointStamped": "point",
+    "geometry_msgs/TransformStamped": "transform.translation",
+    "nav_msgs/Odometry": "pose.pose.position",
+}
+_ON_EARTH: Final = "sensor_msgs/NavSatFix"
+
+Extent: TypeAlias = tuple[float, float]
+
+
+class Frame(NamedTuple):
+    """What is drawn: centre, metres from edge to edge, and the place on earth that is (0, 0)."""
+
+    x: float
+    y: float
+    width: float
+    origin: Point | None = None
+
+    @property
+    def scale(self) -> float:
+        """Units of the picture for a metre."""
+        return WIDTH / self.width
+
+    def at(self, point: Point) -> Point:
+        """Where a point in metres lies in the picture; north is up."""
+        x = WIDTH / 2 + (point[0] - self.x) * self.scale
+        y = HEIGHT / 2 - (point[1] - self.y) * self.scale
+        return min(max(x, 0.0), WIDTH), min(max(y, 0.0), HEIGHT)
+
+
+def has_place(type_name: str) -> bool:
+    """Whether messages of this type are drawn here."""
+    return type_name in _POSITION or type_name == _ON_EARTH
+
+
+def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()) -> Frame | None:
+    """The frame for all of `seen`, with whole cells of `restrictions`; None: there is no place."""
+    given = list(seen)
+    origin = next(filter(None, (_origin(each) for each in given)), None)
+    points = [point for each in given for point in _points(each, origin)]
+    if not points:
+        return None
+    edge = max([_MARGIN, *(side for each in cells_of(restrictions, origin) for side in each)])
+    low_x, high_x = min(x for x, _ in points) - edge, max(x for x, _ in points) + edge
+    low_y, high_y = min(y for _, y in points) - edge, max(y for _, y in points) + edge
+    width = max(high_x - low_x, (high_y - low_y) * WIDTH / HEIGHT)
+    return Frame((low_x + high_x) / 2, (low_y + high_y) / 2, width, origin)
+
+
+def cells_of(restrictions: Iterable[Restriction], origin: Point | None = None) -> list[Extent]:
+    """The width and height in metres of the cells that `restrictions` leave of a place."""
+    found = []
+    for restriction in restrictions:
+        cell = _cell(restriction, origin)
+        if cell is not None:
+            found.append(cell)
+    return found
+
+
+def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
+    """One receiver's picture: squares if it gets cells, else the track; None: it gets no place."""
+    points = _points(seen, frame.origin)
+    if not points:
+        return None
+    parts = [_paper(frame, cell), _ruler(frame)]
+    if cell is None:
+        parts += [*_track(points, frame), *_arrow(seen, points[-1], frame)]
+        said = f"The track that {seen.receiver} sees"
+    else:
+        parts += _squares(points, frame, cell)
+        said = f"The {distinct(points)} squares that {seen.receiver} sees"
+    return drawing(WIDTH, HEIGHT, said, *parts, class_="place")
+
+
+def distinct(points: Sequence[Point]) -> int:
+    """The number of different places."""
+    return len({(round(x, 3), round(y, 3)) for x, y in points})
+
+
+def places(seen: SeenTopic) -> int:
+    """The number of different places that a receiver saw."""
+    return distinct(_points(seen, _origin(seen)))
+
+
+def _cell(restriction: Restriction, origin: Point | None) -> Extent | None:
+    steps = {rule.path: _step(rule) for rule in restriction.filters}
+    if restriction.type == _ON_EARTH:
+        north, east = steps.get("latitude"), steps.get("longitude")
+        if origin is None or (north is None and east is None):
+            return None
+        shrink = math.cos(math.radians(origin[0]))
+        return ((east or north or 0) * _EARTH * shrink, (north or east or 0) * _EARTH)
+    field = _POSITION.get(restriction.type or "")
+    if field is None:
+        return None
+    both = steps.get(field)
+    x, y = steps.get(f"{field}.x", both), steps.get(f"{field}.y", both)
+    return (x or y or 0.0, y or x or 0.0) if x or y else None
+
+
+def _step(rule: FilterRule) -> float | None:
+    step = dict(rule.parameters).get("step")
+    return float(step) if rule.operator == "round" and isinstance(step, int | float) else None
+
+
+def _read(sample: Sample, path_: str) -> Any:
+    value: Any = sample.fields
+    for step in path_.split("."):
+        value = value[step]
+    return value
+
+
+def _origin(seen: SeenTopic) -> Point | None:
+    if seen.type != _ON_EARTH:
+        return None
+    for sample in seen.samples:
+        at = (float(sample.fields["latitude"]), float(sample.fields["longitude"]))
+        if all(map(math.isfinite, at)) and any(at):
+            return at
+    return None
+
+
+def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
+    """The places in metres; none if all are zero, which is what a removed field leaves."""
+    if seen.type == _ON_EARTH:
+        if origin is None:
+            return []
+        shrink = math.cos(math.radians(origin[0])) * _EARTH
+        found = [
+            ((float(each.fields["longitude"]) - origin[1]) * shrink,
+             (float(each.fields["latitude"]) - origin[0]) * _EARTH)
+            for each in seen.samples
+        ]  # fmt: skip
+        return [point for point in found if all(map(math.isfinite, point))]
+    field = _POSITION.get(seen.type)
+    if field is None:
+        return []
+    read = [_read(each, field) for each in seen.samples]
+    found = [(float(each["x"]), float(each["y"])) for each in read]
+    found = [point for point in found if all(map(math.isfinite, point))]
+    return found if any(map(any, found)) else []
+
+
+def _paper(frame: Frame, cell: Extent | None) -> Element:
+    """The ground with lines a metre apart, or those between cells."""
+    wide, high = cell or _metres(frame)
+    lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=12.0)]
+    reach = frame.width * HEIGHT / WIDTH / 2
+    for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
+        across = frame.at((x, 0.0))[0]
+        lines.append(Element("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
+    for y in _steps(frame.y - reach, frame.y + reach, high, cell is not None):
+        up = frame.at((0.0, y))[1]
+        lines.append(Element("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
+    return Element("g", *lines)
+
+
+def _metres(frame: Frame) -> Extent:
+    step = _round_length(frame.width / 12)
+    return step, step
+
+
+def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
+    """Multiples of `step` inside, or the middles between them: a cell is around its multiple."""
+    offset = 0.5 if between else 0.0
+    first = math.ceil(low / step - offset)
+    last = math.floor(high / step - offset)
+    if last - first > 60:
+        return []
+    return [(number + offset) * step for number in range(first, last + 1)]
+
+
+def _ruler(frame: Frame) -> Element:
+    """A length to compare with, at the lower right."""
+    length = _round_length(frame.width / 4)
+    left, right, y = WIDTH - 24 - length * frame.scale, WIDTH - 24, HEIGHT - 22
+    said = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
+    return Element(
+        "g",
+        path([(left, y - 9), (left, y), (right, y), (right, y - 9)], "ruler"),
+        label((left + right) / 2, y - 12, said, "ruler-text", "middle"),
+    )
+
+
+def _round_length(metres: float) -> float:
+    """1, 2 or 5 times a power of ten, at most `metres`."""
+    power: float = 10.0 ** math.floor(math.log10(metres))
+    return max(step * power for step in (1, 2, 5) if step * power <= metres)
+
+
+def _track(points: list[Point], frame: Frame) -> list[Element]:
+    """The track, the older the paler; pieces share their ends, so that no gap shows."""
+    thinned = points[:: max(1, len(points) // _MAX_POINTS)]
+    drawn = [frame.at(point) for point in (*thinned, points[-1])]
+    size = max(2, math.ceil(len(drawn) / _SHADES))
+    pieces = [drawn[start : start + size + 1] for start in range(0, len(drawn), size)]
+    first = _SHADES - len(pieces)
+    return [
+        path(piece, f"track shade{first + number + 1}")
+        for number, piece in enumerate(pieces)
+        if len(piece) > 1
+    ]
+
+
+def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
+    """A disc where it is now, and a wedge in its direction where one is known."""
+    x, y = frame.at(last)
+    parts = [Element("circle", cx=x, cy=y, r=20.0, class_="halo")]
+    heading = _heading(seen)
+    if heading is not None:
+        tip = [
+            (x + reach * math.cos(heading + turn), y - reach * math.sin(heading + turn))
+            for turn, reach in ((0.35, 16), (0.0, 30), (-0.35, 16))
+        ]
+        inside = [(min(max(a, 0.0), WIDTH), min(max(b, 0.0), HEIGHT)) for a, b in tip]
+        parts.append(path(inside, "heading"))
+    return [*parts, Element("circle", cx=x, cy=y, r=9.0, class_="here")]
+
+
+def _heading(seen: SeenTopic) -> float | None:
+    """The angle of the last direction about the vertical; None if it was removed."""
+    field = _POSITION.get(seen.type, "").rpartition("position")[0]
+    try:
+        turn = _read(seen.samples[-1], f"{field}orientation")
+        z, w = float(turn["z"]), float(turn["w"])
+    except (KeyError, TypeError):
+        return None
+    known = math.isfinite(z) and math.isfinite(w) and (z, w) != (0.0, 0.0)
+    return 2 * math.atan2(z, w) if known else None
+
+
+def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
+    """A square for each place, the darker the longer it was there; the last has a border."""
+    counts = Counter(points)
+    most = max(counts.values())
+    wide, high = cell[0] * frame.scale, cell[1] * frame.scale
+    squares = []
+    for point, times in counts.most_common(_MAX_CELLS):
+        x, y = frame.at(point)
+        shade = max(1, math.ceil(_SHADES * times / most))
+        now = " now" if point == points[-1] else ""
+        squares.append(_box(x, y, wide, high, f"square shade{shade}{now}"))
+    return squares
+
+
+def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
+    left, right = max(x - wide / 2, 0.0) + 2, min(x + wide / 2, WIDTH) - 2
+    top, bottom = max(y - high / 2, 0.0) + 2, min(y + high / 2, HEIGHT) - 2
+    return Element(
+        "rect", x=left, y=top, width=max(right - left, 1.0), height=max(bottom - top, 1.0),
+        rx=6.0, class_=class_,
+    )  # fmt: skip

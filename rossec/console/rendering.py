@@ -1,0 +1,80 @@
+"""Templates: what a page shows becomes HTML, with everything escaped.
+
+Texts of nodes go through `printable` before they are escaped, so that none turns the direction of
+the line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
+"""
+
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+
+from rossec.console.assets import asset_path
+from rossec.console.context import ConsoleContext
+from rossec.console.forms import to_base64url
+from rossec.ros.text import printable
+
+FOLDER: Final = Path(__file__).parent / "templates"
+
+
+class Place(NamedTuple):
+    """An entry of the navigation."""
+
+    path: str
+    label: str
+
+
+NAVIGATION: Final = (
+    Place("/", "Today"),
+    Place("/who", "Who sees what"),
+    Place("/add", "Add a node"),
+    Place("/way", "The way it goes"),
+    Place("/log", "What happened"),
+    Place("/phones", "Your phone"),
+)
+
+
+def render(
+    context: ConsoleContext, request: Request, template: str, status: int = 200, **values: Any
+) -> Response:
+    """The page that a template makes of `values`.
+
+    Beside them it gets `domain`, `session` (None: nobody is logged in), `places` (the navigation),
+    `here` (the path), `read_only`, `now`, and `number` (of the news). With `live=True` the page is
+    loaded again when anything changes (`live.js`).
+    """
+    session = getattr(request.state, "session", None)
+    text = _environment().get_template(template).render(
+        domain=context.settings.domain,
+        session=session,
+        places=NAVIGATION if session is not None else (),
+        here=request.url.path,
+        read_only=context.settings.read_only,
+        number=context.news.number,
+        now=context.clock(),
+        **values,
+    )  # fmt: skip
+    return HTMLResponse(text, status)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.globals["asset"] = asset_path
+    environment.filters["printable"] = printable
+    environment.filters["hex"] = bytes.hex
+    environment.filters["base64url"] = to_base64url
+    environment.filters["day"] = _day
+    return environment
+
+
+def _day(time: int) -> str:
+    """A time as a day, in the console's own time zone."""
+    return datetime.fromtimestamp(time).astimezone().strftime("%-d %B %Y, %H:%M")

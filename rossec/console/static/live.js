@@ -1,0 +1,25 @@
+// A page that says `data-live` is loaded again when anything has changed. Scripts make no HTML, so
+// the page comes from the console as at first. Not while a person is at it: then a line says so.
+
+const main = document.querySelector("main[data-live]");
+
+function isInUse() {
+  const active = document.activeElement;
+  return "busy" in document.body.dataset || (active && active !== document.body && active !== main);
+}
+
+function changed() {
+  if (!isInUse()) return location.reload();
+  main.querySelector("[data-changed]").hidden = false;
+}
+
+if (main) {
+  let known = main.dataset.live || null; // the number the page was made at
+  const news = new EventSource("/news");
+  news.addEventListener("message", ({ data }) => {
+    if (known === null) known = data;
+    else if (known !== data) { known = data; changed(); }
+  });
+  addEventListener("pagehide", () => news.close());
+  addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
+}

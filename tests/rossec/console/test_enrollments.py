@@ -1,0 +1,133 @@
+"""The table of nodes that are being added."""
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+from ca.enrollment import qr
+from ca.errors import CodeExpired, CodeRefused, EnrollmentOver
+from rossec.authority.console.views import Outcome
+from rossec.console.enrollment import Enrollment, Stage
+from rossec.console.enrollments import MAX_KEPT, MAX_RUNNING, Enrollments
+from rossec.errors import ConfigurationError, EnrollmentUnknown, TooManyEnrollments
+from tests.rossec.console.test_enrollment import Service
+from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
+
+SIGNED = Outcome(bytes(16), "failed", "the key is broken", b"")
+
+
+class Changes:
+    """Counts, and lets a test wait for a stage."""
+
+    def __init__(self) -> None:
+        self.event = asyncio.Event()
+
+    def __call__(self) -> None:
+        self.event.set()
+
+    async def until(self, found: Enrollment, *stages: Stage) -> None:
+        async with asyncio.timeout(20):
+            while found.stage not in stages:
+                self.event.clear()
+                await self.event.wait()
+
+
+@pytest.fixture
+async def table() -> AsyncIterator[tuple[Enrollments, Changes]]:
+    changes = Changes()
+    made = Enrollments(Service(), "home", clock, changes)
+    yield made, changes
+    await made.close()
+
+
+Table = tuple[Enrollments, Changes]
+
+
+async def test_a_code_begins_an_enrollment_whose_pages_follow_it(table: Table) -> None:
+    enrollments, changes = table
+    with WaitingRobot(Robot()) as robot:
+        number = enrollments.begin(robot.code)
+        found = enrollments.get(number)
+        await changes.until(found, Stage.COMPARED)
+        assert found.core.request.name == NAME
+        assert len(enrollments) == 1
+        enrollments.approved(number, SIGNED)
+        enrollments.approved(number, SIGNED)  # a second browser: nothing happens twice
+        await changes.until(found, Stage.FAILED)
+    assert "the key is broken" in str(found.error)
+    assert len(enrollments) == 0
+
+
+async def test_a_label_needs_the_address_of_its_node(table: Table) -> None:
+    enrollments, changes = table
+    with WaitingRobot(Robot(), label=True) as robot:
+        with pytest.raises(CodeRefused, match="a label: it does not say where its node is"):
+            enrollments.begin(robot.code)
+        with pytest.raises(ConfigurationError, match="is not an address"):
+            enrollments.begin(robot.code, "no where")
+        found = enrollments.get(enrollments.begin(robot.code, robot.where))
+        await changes.until(found, Stage.COMPARED)
+        assert found.source == f"a label at {robot.where}"
+
+
+async def test_a_code_that_has_expired_begins_nothing(table: Table) -> None:
+    enrollments, _ = table
+    node = Robot().enrollment(now=clock() - 1000)
+    with pytest.raises(CodeExpired):
+        enrollments.begin(node.code("127.0.0.1:9"))
+    with pytest.raises(CodeRefused):
+        enrollments.begin("https://example.org")
+    assert len(enrollments) == 0
+
+
+async def test_the_number_of_enrollments_is_bounded(table: Table) -> None:
+    enrollments, _ = table
+    with WaitingRobot(Robot()) as robot:
+        for _ in range(MAX_RUNNING):
+            enrollments.begin(robot.code)
+        with pytest.raises(TooManyEnrollments):
+            enrollments.begin(robot.code)
+
+
+async def test_the_oldest_that_ended_are_forgotten(table: Table) -> None:
+    enrollments, changes = table
+    text = qr.label_code(b"a request")
+    numbers = []
+    for _ in range(MAX_KEPT + 3):
+        numbers.append(enrollments.begin(text, "127.0.0.1:9"))
+        await changes.until(enrollments.get(numbers[-1]), Stage.FAILED)
+    with pytest.raises(EnrollmentUnknown):
+        enrollments.get(numbers[0])
+    enrollments.get(numbers[-1])
+
+
+async def test_a_rejected_node_is_not_approved_afterwards(table: Table) -> None:
+    enrollments, changes = table
+    with WaitingRobot(Robot()) as robot:
+        number = enrollments.begin(robot.code)
+        found = enrollments.get(number)
+        await changes.until(found, Stage.COMPARED)
+        await enrollments.reject(number)
+        enrollments.approved(number, SIGNED)
+        assert found.stage is Stage.REJECTED
+        with pytest.raises(EnrollmentOver):
+            await enrollments.reject(number)
+    with pytest.raises(EnrollmentUnknown):
+        await enrollments.reject("0" * 32)
+
+
+async def test_a_step_that_crashes_ends_its_enrollment(
+    table: Table, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    enrollments, changes = table
+
+    async def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("rossec.console.enrollment.fetch", broken)
+    found = enrollments.get(enrollments.begin(qr.label_code(b"x"), "127.0.0.1"))
+    await changes.until(found, Stage.FAILED)
+    await asyncio.sleep(0)
+    assert str(found.error) == "the console has failed at this"
+    assert "crashed" in caplog.text

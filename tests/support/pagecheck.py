@@ -1,0 +1,73 @@
+"""What must hold for a page in each of its states, and the pictures of it.
+
+`ROSSEC_PICTURES=docs/pictures` has the tests of tests/browser write the pictures of the
+documentation there; with `ROSSEC_EVERY_PICTURE=1` each state phone and desktop, light and dark.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any, Final
+
+import axe_playwright_python
+from PIL import Image
+
+from tests.support.browser import DESKTOP, PHONE, Scheme, Window
+
+MAX_PAGE: Final = 100_000  # bytes of a page with all that it loads
+MAX_PICTURE: Final = 150_000
+_AXE: Final = Path(axe_playwright_python.__file__).with_name("axe.min.js")
+_VARIANTS: Final[dict[str, tuple[tuple[int, int], Scheme]]] = {
+    "phone": (PHONE, "light"), "phone-dark": (PHONE, "dark"),
+    "desktop": (DESKTOP, "light"), "desktop-dark": (DESKTOP, "dark"),
+}  # fmt: skip
+
+
+class PageCheck:
+    """Checks states of pages; pictures of those go to `folder`, unless the environment says."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(os.environ.get("ROSSEC_PICTURES") or folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._every = os.environ.get("ROSSEC_EVERY_PICTURE") == "1"
+        self.seen: list[str] = []
+
+    def __call__(self, window: Window, state: str, *keep: str) -> None:
+        """Check the state that `window` shows, called `state`; `keep` names its pictures."""
+        self.seen.append(state)
+        assert not (found := accessibility(window)), found
+        window.page.emulate_media(color_scheme="dark")
+        assert not (found := accessibility(window, "color-contrast")), found
+        window.page.emulate_media(color_scheme="light")
+        assert not window.is_too_wide(), f"{state} scrolls sideways"
+        assert 0 < sum(window.sizes.values()) < MAX_PAGE, f"size: {window.sizes}"
+        for name in _VARIANTS if self._every else keep or ("phone",):
+            size, scheme = _VARIANTS[name]
+            path = self.folder / f"{state}-{name}.png"
+            window.screenshot(path, size=size, scheme=scheme)
+            _shrink(path)
+            assert path.stat().st_size < MAX_PICTURE, path
+
+
+def accessibility(window: Window, *rules: str) -> list[str]:
+    """What axe-core finds in the page, by all of its rules or by these alone."""
+    options: dict[str, Any] = {"resultTypes": ["violations", "passes"]}
+    if rules:
+        options["runOnly"] = list(rules)
+    found = window.evaluate_apart(
+        _AXE.read_text(), f"axe.run(document, {json.dumps(options)}).then(JSON.stringify)"
+    )
+    report = json.loads(found)
+    assert report["passes"] or rules, "no rule of axe-core applied"
+    return [
+        f"{each['id']}: {each['help']}: {node['html'][:160]} ({node['failureSummary']})"
+        for each in report["violations"]
+        for node in each["nodes"]
+    ]
+
+
+def _shrink(path: Path) -> None:
+    """A palette: pages have few colours."""
+    with Image.open(path) as picture:
+        small = picture.convert("RGB").quantize(128, dither=Image.Dither.NONE)
+    small.save(path, optimize=True)
