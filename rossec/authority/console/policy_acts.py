@@ -19,8 +19,8 @@ from grants.model import ID_SIZE
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
 from rossec.authority.console.acts import Approved, Arguments, Conclude, ToApprove
 from rossec.authority.master_call import MasterCall
-from rossec.authority.policyfile import PolicyFile
 from rossec.authority.policy_plan import PolicyPlan
+from rossec.authority.policyfile import PolicyFile
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError, KeyServiceRefused
