@@ -24,7 +24,7 @@ from ca.store.record import Store
 from rossec import clock
 from rossec.authority.console.acts import Act, Approved
 from rossec.authority.console.records import to_value
-from rossec.authority.console.statements import Shown, Statements
+from rossec.authority.console.statements import PreparedStatement, Statements
 from rossec.authority.console.views import Outcome, Prepared
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.errors import AuthorityLocked, KeyServiceRefused, NotDelivered
@@ -106,7 +106,7 @@ class Approving:
                     )
                 statement = _state(store, kind, service.home.domain, at, wanted.what)
         statement.check_payload(wanted.payload)
-        self._statements.add(Shown(statement, wanted.payload, given))
+        self._statements.add(PreparedStatement(statement, wanted.payload, given))
         return to_value(
             Prepared(
                 statement.id, statement.to_bytes(), statement.challenge, statement.until,

@@ -18,7 +18,7 @@ MAX_OF_KIND: Final = 16
 _HINT: Final = "look at the page again, and approve that"
 
 
-class Shown(NamedTuple):
+class PreparedStatement(NamedTuple):
     """A statement that was shown, its payload, and the arguments it was made from."""
 
     statement: Statement
@@ -32,9 +32,9 @@ class Statements:
     def __init__(self, elapsed: clock.Seconds | None = None) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._shown: dict[bytes, tuple[Shown, float]] = {}
+        self._shown: dict[bytes, tuple[PreparedStatement, float]] = {}
 
-    def add(self, shown: Shown) -> None:
+    def add(self, shown: PreparedStatement) -> None:
         """Keep a statement. Where there are too many, the oldest of its kind is dropped."""
         with self._lock:
             self._drop_old()
@@ -42,7 +42,7 @@ class Statements:
                 self._make_room(limit, kind)
             self._shown[shown.statement.id] = shown, self._elapsed() + LIFETIME
 
-    def take(self, number: bytes, now: int) -> Shown:
+    def take(self, number: bytes, now: int) -> PreparedStatement:
         """The statement with this id, which is used up by this.
 
         Raises:
