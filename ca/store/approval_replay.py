@@ -93,4 +93,4 @@ class _Replay:
 
 def _require(holds: bool, entry: LogEntry) -> None:
     if not holds:
-        raise LogDamaged(f"log entry {entry.number} is an {entry.what} that cannot be", _HINT)
+        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", _HINT)

@@ -42,6 +42,7 @@ class Restored:
     home: AuthorityHome
     entries: int
     restored_revocations: int  # revocations added from a newer list
+    ended_phones: int = 0  # passkeys that could approve
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
@@ -100,7 +101,8 @@ def restore(
         with _locked(target):
             if target.exists():
                 _check_replacement(AuthorityHome(target), authority, over, forget)
-            revived = _start_new_epoch(authority, newest, size, now)
+            phones = _end_what_was_open(authority, size, now)
+            revived = _start_new_epoch(authority, newest, now)
             authority.store.close()
             if target.exists():
                 aside = (target.with_name(f"ca.replaced.{number}") for number in count(now))
@@ -109,7 +111,7 @@ def restore(
     except BaseException:
         shutil.rmtree(staging, ignore_errors=True)
         raise
-    return Restored(AuthorityHome(target), size, revived)
+    return Restored(AuthorityHome(target), size, revived, phones)
 
 
 def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
@@ -212,18 +214,20 @@ def _revoked_by(
     return listing.entries
 
 
-def _start_new_epoch(
-    authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
-) -> int:
-    """Start a new epoch and add missing revocations; an intermediate has neither.
+def _end_what_was_open(authority: SigningAuthority, entries: int, now: int) -> int:
+    """Note the restore, and end what the backup does not know enough of; returns how many passkeys.
 
-    Invitations end: the backup does not know which of their uses were taken since. So do passkeys,
-    of which one may have been removed since, and what was approved and not carried out.
+    Of an invitation's uses some may have been taken since, a passkey may have been removed, and an
+    approval been carried out.
     """
     authority.store.log_event(RESTORED, "record", f"from {entries} entries", now)
     authority.store.invitations.end_all(_REASON, now)
     authority.store.approvals.end_waiting(_REASON, now)
-    authority.store.passkeys.end_all(_REASON, now)
+    return authority.store.passkeys.end_all(_REASON, now)
+
+
+def _start_new_epoch(authority: SigningAuthority, newest: frozenset[bytes], now: int) -> int:
+    """Start a new epoch and add missing revocations; an intermediate has neither."""
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()

@@ -16,18 +16,22 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
+from ca.approvals.statement import Kind
 from ca.authority import Authority, create_root
 from ca.certificates import build_request, check_request, from_pem
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
 from ca.renewal import sign_renewal
 from ca.revocation.state import open_list
+from ca.store.approvals import ApprovalState
 from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
+from tests.support import approving
 from tests.support.killing import run_killed
 from tests.support.oldstore import write_version_1
+from tests.support.passkeys import Passkey
 
 NOW = 1_800_000_000
 ROOT, NODE, NEW = (KeySigner(generate()) for _ in range(3))
@@ -91,13 +95,37 @@ def replace(authority: SigningAuthority, directory: Path) -> None:
     (directory / "out.pem").write_bytes(bundle)
 
 
+PHONE = Passkey()
+
+
+def approve(authority: SigningAuthority, _: Path) -> None:
+    """A phone is added, approves once, and the act is recorded with the approval."""
+    store = authority.store
+    if not store.passkeys.all():
+        store.passkeys.add(approving.registered(PHONE))
+    if not store.approvals.all():
+        statement = approving.state(approving.WHATS[Kind.DELEGATE], store=store)
+        with store.transaction():
+            store.approvals.add(approving.touch(statement, device=PHONE))
+            store.log_event("delegation", "/master", "", NOW)
+    for approval in store.approvals.waiting():
+        store.approvals.end(approval.id, ApprovalState.DONE, "", NOW)
+
+
+def check_approved(directory: Path) -> None:
+    """An approval is recorded exactly if what it approved was."""
+    with closing(opened(directory).store) as store:
+        acts = [entry for entry in store.log.entries() if entry.what == "delegation"]
+        assert len(acts) == len(store.approvals.all()) <= 1
+
+
 def migrate(authority: SigningAuthority, _: Path) -> None:
     assert authority.store.log.entries()[-1].what == "migrated"
 
 
 SCENARIOS: dict[str, Scenario] = {
     "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
-    "replace": replace, "migrate": migrate,
+    "replace": replace, "approve": approve, "migrate": migrate,
 }  # fmt: skip
 
 
@@ -110,7 +138,7 @@ def act(scenario: Scenario, directory: Path) -> None:
 def check(directory: Path, before: int) -> None:
     """The invariants, however the previous process ended."""
     with closing(opened(directory).store) as store:
-        store.log.audit(ROOT.public_key)
+        store.log.audit(ROOT.public_key)  # approvals too
         ders = [row.der for row in store.identities.all()]
         assert before <= len(ders) <= before + 1, "an identity was lost, or there are two"
         for out in directory.glob("*.pem"):
@@ -137,9 +165,11 @@ def run(name: str, base: Path, work: Path) -> Counter[str]:
         shutil.copytree(base, directory)
         died = run_killed(partial(act, scenario, directory), deaths.total() + 1)
         check(directory, _count(base))
+        check_approved(directory)
         recorded = _newest(directory) if _count(directory) == total else None
         act(scenario, directory)
         check(directory, _count(base))
+        check_approved(directory)
         assert _count(directory) == total, "doing it again did not complete it"
         if name != "migrate":  # the old database has no list
             check_listed(directory)

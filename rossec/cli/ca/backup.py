@@ -73,6 +73,8 @@ def restore(
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
+    if found.ended_phones:
+        note("no phone can approve any more: register phones again: rossec console phone")
     if found.home.is_intermediate:  # it signs no lists
         return
     if newest is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-SCENARIOS = {"issue", "deny", "collect", "revoke", "renew", "replace", "migrate"}
+SCENARIOS = {"issue", "deny", "collect", "revoke", "renew", "replace", "approve", "migrate"}
 
 
 @pytest.mark.timeout(300)  # some 280 processes: seconds on an idle machine, minutes on a busy one

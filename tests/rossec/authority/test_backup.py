@@ -10,6 +10,7 @@ import pytest
 from ca.errors import (
     BackupRefused,
     LogDamaged,
+    PasskeyUnknown,
     PassphraseRefused,
     RecordUnusable,
     RevocationRefused,
@@ -24,6 +25,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.lock import LOCK, service_lock
 from rossec.errors import ConfigurationError
+from tests.support import approving, passkeys
 from tests.support.commands import PASSPHRASE, Shell, refused
 
 NOW = int(time.time())
@@ -64,6 +66,30 @@ def test_everything_comes_back(home: AuthorityHome, tmp_path: Path) -> None:
     unlocked = done.home.unlock(PASSPHRASE)
     unlocked.store.log.audit(unlocked.signer.public_key)
     assert [entry.what for entry in unlocked.store.log.entries()[-2:]] == ["restored", "list"]
+
+
+def test_a_restore_ends_passkeys_and_what_waits(home: AuthorityHome, tmp_path: Path) -> None:
+    """The backup does not know which phone was removed since, nor what was carried out."""
+    device = passkeys.Passkey()
+    with closing(home.store()) as store:
+        store.passkeys.add(approving.registered(device, at=NOW))
+        waits, late = (
+            approving.approve(store, id=id_ * 16, device=device, at=NOW) for id_ in (b"1", b"2")
+        )
+        store.approvals.add(waits)
+        data = back_up(home, PASSPHRASE)
+        store.approvals.add(late)
+        store.passkeys.end(device.id, "stolen", NOW)
+    restored = restore(tmp_path / "new", data, PASSPHRASE, NOW).home
+    with closing(restored.store()) as store:
+        assert store.passkeys.active() == []
+        assert store.passkeys.ended() == {device.id: "restored from a backup"}
+        assert store.approvals.waiting() == []
+        assert store.approvals.ends()[waits.id].state == "failed"
+        with pytest.raises(PasskeyUnknown):
+            store.approvals.add(late)
+        store.passkeys.add(approving.registered(passkeys.Passkey(), "again", NOW))
+        store.log.audit(restored.own_key())
 
 
 def test_a_new_epoch_beats_what_was_signed_since(home: AuthorityHome, tmp_path: Path) -> None:

@@ -1,0 +1,200 @@
+import hashlib
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ca.approvals.statement import (
+    LIFETIME,
+    MAX_PAYLOAD,
+    MAX_STATEMENT,
+    VERSION,
+    Delegate,
+    Enroll,
+    ForeignDomain,
+    Grant,
+    Intermediate,
+    Invitation,
+    Kind,
+    NewPasskey,
+    PolicyChange,
+    RevokeMaster,
+    Statement,
+)
+from ca.encoding import decode, encode
+from ca.errors import StatementRefused
+from tests.support.approving import NOW, WHATS, state
+
+digests = st.binary(min_size=32, max_size=32)
+ids = st.binary(min_size=16, max_size=16)
+numbers = st.integers(0, (1 << 53) - 1)
+texts = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=64)
+whats = st.one_of(
+    st.builds(Enroll, digests, texts, digests, st.booleans(), numbers, st.booleans()),
+    st.builds(Grant, ids, digests),
+    st.builds(PolicyChange, digests, digests),
+    st.builds(Delegate, digests, numbers, numbers),
+    st.builds(Intermediate, digests, st.booleans(), numbers),
+    st.builds(NewPasskey, st.binary(min_size=1, max_size=1023), digests, texts),
+    st.builds(Invitation, texts, numbers, numbers, st.booleans()),
+    st.builds(ForeignDomain, digests),
+    st.builds(RevokeMaster, st.one_of(texts, st.just(""))),
+)
+
+
+@st.composite
+def statements(draw: st.DrawFn) -> Statement:
+    what = draw(whats)
+    made = draw(st.integers(0, 1 << 40))
+    until = made + draw(st.integers(1, LIFETIME))
+    return state(what)._replace(
+        id=draw(ids), domain=draw(texts), made=made, until=until,
+        log_size=draw(numbers), log_root=draw(digests),
+    )  # fmt: skip
+
+
+@given(statements())
+def test_a_statement_comes_back(statement: Statement) -> None:
+    found = Statement.from_bytes(statement.to_bytes())
+    assert found == statement
+    assert type(found.what) is type(statement.what)
+
+
+@given(statements(), statements())
+def test_no_two_statements_have_one_challenge(first: Statement, second: Statement) -> None:
+    same = first == second and type(first.what) is type(second.what)
+    assert (first.challenge == second.challenge) == same
+
+
+@given(statements(), st.data())
+def test_another_byte_is_another_challenge_or_no_statement(
+    statement: Statement, data: st.DataObject
+) -> None:
+    encoded = bytearray(statement.to_bytes())
+    encoded[data.draw(st.integers(0, len(encoded) - 1))] ^= data.draw(st.integers(1, 255))
+    try:
+        found = Statement.from_bytes(bytes(encoded))
+    except StatementRefused:
+        return
+    assert found != statement
+    assert found.challenge != statement.challenge
+    assert found.to_bytes() == encoded
+
+
+def test_each_kind_has_a_form() -> None:
+    assert set(WHATS) == set(Kind)
+    for kind, what in WHATS.items():
+        value = decode(state(what).to_bytes())
+        assert isinstance(value, list)
+        assert value[:2] == [VERSION, kind]
+
+
+def test_the_challenge_is_the_digest_of_the_encoding() -> None:
+    statement = state(WHATS[Kind.GRANT])
+    assert statement.challenge == hashlib.sha256(statement.to_bytes()).digest()
+
+
+@pytest.mark.parametrize("size", [0, 1, 20, -1])
+def test_a_truncated_or_longer_statement_is_refused(size: int) -> None:
+    encoded = state(WHATS[Kind.ENROLL]).to_bytes()
+    for data in (encoded[:size], encoded + bytes(abs(size) or 1)):
+        with pytest.raises(StatementRefused, match="not a statement"):
+            Statement.from_bytes(data)
+
+
+def test_a_large_statement_is_refused_before_it_is_parsed() -> None:
+    with pytest.raises(StatementRefused, match=f"at most {MAX_STATEMENT} are allowed"):
+        Statement.from_bytes(bytes(MAX_STATEMENT + 1))
+
+
+HEAD: list[Any] = [VERSION, 2, b"i" * 16, "home", NOW, NOW + 300, [0, bytes(32)]]
+GRANT = [b"r" * 16, bytes(32)]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        [],
+        {},
+        [*HEAD],
+        [*HEAD, GRANT, 0],
+        [*HEAD, [*GRANT, 0]],
+        [*HEAD, GRANT[:1]],
+        [*HEAD, [b"r" * 15, bytes(32)]],
+        [*HEAD, [b"r" * 16, bytes(31)]],
+        [*HEAD, {}],
+        ["rossec-approval-v2", *HEAD[1:], GRANT],
+        ["rossec-login-v1", *HEAD[1:], GRANT],
+        [VERSION, 0, *HEAD[2:], GRANT],
+        [VERSION, 10, *HEAD[2:], GRANT],
+        [VERSION, 3, *HEAD[2:], GRANT],
+        [VERSION, "2", *HEAD[2:], GRANT],
+        [VERSION, 2, b"i" * 15, *HEAD[3:], GRANT],
+        [VERSION, 2, b"i" * 16, "", *HEAD[4:], GRANT],
+        [VERSION, 2, b"i" * 16, b"home", *HEAD[4:], GRANT],
+        [*HEAD[:4], NOW, NOW, HEAD[6], GRANT],
+        [*HEAD[:4], NOW, NOW + 301, HEAD[6], GRANT],
+        [*HEAD[:4], -1, 1, HEAD[6], GRANT],
+        [*HEAD[:4], True, 2, HEAD[6], GRANT],
+        [*HEAD[:4], float(NOW) + 0.5, NOW + 300, HEAD[6], GRANT],
+        [*HEAD[:4], 1 << 53, (1 << 53) + 1, HEAD[6], GRANT],
+        [*HEAD[:6], [-1, bytes(32)], GRANT],
+        [*HEAD[:6], [0, bytes(33)], GRANT],
+        [*HEAD[:6], [0], GRANT],
+        [VERSION, True, *HEAD[2:], [bytes(32), "/a", bytes(32), False, 1, False]],
+        [VERSION, 1, *HEAD[2:], [bytes(32), "/a", bytes(32), 0, 1, False]],
+        [VERSION, 1, *HEAD[2:], [bytes(32), "/a", bytes(32), False, True, False]],
+        [VERSION, 6, *HEAD[2:], [bytes(1024), bytes(32), "phone"]],
+        [VERSION, 6, *HEAD[2:], [b"", bytes(32), "phone"]],
+        [VERSION, 9, *HEAD[2:], ["x" * 1025]],
+    ],
+)
+def test_anything_else_is_refused(value: Any) -> None:
+    with pytest.raises(StatementRefused):
+        Statement.from_bytes(encode(value))
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        state(WHATS[Kind.GRANT])._replace(kind=Kind.ENROLL),
+        state(WHATS[Kind.GRANT])._replace(domain="\ud800"),
+        state(WHATS[Kind.GRANT])._replace(until=NOW),
+        state(Grant(b"r", bytes(32))),
+        state(Enroll(bytes(32), "", bytes(32), wildcard=False, lifetime=1, replaces=False)),
+        state(Delegate(bytes(32), -1, 1)),
+    ],
+)
+def test_what_is_no_statement_is_not_written(statement: Statement) -> None:
+    with pytest.raises(StatementRefused):
+        statement.to_bytes()
+
+
+@pytest.mark.parametrize("kind", sorted(Kind))
+def test_a_payload_is_the_one_of_the_digest(kind: Kind) -> None:
+    payload = b"shown"
+    digest = hashlib.sha256(payload).digest()
+    fields = {
+        Kind.ENROLL: "csr", Kind.GRANT: "payload", Kind.POLICY: "new", Kind.INTERMEDIATE: "csr",
+    }  # fmt: skip
+    what = WHATS[kind]
+    if kind in fields:
+        what = type(what)(**{**what._asdict(), fields[kind]: digest})
+        state(what).check_payload(payload)
+        with pytest.raises(StatementRefused, match="not what was shown"):
+            state(what).check_payload(b"")
+    else:
+        state(what).check_payload(b"")
+        with pytest.raises(StatementRefused, match="not what was shown"):
+            state(what).check_payload(payload)
+    with pytest.raises(StatementRefused, match="too large"):
+        state(what).check_payload(bytes(MAX_PAYLOAD + 1))
+
+
+def test_a_statement_is_about_what_it_answers() -> None:
+    subjects = {kind: state(what).subject for kind, what in WHATS.items()}
+    assert subjects[Kind.GRANT] == b"r" * 16
+    assert subjects[Kind.PASSKEY] == b"credential"
+    assert subjects[Kind.POLICY] == PolicyChange(*WHATS[Kind.POLICY]).new
+    assert subjects[Kind.INVITATION] == subjects[Kind.REVOKE_MASTER] == b""
