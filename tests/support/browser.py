@@ -179,7 +179,7 @@ class Window:
         return page
 
     def _on_console(self, message: ConsoleMessage) -> None:
-        if message.type in {"error", "warning"}:
+        if message.type == "error":
             self.faults.append(f"console: {message.text} {message.location.get('url', '')}")
 
     def _on_failed(self, request: Request) -> None:
