@@ -11,8 +11,10 @@ from rossec import clock
 from rossec.authority.console.client import ConsoleClient
 from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
+from rossec.console.made_codes import MadeCodes
 from rossec.console.news import News
 from rossec.console.pending import PendingActs
+from rossec.console.samples import Preview
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings
 
@@ -37,24 +39,28 @@ class ConsoleContext:
         service: the authority's service.
         settings: what it was started with.
         scanner: reads codes; None: this console has none.
+        preview: gives real messages; None: pictures show made-up ones, and say so.
         clock: seconds since the epoch.
     """
 
     service: ConsoleClient
     settings: Settings
     scanner: Scanner | None = None
+    preview: Preview | None = None
     clock: Callable[[], int] = clock.now
     sessions: Sessions = field(init=False)
     news: News = field(init=False)
     failures: FailureLimit = field(init=False)
     pending: PendingActs = field(init=False)
     enrollments: Enrollments = field(init=False)
+    made_codes: MadeCodes = field(init=False)
 
     def __post_init__(self) -> None:
         self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
         self.news = News(self.service.status)
         self.failures = FailureLimit()
         self.pending = PendingActs()
+        self.made_codes = MadeCodes()
         self.enrollments = Enrollments(
             self.service, self.settings.domain, self.clock, self.news.changed
         )

@@ -46,6 +46,7 @@ class Options:
     tls_key: Path | None = None
     unix_path: Path | None = None
     origin: str | None = None
+    proxy_user: str | None = None
     port: int | None = None
     read_only: bool = False
     hand_out: bool = False
@@ -60,6 +61,7 @@ class Endpoint:
         name: the host of `origin`, to which passkeys belong.
         addresses: to listen at; none if `unix_path` is set.
         port: to listen at.
+        proxy_user: who connects to `unix_path`; None: the user of the console.
         tls: who makes the certificate.
         tls_certificate, tls_key: the files of `Tls.FILES`.
         read_only: nothing but looking; no code that could do more is there.
@@ -71,6 +73,7 @@ class Endpoint:
     addresses: tuple[str, ...] = ()
     port: int = 0
     unix_path: Path | None = None
+    proxy_user: str | None = None
     tls: Tls = Tls.NONE
     tls_certificate: Path | None = None
     tls_key: Path | None = None
@@ -172,6 +175,11 @@ def _check_pairs(options: Options) -> None:
             "--unix PATH --origin https://NAME, as browsers see it",
         ),
         (
+            options.proxy_user is not None and options.unix_path is None,
+            "--proxy-user is for --unix",
+            "it is the user who may connect to the socket",
+        ),
+        (
             options.name is not None and not (options.lan or has_files),
             "--name is for --lan and --tls-cert",
             "without them browsers call it localhost",
@@ -219,6 +227,7 @@ def _behind_proxy(options: Options, path: Path) -> Endpoint:
         f"{scheme}://{host}",
         name,
         unix_path=path,
+        proxy_user=options.proxy_user,
         read_only=options.read_only,
     )
 

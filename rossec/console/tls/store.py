@@ -7,6 +7,7 @@ together, as a crash between the two leaves them, are refused; `renew` makes bot
 
 import os
 import secrets
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from rossec import files
 from rossec.console.tls.authority import Address, TlsAuthority
+from rossec.enrollment import address
 from rossec.errors import ConfigurationError
 
 KEY: Final = "tls.key"
@@ -53,7 +55,7 @@ def exists(directory: Path) -> bool:
     return (directory / KEY).exists() or (directory / CERTIFICATE).exists()
 
 
-def renew(directory: Path, name: str, address: Address | None, now: int) -> TlsAuthority:
+def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuthority:
     """Make a new authority for `name` with a new key, in the place of one that is there.
 
     Raises:
@@ -63,13 +65,42 @@ def renew(directory: Path, name: str, address: Address | None, now: int) -> TlsA
     files.make_private_directory(directory)
     with files.locked_directory(directory):
         key = ec.generate_private_key(ec.SECP256R1())
-        made = TlsAuthority.create(key, name, address, now=now, serial=random_serial())
+        made = TlsAuthority.create(key, name, host, now=now, serial=random_serial())
         fresh = directory / f"{KEY}.{secrets.token_hex(8)}"
         files.create(fresh, key_pem(key))
         fresh.replace(directory / KEY)
         pem = x509.load_der_x509_certificate(made.data).public_bytes(Encoding.PEM)
         files.replace(directory / CERTIFICATE, pem, 0o644)
     return made
+
+
+def authority_for(
+    directory: Path, name: str, host: Address | None, now: int, *, rename: bool
+) -> TlsAuthority:
+    """The authority for `name`, made if there is none.
+
+    Raises:
+        ConfigurationError: the one that is there is for another name, and not to be replaced
+            (`rename`); it is damaged; it is not valid now.
+    """
+    if not exists(directory):
+        return renew(directory, name, host, now)
+    found = open_authority(directory)
+    if found.name != name:
+        if rename:
+            return renew(directory, name, host, now)
+        raise ConfigurationError(
+            f"phones trust this console as {found.name}, not as {name}",
+            f"start it with --name {found.name}; or add --rename, and set up every phone anew",
+        )
+    found.check_time(now)
+    return found
+
+
+def first_address() -> Address | None:
+    """The address at which others probably reach this host; None: there is none."""
+    found = map(ip_address, address.own_addresses())
+    return next((each for each in found if not each.is_loopback and not each.is_link_local), None)
 
 
 def random_serial() -> int:

@@ -45,6 +45,8 @@ def test_certificates_of_a_real_name() -> None:
 def test_behind_a_proxy() -> None:
     found = read(unix_path=SOCKET, origin="https://ca.example.org/")
     assert (found.origin, found.name) == ("https://ca.example.org", "ca.example.org")
+    assert found.proxy_user is None
+    assert read(unix_path=SOCKET, origin="https://a.example", proxy_user="www").proxy_user == "www"
     assert (found.unix_path, found.addresses, found.is_local) == (SOCKET, (), True)
 
 
@@ -119,6 +121,7 @@ def test_no_other_device_reaches_localhost() -> None:
         ({"name": "a.example"}, "--name is for"),
         ({"hand_out": True}, "--hand-out is for --lan"),
         ({"unix_path": SOCKET, "origin": "https://a.example", "port": 80}, "--port is not for"),
+        ({"proxy_user": "www-data"}, "--proxy-user is for --unix"),
         ({"port": 0}, "is not a port"),
         ({"port": 65536}, "is not a port"),
     ],

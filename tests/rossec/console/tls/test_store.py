@@ -1,10 +1,20 @@
+import ipaddress
 from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.console.tls import store
-from rossec.console.tls.store import CERTIFICATE, KEY, exists, open_authority, renew
+from rossec.console.tls.authority import DAY
+from rossec.console.tls.store import (
+    CERTIFICATE,
+    KEY,
+    authority_for,
+    exists,
+    open_authority,
+    renew,
+)
+from rossec.enrollment import address
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import HOST, NAME, NOW
 
@@ -77,3 +87,39 @@ def test_serials_are_positive_and_differ() -> None:
     found = {store.random_serial() for _ in range(100)}
     assert len(found) == 100
     assert all(0 < serial < 1 << 128 for serial in found)
+
+
+def test_an_authority_is_made_once_for_a_name(directory: Path) -> None:
+    first = authority_for(directory, NAME, HOST, NOW, rename=False)
+    assert authority_for(directory, NAME, None, NOW + DAY, rename=False).data == first.data
+
+
+def test_another_name_is_refused_unless_it_is_meant(directory: Path) -> None:
+    authority_for(directory, NAME, HOST, NOW, rename=False)
+    with pytest.raises(ConfigurationError, match="not as other") as caught:
+        authority_for(directory, "other.local", HOST, NOW, rename=False)
+    assert "--rename" in caught.value.hint
+    assert open_authority(directory).name == NAME
+    assert authority_for(directory, "other.local", HOST, NOW, rename=True).name == "other.local"
+
+
+def test_an_authority_that_ended_is_not_used(directory: Path) -> None:
+    authority_for(directory, NAME, HOST, NOW, rename=False)
+    with pytest.raises(ConfigurationError, match="has expired") as caught:
+        authority_for(directory, NAME, HOST, NOW + 366 * DAY, rename=False)
+    assert "--renew" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("listed", "found"),
+    [
+        (["127.0.0.1", "::1"], None),
+        (["fe80::1", "192.168.1.5"], "192.168.1.5"),
+        (["fd00::7"], "fd00::7"),
+    ],
+)
+def test_the_address_is_one_that_others_reach(
+    monkeypatch: pytest.MonkeyPatch, listed: list[str], found: str | None
+) -> None:
+    monkeypatch.setattr(address, "own_addresses", lambda: listed)
+    assert store.first_address() == (None if found is None else ipaddress.ip_address(found))

@@ -1,0 +1,50 @@
+"""`rossec console tls`: the console's own TLS authority."""
+
+import socket
+from pathlib import Path
+
+import click
+
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.console.options import Options, check_name, read_options
+from rossec.console.tls import store
+from rossec.console.tls.description import as_json as described
+from rossec.console.tls.description import describe
+from rossec.errors import ConfigurationError
+from rossec.terminal import say, say_json
+
+
+@click.command()
+@click.option("--renew", is_flag=True, help="make a new one, which every phone must install anew")
+@click.option("--name", help="DNS name of this host for --renew; by default as before")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) -> None:
+    """Show the console's own TLS authority (--lan): its fingerprint, in words and hex.
+
+    It is valid for a year. A console that runs uses a new one when it is started again.
+    """
+    if name is not None and not renew:
+        raise click.UsageError("--name is for --renew")
+    directory = environment.home / "ca" / "console"
+    if renew:
+        authority = store.renew(directory, _name(directory, name), store.first_address(), now())
+    else:
+        authority = store.open_authority(directory)
+    if as_json:
+        say_json(described(authority))
+        return
+    for line in describe(authority, now()):
+        say(line)
+    if renew:
+        say("install it on every phone: rossec console --lan --hand-out")
+
+
+def _name(directory: Path, given: str | None) -> str:
+    """The name for a new authority: as given, as before, or as mDNS announces this host."""
+    if given is not None:
+        return check_name(given)
+    try:
+        return store.open_authority(directory).name
+    except ConfigurationError:  # none, or a damaged one
+        return read_options(Options(lan=True), socket.gethostname()).name
