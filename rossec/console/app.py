@@ -16,7 +16,7 @@ from ca.errors import HintedError
 from rossec.console.context import ConsoleContext
 from rossec.console.rendering import render
 from rossec.console.routes import ROUTES
-from rossec.console.routing import Page
+from rossec.console.routing import Access, Page
 from rossec.console.server.guard import Guard, wants_json
 from rossec.errors import HttpRefused, KeyServiceFailed
 from rossec.ros.text import printable
@@ -34,6 +34,8 @@ def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASG
 def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         try:
+            if page.access is Access.SESSION and request.method == "GET":
+                request.state.number = await context.news.ask()
             return await page.handler(request, context)
         except HintedError as error:
             return show_error(request, context, error)

@@ -13,6 +13,7 @@ from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
 from rossec.console.news import News
 from rossec.console.pending import PendingActs
+from rossec.console.samples import Preview
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings
 
@@ -37,12 +38,14 @@ class ConsoleContext:
         service: the authority's service.
         settings: what it was started with.
         scanner: reads codes; None: this console has none.
+        preview: gives real messages; None: pictures show made-up ones, and say so.
         clock: seconds since the epoch.
     """
 
     service: ConsoleClient
     settings: Settings
     scanner: Scanner | None = None
+    preview: Preview | None = None
     clock: Callable[[], int] = clock.now
     sessions: Sessions = field(init=False)
     news: News = field(init=False)

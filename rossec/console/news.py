@@ -42,6 +42,16 @@ class News:
         """As of the last question; None: nobody waits, so nobody asked."""
         return None if self._number is None else f"{self._number}.{self._own}"
 
+    async def ask(self) -> str:
+        """The number as of now, for a page that is made from here on; empty: nobody answers.
+
+        What changes while the page is made is news to it then.
+        """
+        try:
+            return f"{(await self._status()).number}.{self._own}"
+        except HintedError:
+            return ""
+
     def changed(self) -> None:
         """Note that something changed in this console; the streams say so within a second."""
         self._own += 1
@@ -68,11 +78,11 @@ class News:
     async def _events(self, is_valid: Callable[[], bool], beat: float) -> AsyncIterator[bytes]:
         self._streams += 1
         try:
-            if not len(self._tasks):
-                self._tasks.spawn(self._poll(), "news")
             told: str | None = None
             yield _COMMENT
             while is_valid():
+                if not len(self._tasks):
+                    self._tasks.spawn(self._poll(), "news")
                 if self.number is not None and self.number != told:
                     told = self.number
                     yield f"data: {told}\n\n".encode()

@@ -8,6 +8,7 @@ from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.requests import Request
@@ -16,6 +17,7 @@ from starlette.responses import HTMLResponse, Response
 from rossec.console.assets import asset_path
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import to_base64url
+from rossec.console.words import ago, topic
 from rossec.ros.text import printable
 
 FOLDER: Final = Path(__file__).parent / "templates"
@@ -54,11 +56,16 @@ def render(
         places=NAVIGATION if session is not None else (),
         here=request.url.path,
         read_only=context.settings.read_only,
-        number=context.news.number,
+        number=getattr(request.state, "number", ""),
         now=context.clock(),
         **values,
     )  # fmt: skip
     return HTMLResponse(text, status)
+
+
+def render_text(template: str, **values: Any) -> str:
+    """What a template makes of `values` alone: for a file instead of a page."""
+    return _environment().get_template(template).render(**values)
 
 
 @cache
@@ -72,6 +79,9 @@ def _environment() -> Environment:
     environment.filters["hex"] = bytes.hex
     environment.filters["base64url"] = to_base64url
     environment.filters["day"] = _day
+    environment.filters["ago"] = ago
+    environment.filters["address"] = quote  # of a name of ROS: its slashes stay
+    environment.filters["topic"] = topic
     return environment
 
 

@@ -3,7 +3,17 @@
 from typing import Final
 
 from rossec.console import assets
-from rossec.console.pages import approve, login, news, phones
+from rossec.console.pages import (
+    approve,
+    happened,
+    login,
+    news,
+    nodes,
+    phones,
+    privacy,
+    today,
+    who,
+)
 from rossec.console.routing import Page
 
 ROUTES: Final[tuple[Page, ...]] = (
@@ -12,4 +22,9 @@ ROUTES: Final[tuple[Page, ...]] = (
     *phones.PAGES,
     *news.PAGES,
     *approve.PAGES,
+    *today.PAGES,
+    *who.PAGES,
+    *nodes.PAGES,
+    *happened.PAGES,
+    *privacy.PAGES,
 )

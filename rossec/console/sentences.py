@@ -38,7 +38,7 @@ class Sentence(NamedTuple):
     @property
     def text(self) -> str:
         """The whole of it, as plain text."""
-        return " ".join((self.verb, *(part.text for part in self.parts)))
+        return " ".join((self.verb, *(part.text for part in self.parts))).replace(" ,", ",")
 
 
 class Known(NamedTuple):
@@ -122,11 +122,17 @@ def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[Part, ...]
     parts: list[Part] = []
     for (rights, coarse), members in groups.items():
         parts += [*([Part("and")] if parts else []), Part(words.rights(rights))]
-        parts += [Part(words.topic(each.pattern), is_name=True) for each in members[:limit]]
-        if len(members) > limit:
-            parts.append(Part(f"and {len(members) - limit} more"))
+        parts += _listed([words.topic(each.pattern) for each in members], limit)
         parts += [Part("(coarse)")] * coarse
     return tuple(parts)
+
+
+def _listed(names: list[str], limit: int) -> list[Part]:
+    """The names with commas between them; a part that is a comma follows without a space."""
+    parts: list[Part] = []
+    for name in names[:limit]:
+        parts += [*([Part(",")] if parts else []), Part(name, is_name=True)]
+    return [*parts, Part(f"and {len(names) - limit} more")] if len(names) > limit else parts
 
 
 def _name(text: str) -> Part:

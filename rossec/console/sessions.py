@@ -19,12 +19,16 @@ _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 
 @dataclass
 class Session:
-    """A login. `phone`: the passkey's name; empty: by a code, to look."""
+    """A login. `phone`: the passkey's name; empty: by a code, to look.
+
+    `seen` is the number of the last log entry that it was shown; None: none yet.
+    """
 
     id: bytes
     phone: str
     began: int
     used: int
+    seen: int | None = None
 
 
 class Sessions:

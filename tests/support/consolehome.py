@@ -20,6 +20,7 @@ from rossec.authority.console.views import (
 )
 from rossec.console.matrix import HeldGrant, Matrix, build, held_grants
 from rossec.console.sentences import Known
+from tests.support import consoleservice
 
 NOW: Final = 1_800_000_000
 HOUR: Final = 3600
@@ -160,3 +161,13 @@ def crowd(nodes: int = 30, topics: int = 40) -> FakeHome:
         for at in range(400)
     ]
     return home
+
+
+def as_service(home: FakeHome) -> consoleservice.FakeHome:
+    """The same home, behind the operations of the service."""
+    made = consoleservice.FakeHome()
+    made.nodes, made.grants, made.graph = home.nodes, home.grants, home.facts
+    made.events, made.denials = home.events[::-1], home.denials
+    made.questions, made.requests, made.proposals = home.questions, [], []
+    made.now = NOW
+    return made

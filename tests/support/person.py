@@ -25,9 +25,9 @@ def set_up(window: Window, site: ConsoleSite, name: str = "my phone") -> None:
     window.page.wait_for_url(site.origin + "/")
 
 
-def only_look(window: Window, site: ConsoleSite) -> None:
+def only_look(window: Window, site: ConsoleSite, code: str = "") -> None:
     """Log in by a code from the terminal: without a passkey."""
-    window.open(f"/login#{code_of(site)}")
+    window.open(f"/login#{code or code_of(site)}")
     press(window, "Only look")
     window.page.wait_for_url(site.origin + "/")
 

@@ -12,11 +12,11 @@ from rossec.console.matrix import Access, Matrix
 from rossec.console.pictures.svg import Element, Point, curve, cut, drawing, label, path
 
 MAX_ROWS: Final = 12
-_PITCH, _BOX, _TOP = 60.0, 38.0, 46.0
-_SENDERS, _TOPICS, _RECEIVERS = (0.0, 170.0), (240.0, 450.0), (540.0, 710.0)
-_WIDTH: Final = 710.0
-_STUB: Final = 150.0
-_LETTERS: Final = {170.0: 17, 210.0: 22}  # that fit a box of this width
+_PITCH, _BOX, _TOP = 54.0, 36.0, 36.0
+_SENDERS, _TOPICS, _RECEIVERS = (0.0, 145.0), (195.0, 385.0), (455.0, 600.0)
+_WIDTH: Final = 600.0
+_STUB: Final = 130.0
+_LETTERS: Final = {145.0: 16, 190.0: 21}  # that fit a box of this width
 
 
 def draw(matrix: Matrix, refused: Mapping[str, Sequence[str]] | None = None) -> Element | None:
@@ -120,7 +120,7 @@ def _stub(y: float, names: Sequence[str]) -> Element:
     return Element(
         "g",
         Element("title", "refused: " + ", ".join(names[:8])),
-        path([(start, y), (start + 24, y)], "flow-ended"),
+        path([(start, y), (start + 17, y)], "flow-ended"),
         _cross(start + 26, y),
-        label(start + 40, y + 5, said, "stub"),
+        label(start + 39, y + 4, said, "stub"),
     )

@@ -10,7 +10,7 @@ from rossec.console.pictures.svg import Element, Point, drawing, label, path
 from rossec.console.samples import SeenTopic
 
 TYPE: Final = "sensor_msgs/LaserScan"
-SIZE: Final = 400.0
+SIZE: Final = 300.0
 _MIDDLE: Final = SIZE / 2
 _REACH: Final = SIZE / 2 - 14
 _RINGS: Final = 3
@@ -32,9 +32,9 @@ def draw(seen: SeenTopic, reach: float) -> Element | None:
         for number in range(1, _RINGS + 1)
     ]
     hits = [_at(angle, distance * scale) for angle, distance in _rays(seen)]
-    dots = [Element("circle", cx=x, cy=y, r=2.2, class_="hit") for x, y in hits]
+    dots = [Element("circle", cx=x, cy=y, r=1.6, class_="hit") for x, y in hits]
     text = [label(_MIDDLE, SIZE - 2, f"{reach:.3g} m", "ruler-text", "middle")] if scale else []
-    here = Element("circle", cx=_MIDDLE, cy=_MIDDLE, r=6.0, class_="here")
+    here = Element("circle", cx=_MIDDLE, cy=_MIDDLE, r=4.5, class_="here")
     outline = [path([*hits, hits[0]], "outline")] if len(hits) > 2 else []
     said = f"{len(hits)} rays that {seen.receiver} sees, from above"
     return drawing(SIZE, SIZE, said, *rings, *outline, *dots, here, *text, class_="laser")

@@ -13,7 +13,7 @@ from grants.model import FilterRule, Restriction
 from rossec.console.pictures.svg import Element, Point, drawing, label, path
 from rossec.console.samples import Sample, SeenTopic
 
-WIDTH, HEIGHT = 600.0, 500.0
+WIDTH, HEIGHT = 300.0, 250.0
 _SHADES: Final = 5
 _EARTH: Final = 111_320.0  # metres of a degree of latitude
 _MARGIN: Final = 1.2  # metres around what was seen, at least
@@ -170,7 +170,7 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
 def _paper(frame: Frame, cell: Extent | None) -> Element:
     """The ground with lines a metre apart, or those between cells."""
     wide, high = cell or _metres(frame)
-    lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=12.0)]
+    lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
     reach = frame.width * HEIGHT / WIDTH / 2
     for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
         across = frame.at((x, 0.0))[0]
@@ -182,7 +182,7 @@ def _paper(frame: Frame, cell: Extent | None) -> Element:
 
 
 def _metres(frame: Frame) -> Extent:
-    step = _round_length(frame.width / 12)
+    step = _round_length(frame.width / 11)
     return step, step
 
 
@@ -199,12 +199,12 @@ def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
 def _ruler(frame: Frame) -> Element:
     """A length to compare with, at the lower right."""
     length = _round_length(frame.width / 4)
-    left, right, y = WIDTH - 24 - length * frame.scale, WIDTH - 24, HEIGHT - 22
+    left, right, y = WIDTH - 14 - length * frame.scale, WIDTH - 14, HEIGHT - 12
     said = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
     return Element(
         "g",
-        path([(left, y - 9), (left, y), (right, y), (right, y - 9)], "ruler"),
-        label((left + right) / 2, y - 12, said, "ruler-text", "middle"),
+        path([(left, y - 5), (left, y), (right, y), (right, y - 5)], "ruler"),
+        label((left + right) / 2, y - 6, said, "ruler-text", "middle"),
     )
 
 
@@ -231,16 +231,16 @@ def _track(points: list[Point], frame: Frame) -> list[Element]:
 def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
     """A disc where it is now, and a wedge in its direction where one is known."""
     x, y = frame.at(last)
-    parts = [Element("circle", cx=x, cy=y, r=20.0, class_="halo")]
+    parts = [Element("circle", cx=x, cy=y, r=11.0, class_="halo")]
     heading = _heading(seen)
     if heading is not None:
         tip = [
             (x + reach * math.cos(heading + turn), y - reach * math.sin(heading + turn))
-            for turn, reach in ((0.35, 16), (0.0, 30), (-0.35, 16))
+            for turn, reach in ((0.5, 10), (0.0, 22), (-0.5, 10))
         ]
         inside = [(min(max(a, 0.0), WIDTH), min(max(b, 0.0), HEIGHT)) for a, b in tip]
         parts.append(path(inside, "heading"))
-    return [*parts, Element("circle", cx=x, cy=y, r=9.0, class_="here")]
+    return [*parts, Element("circle", cx=x, cy=y, r=4.5, class_="here")]
 
 
 def _heading(seen: SeenTopic) -> float | None:
@@ -270,9 +270,9 @@ def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
 
 
 def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
-    left, right = max(x - wide / 2, 0.0) + 2, min(x + wide / 2, WIDTH) - 2
-    top, bottom = max(y - high / 2, 0.0) + 2, min(y + high / 2, HEIGHT) - 2
+    left, right = max(x - wide / 2, 0.0) + 1, min(x + wide / 2, WIDTH) - 1
+    top, bottom = max(y - high / 2, 0.0) + 1, min(y + high / 2, HEIGHT) - 1
     return Element(
         "rect", x=left, y=top, width=max(right - left, 1.0), height=max(bottom - top, 1.0),
-        rx=6.0, class_=class_,
+        rx=4.0, class_=class_,
     )  # fmt: skip

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 from rossec.console.pictures.svg import Element, Point, drawing, label, path
 from rossec.console.samples import SeenTopic
 
-WIDTH, HEIGHT = 600.0, 160.0
-_EDGE: Final = 16.0
+WIDTH, HEIGHT = 300.0, 100.0
+_EDGE: Final = 10.0
 _MAX_POINTS: Final = 300
 _NOT_SHOWN: Final = ("seq", "stamp", "sec", "nanosec")
 
@@ -53,11 +53,11 @@ def draw(seen: SeenTopic, field: str, span: Span) -> Element | None:
     every = max(1, math.ceil(len(points) / _MAX_POINTS))
     drawn = [_at(point, span) for point in points[::every]]
     parts = [
-        Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=12.0),
+        Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0),
         path([(drawn[0][0], drawn[0][1]), *drawn], "track shade5"),
-        Element("circle", cx=drawn[-1][0], cy=drawn[-1][1], r=6.0, class_="here"),
-        label(_EDGE, _EDGE + 4, f"{span.high:.4g}", "ruler-text"),
-        label(_EDGE, HEIGHT - 6, f"{span.low:.4g}", "ruler-text"),
+        Element("circle", cx=drawn[-1][0], cy=drawn[-1][1], r=4.0, class_="here"),
+        label(_EDGE, _EDGE + 5, f"{span.high:.4g}", "ruler-text"),
+        label(_EDGE, HEIGHT - 5, f"{span.low:.4g}", "ruler-text"),
     ]
     values = {value for _, value in points}
     said = f"{field}: {len(values)} different values that {seen.receiver} sees"
@@ -69,7 +69,7 @@ def _at(point: Point, span: Span) -> Point:
     long, high = span.last - span.first or 1.0, span.high - span.low
     x = _EDGE + (WIDTH - 2 * _EDGE) * (at - span.first) / long
     level = (value - span.low) / high if high else 0.5
-    return x, HEIGHT - _EDGE - 10 - (HEIGHT - 2 * _EDGE - 20) * level
+    return x, HEIGHT - _EDGE - 12 - (HEIGHT - 2 * _EDGE - 24) * level
 
 
 def _points(seen: SeenTopic, field: str) -> list[Point]:

@@ -15,11 +15,20 @@ function changed() {
 
 if (main) {
   let known = main.dataset.live || null; // the number the page was made at
-  const news = new EventSource("/news");
-  news.addEventListener("message", ({ data }) => {
-    if (known === null) known = data;
-    else if (known !== data) { known = data; changed(); }
-  });
-  addEventListener("pagehide", () => news.close());
+  let news = null;
+  const stop = () => { news?.close(); news = null; };
+  const start = () => {
+    if (news || document.hidden) return;
+    news = new EventSource("/news");
+    news.addEventListener("message", ({ data }) => {
+      if (known === null) known = data;
+      else if (known !== data) { known = data; changed(); }
+    });
+  };
+  // A browser has six connections for all pages of a site (HTTP/1.1): pages behind others give
+  // theirs back, and hear what they missed when they are seen again.
+  document.addEventListener("visibilitychange", () => (document.hidden ? stop() : start()));
+  addEventListener("pagehide", stop);
   addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
+  start();
 }

@@ -48,6 +48,18 @@ async def test_a_stream_tells_the_number_and_each_change_of_it() -> None:
     await news.close()
 
 
+async def test_a_page_is_made_at_the_number_of_that_moment() -> None:
+    service = Service()
+    news = News(service.status, 60)
+    stream = news.open(lambda: True)
+    await next_data(stream)
+    service.number = 7
+    assert (await news.ask(), news.number) == ("7.0", "1.0")
+    service.fails = True
+    assert await news.ask() == ""
+    await news.close()
+
+
 async def test_fifty_streams_ask_as_often_as_one() -> None:
     service = Service()
     news = News(service.status, 60)

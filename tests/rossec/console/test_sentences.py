@@ -27,7 +27,7 @@ def test_the_story_of_the_demo() -> None:
         "Ended /doctor may no longer see /robot/camera because: the visit is over",
     ]
     assert "Allowed /heating may see /robot/pose (coarse)" in texts(found)
-    assert "Allowed /robot may send /robot/pose /robot/scan /robot/camera" in texts(found)
+    assert "Allowed /robot may send /robot/pose, /robot/scan, /robot/camera" in texts(found)
     assert "Joined /doctor has a name here now" in texts(found)
     assert [each.at for each in found] == sorted((each.at for each in found), reverse=True)
     assert {each.node for each in found} == {"/robot", "/doctor", "/heating"}
@@ -114,4 +114,4 @@ def test_many_permissions_are_bounded() -> None:
     home = demo()
     made = home.grant("/doctor", *(sees(f"/t{at}") for at in range(9)), at=NOW)
     said = told("grant", "/doctor", made.id.hex(), home.known)
-    assert said == "Allowed /doctor may see /t0 /t1 /t2 /t3 and 5 more"
+    assert said == "Allowed /doctor may see /t0, /t1, /t2, /t3 and 5 more"

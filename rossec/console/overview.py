@@ -1,0 +1,106 @@
+"""What most pages begin with: nodes, grants and the graph, asked of the service, as a matrix.
+
+Without a master there is no graph and there are no denials: pages show the rest and say so.
+"""
+
+from typing import Final, NamedTuple
+
+from ca.errors import HintedError
+from grants.errors import PatternRefused
+from grants.names import check_pattern
+from rossec.authority.console.views import DenialView, FactView, NodeView
+from rossec.console import made_up
+from rossec.console.context import ConsoleContext
+from rossec.console.matrix import HeldGrant, Matrix, TopicRow, build, held_grants
+from rossec.console.pictures import looks
+from rossec.errors import HttpRefused
+
+MAX_REFUSED: Final = 12
+
+
+class Overview(NamedTuple):
+    """The home at one moment; `without_master` is why there is no graph, empty if there is one."""
+
+    nodes: tuple[NodeView, ...]
+    held: tuple[HeldGrant, ...]
+    facts: tuple[FactView, ...]
+    matrix: Matrix
+    without_master: str
+
+    def named(self, name: str) -> list[NodeView]:
+        """The identities of a name: its newest first."""
+        found = [node for node in self.nodes if node.name == name]
+        return sorted(found, key=lambda node: -node.not_before)
+
+
+async def load(context: ConsoleContext) -> Overview:
+    """Ask for it.
+
+    Raises:
+        HintedError: the service refuses, or is not there.
+        GrantMalformed: the record has a grant that cannot be read.
+    """
+    now = context.clock()
+    nodes, grants = await context.service.nodes(), await context.service.grants()
+    held = held_grants(nodes, grants, now)
+    facts: tuple[FactView, ...] = ()
+    problem = ""
+    try:
+        facts = await context.service.graph()
+    except HintedError as error:
+        problem = str(error)
+    return Overview(nodes, held, facts, build(held, facts, now), problem)
+
+
+async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:
+    """The denials of the last day; none without a master."""
+    try:
+        return await context.service.denials()
+    except HintedError:
+        return ()
+
+
+def refused_names(found: tuple[DenialView, ...]) -> dict[str, list[str]]:
+    """The names that each node was refused, the latest first; of the nodes refused last."""
+    names: dict[str, list[str]] = {}
+    for denial in sorted(found, key=lambda each: -each.at):
+        known = names.setdefault(denial.node, []) if len(names) < MAX_REFUSED else names.get(
+            denial.node, []
+        )  # fmt: skip
+        if denial.name not in known:
+            known.append(denial.name)
+    return names
+
+
+def comparison(context: ConsoleContext, row: TopicRow) -> looks.Comparison | None:
+    """What the topic looks like to its receivers: by the preview, else made up; None: unknown."""
+    if not row.type or row.is_pattern or not row.seen_by():
+        return None
+    real = context.preview.recorded(row.topic) if context.preview is not None else None
+    recorded = real if real is not None else made_up.recorded(row.topic, row.type)
+    return None if recorded is None else looks.compare(recorded, row.cells)
+
+
+def name_of(text: str) -> str:
+    """The absolute name or pattern in a path, which came without its first slash.
+
+    Raises:
+        HttpRefused: it is not one.
+    """
+    try:
+        return check_pattern(f"/{text}")
+    except PatternRefused as error:
+        raise HttpRefused("there is no such page", error.hint, status=404) from None
+
+
+def position(text: str | None) -> int:
+    """A number in an address: where a part of a long table begins.
+
+    Raises:
+        HttpRefused: it is no number.
+    """
+    if not text:
+        return 0
+    if not (text.isascii() and text.isdecimal() and len(text) <= 12):
+        raise HttpRefused("there is no such page", "go back to the first", status=404)
+    return int(text)

@@ -1,0 +1,146 @@
+"""The report: every field of every topic, who receives it, how, why and until when. Pure.
+
+The same accesses as `rossec privacy` prints (`grants.policy.privacy`), in words, with receivers
+that are treated alike together. The page of the console and the file of the command line are made
+of it.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple
+
+from grants.errors import GrantError
+from grants.filters.layout import Layout
+from grants.model import FilterRule, Right
+from grants.policy.privacy import WHOLE, ReceiverAccess, filters_of, leaf_paths
+from rossec.clock import format_time
+from rossec.console import words
+from rossec.console.matrix import HeldGrant
+from rossec.errors import MessageError
+
+AS_IT_IS: Final = "as it is"
+REMOVED: Final = "removed"
+
+Wanted = Callable[[str, str], bool]
+"""Whether a receiver's field is in the report."""
+
+
+class ReportReceiver(NamedTuple):
+    """Who receives it: why, until when, and by what (a rule, a grant)."""
+
+    name: str
+    why: str
+    until: str
+    by: str
+
+
+class ReportFields(NamedTuple):
+    """Fields that are treated alike."""
+
+    treatment: str
+    is_open: bool
+    fields: tuple[str, ...]
+
+
+class ReportGroup(NamedTuple):
+    """Receivers that get the same."""
+
+    receivers: tuple[ReportReceiver, ...]
+    when: str
+    fields: tuple[ReportFields, ...]
+
+
+class ReportTopic(NamedTuple):
+    """A topic (or pattern) and all who receive it."""
+
+    topic: str
+    type: str
+    groups: tuple[ReportGroup, ...]
+
+
+def everything(_receiver: str, _field: str) -> bool:
+    """The whole report."""
+    return True
+
+
+def topics(
+    accesses: Iterable[ReceiverAccess],
+    layout_of: Callable[[str], Layout],
+    wanted: Wanted = everything,
+) -> list[ReportTopic]:
+    """The report of these accesses, by topic."""
+    by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
+    for access in sorted(accesses, key=lambda each: (each.topic, each.receiver, each.by)):
+        fields = _fields(access, layout_of, wanted)
+        if fields:
+            groups = by_topic.setdefault((access.topic, access.type or ""), {})
+            receiver = ReportReceiver(access.receiver, access.why, access.until, access.by)
+            groups.setdefault((_when(access), fields), []).append(receiver)
+    return [
+        ReportTopic(
+            topic, kind, tuple(ReportGroup(tuple(who), *key) for key, who in groups.items())  # type: ignore[arg-type]
+        )
+        for (topic, kind), groups in by_topic.items()
+    ]  # fmt: skip
+
+
+def held_accesses(held: Iterable[HeldGrant], types: dict[str, str]) -> list[ReceiverAccess]:
+    """What is granted now, of every grant in force; `types` by topic, from the graph."""
+    found = []
+    for each in held:
+        for permission in each.grant.permissions:
+            if each.ended_at or Right.SUBSCRIBE not in permission.rights:
+                continue
+            restriction = permission.restriction
+            kind = types.get(permission.pattern) if restriction is None else restriction.type
+            why = f"rule {each.view.rules} of the policy" if each.view.rules else "decided by hand"
+            access = ReceiverAccess(
+                permission.pattern, kind or types.get(permission.pattern), each.grant.subject, why,
+                format_time(max(each.grant.expires, each.view.cap)), f"grant {each.grant.short_id}",
+                () if restriction is None else (restriction,),
+                None if restriction is None else restriction.rate,
+            )  # fmt: skip
+            found.append(access)
+    return found
+
+
+def _fields(
+    access: ReceiverAccess, layout_of: Callable[[str], Layout], wanted: Wanted
+) -> tuple[ReportFields, ...]:
+    rules = [rule for each in access.restrictions for rule in each.filters]
+    by_treatment: dict[str, list[str]] = {}
+    rest = f"everything {'else ' if rules else ''}in it"
+    for path in _paths(access.type, layout_of, rules):
+        if wanted(access.receiver, path):
+            said = _treatment(filters_of(rules, path), access.type)
+            by_treatment.setdefault(said, []).append(rest if path == WHOLE else path)
+    found = [
+        ReportFields(said, said == AS_IT_IS, tuple(paths)) for said, paths in by_treatment.items()
+    ]
+    return tuple(sorted(found, key=lambda each: not each.is_open))
+
+
+def _paths(
+    kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]
+) -> list[str]:
+    """The fields of the type; of one that is not known here those with a rule, and the rest."""
+    try:
+        if kind is not None:
+            return leaf_paths(layout_of(kind)) or [WHOLE]
+    except (GrantError, MessageError):
+        pass
+    return [*(rule.path for rule in rules), WHOLE]
+
+
+def _treatment(rules: list[FilterRule], kind: str | None) -> str:
+    said = [
+        REMOVED if rule.operator in ("clear", "drop") else words.filter_rule(rule, kind)
+        for rule in rules
+    ]
+    return ", then ".join(dict.fromkeys(said)) or AS_IT_IS
+
+
+def _when(access: ReceiverAccess) -> str:
+    parts = [text for each in access.restrictions for text in each.conditions]
+    if access.rate is not None:
+        parts.append(words.rate(access.rate))
+    return " and ".join(dict.fromkeys(parts)) or "always"
