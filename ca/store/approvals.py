@@ -93,6 +93,15 @@ class ApprovalTable:
         """The `count` newest approvals, newest first."""
         return self._rows("ORDER BY rowid DESC LIMIT ?", count)
 
+    def last_used(self) -> dict[bytes, int]:
+        """When each passkey approved something last, by its credential id."""
+        return dict(self._database.rows("SELECT passkey, max(at) FROM approval GROUP BY passkey"))
+
+    def approvers(self, kind: Kind) -> dict[bytes, bytes]:
+        """Which passkey approved, by the id of the approval; for one kind."""
+        query = "SELECT id, passkey FROM approval WHERE kind = ?"
+        return dict(self._database.rows(query, int(kind)))
+
     def about(self, kind: Kind, subject: bytes) -> list[Approval]:
         """The approvals of one kind about one thing, oldest first."""
         return self._rows("WHERE kind = ? AND subject = ? ORDER BY rowid", int(kind), subject)

@@ -45,6 +45,16 @@ class AuthorityLog:
         )
         return [LogEntry(*row) for row in rows]
 
+    def newest(self, count: int, before: int | None = None) -> list[LogEntry]:
+        """At most `count` entries, newest first; with `before`, older than that number."""
+        clause, values = ("", ()) if before is None else ("WHERE number < ?", (before,))
+        rows = self._database.rows(
+            f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
+            " ORDER BY number DESC LIMIT ?",
+            *values, count,
+        )  # fmt: skip
+        return [LogEntry(*row) for row in rows]
+
     def head(self, now: int) -> Head:
         """The current head of the log, to be signed."""
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")

@@ -174,6 +174,10 @@ class Store:
         """Every grant signed, oldest first."""
         return self._grants("")
 
+    def signed_at(self) -> dict[bytes, int]:
+        """When each grant was signed, by its id."""
+        return dict(self.database.rows("SELECT id, at FROM grant_"))
+
     def unrevoked_grants(self, names: Collection[str] | None = None) -> list[GrantRow]:
         """The grants that are not revoked, expired or not; with `names`, only of these nodes."""
         alive = "WHERE id NOT IN (SELECT entry FROM revocation)"

@@ -18,6 +18,7 @@ from grants.names import check_pattern
 from rossec import clock
 from rossec.authority.console.views import IdentityRequestView, Outcome
 from rossec.console.enrollment import Enrollment
+from rossec.console.made_codes import MadeCodes
 from rossec.errors import FormRefused
 
 DAY: Final = 86400
@@ -76,6 +77,11 @@ class Sources(Protocol):
         ...
 
     @property
+    def made_codes(self) -> MadeCodes:
+        """Which session may see a join code."""
+        ...
+
+    @property
     def service(self) -> RequestSource:
         """The authority's service."""
         ...
@@ -99,10 +105,12 @@ async def read(sources: Sources, kind: str, form: Form) -> Act:
     return await reader(sources, form)
 
 
-def carried_out(sources: Sources, act: Act, outcome: Outcome) -> str:
-    """Take note of an approval; returns the page on which the person sees what comes of it."""
+def carried_out(sources: Sources, act: Act, outcome: Outcome, session: bytes) -> str:
+    """Take note of an approval of `session`; returns the page that shows what comes of it."""
     if act.kind == "enroll" and act.subject:
         sources.enrollments.approved(act.subject, outcome)
+    if act.kind == "invitation":
+        sources.made_codes.add(outcome.id, session)
     return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 

@@ -11,6 +11,7 @@ from rossec import clock
 from rossec.authority.console.client import ConsoleClient
 from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
+from rossec.console.made_codes import MadeCodes
 from rossec.console.news import News
 from rossec.console.pending import PendingActs
 from rossec.console.samples import Preview
@@ -52,12 +53,14 @@ class ConsoleContext:
     failures: FailureLimit = field(init=False)
     pending: PendingActs = field(init=False)
     enrollments: Enrollments = field(init=False)
+    made_codes: MadeCodes = field(init=False)
 
     def __post_init__(self) -> None:
         self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
         self.news = News(self.service.status)
         self.failures = FailureLimit()
         self.pending = PendingActs()
+        self.made_codes = MadeCodes()
         self.enrollments = Enrollments(
             self.service, self.settings.domain, self.clock, self.news.changed
         )

@@ -41,12 +41,12 @@ class Access:
         elapsed: clock.Seconds | None = None,
     ) -> None:
         self.proposals = Proposals(elapsed)
-        self.last_used: dict[bytes, int] = {}  # by credential id, of logins
         self._work = work
         self._audit = audit
         self._codes = Codes(elapsed)
         self._challenges = Challenges(elapsed)
-        self._counters: dict[bytes, int] = {}
+        self._counters: dict[bytes, int] = {}  # by credential id, of logins, as the times
+        self._logins: dict[bytes, int] = {}
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
         """By the operation."""
@@ -64,6 +64,10 @@ class Access:
     def counter(self, passkey: bytes) -> int:
         """The counter of a passkey at its last login; 0: it has not logged in, or has none."""
         return self._counters.get(passkey, 0)
+
+    def last_used(self, passkey: bytes) -> int:
+        """When a passkey last logged in, since the service began; 0: it has not."""
+        return self._logins.get(passkey, 0)
 
     def phone_code(self, caller: object) -> str:
         """A code for the terminal, made for `caller`.
@@ -114,7 +118,7 @@ class Access:
         counter = verify(signed, passkey, challenge.digest, last)
         self._audit(f"the phone {passkey.name!a} logged in at the console")
         self._counters[passkey.id] = counter
-        self.last_used[passkey.id] = self._work.now()
+        self._logins[passkey.id] = self._work.now()
         return passkey.name
 
     def new_passkey(self, origin: str, rp_id: str) -> Value:

@@ -1,16 +1,27 @@
 """The console's side of `rossec ca serve` put together: who may look, what it shows and does."""
 
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
+from ca.errors import HintedError
 from rossec.authority.console.access import Access
 from rossec.authority.console.admission import ConsolePeers
 from rossec.authority.console.console_socket import ConsolePlace, ConsoleSocket
+from rossec.authority.console.policy_view import PolicyLook
+from rossec.authority.console.questions import Questions
+from rossec.authority.console.reading import Reading
 from rossec.authority.console.service import ConsoleService
+from rossec.authority.console.status import StatusLook
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
 from rossec.errors import NotDelivered
+
+DELIVERIES_KEPT: Final = 10.0  # seconds
+PURPOSE: Final = "a look at the console"
 
 
 class Console:
@@ -36,8 +47,46 @@ class Console:
         self.peers = ConsolePeers()
         work = network.work if network else AuthorityWork(rossec_home, operations, _fail, policy)
         self.access = Access(work, operations.audit)
-        self.service = ConsoleService(self.access)
+        self._network = network
+        self.service = ConsoleService(
+            self.access,
+            StatusLook(work, operations.held, self._has_master, self._seen),
+            Reading(work, self.access.last_used, Deliveries(work, self._has_master).states),
+            Questions(work),
+            PolicyLook(work),
+        )
         self.socket = ConsoleSocket(where, self.service, self.peers)
+
+    def _has_master(self) -> bool:
+        return self._network is not None and self._network.has_master
+
+    def _seen(self) -> tuple[object, ...]:
+        """What the console shows and the record does not say."""
+        return tuple(each.id for each in self.access.proposals.all())
+
+
+class Deliveries:
+    """What the master says of each grant in force; asked while it answers, and not every time."""
+
+    def __init__(self, work: AuthorityWork, has_master: Callable[[], bool]) -> None:
+        self._work = work
+        self._has_master = has_master
+        self._states: dict[bytes, str] = {}
+        self._asked = float("-inf")
+
+    def states(self) -> dict[bytes, str]:
+        """By the id of the grant; empty while there is no master."""
+        now = time.monotonic()
+        if not self._has_master():
+            return {}
+        if now - self._asked > DELIVERIES_KEPT:
+            self._asked = now
+            try:
+                with self._work.service(PURPOSE) as service:
+                    self._states = service.delivery_states()
+            except HintedError:
+                self._states = {}
+        return self._states
 
 
 def _fail(call: MasterCall) -> object:

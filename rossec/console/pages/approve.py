@@ -46,10 +46,11 @@ async def approve(request: Request, context: ConsoleContext) -> Response:
         HintedError: it was not asked here, or the service refuses.
     """
     statement = from_base64url(request.path_params["id"])
-    act = context.pending.get(statement, request.state.session.id)
+    session = request.state.session.id
+    act = context.pending.get(statement, session)
     outcome = await context.service.approve(statement, read_assertion(await read_json(request)))
     context.pending.remove(statement)
-    return JSONResponse({"next": approving.carried_out(context, act, outcome)})
+    return JSONResponse({"next": approving.carried_out(context, act, outcome, session)})
 
 
 PAGES: Final = (

@@ -68,9 +68,7 @@ class BoundedProtocol(H11Protocol):
         if not self.client:  # a unix socket, that is a proxy
             return False
         open_now = [each for each in self.connections if isinstance(each, BoundedProtocol)]
-        same = sum(
-            each.client is not None and each.client[0] == self.client[0] for each in open_now
-        )
+        addresses = [each.client[0] for each in open_now if each.client]
         return addresses.count(self.client[0]) > MAX_FOR_ONE
 
     @property

@@ -6,10 +6,9 @@ nothing that browsers send; pictures go on to the scanner's process unread.
 
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
-from rossec.console.options import Endpoint
 from rossec.console.listening import listen
+from rossec.console.options import Endpoint
 from rossec.console.server.web_process import Certificates, WebOptions, WebProcess
 from rossec.console.settings import Settings
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
@@ -53,5 +52,9 @@ async def supervise(
     finally:
         for sock in sockets:
             sock.close()
-        if endpoint.unix_path is not None:
-            Path(endpoint.unix_path).unlink(missing_ok=True)
+        _remove_path(endpoint)
+
+
+def _remove_path(endpoint: Endpoint) -> None:
+    if endpoint.unix_path is not None:
+        endpoint.unix_path.unlink(missing_ok=True)

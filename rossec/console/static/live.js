@@ -5,7 +5,8 @@ const main = document.querySelector("main[data-live]");
 
 function isInUse() {
   const active = document.activeElement;
-  return "busy" in document.body.dataset || (active && active !== document.body && active !== main);
+  // A heading that got the focus when the page was loaded is read, not used.
+  return "busy" in document.body.dataset || Boolean(active?.matches("a, button, input, select, summary, textarea"));
 }
 
 function changed() {

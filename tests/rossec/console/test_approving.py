@@ -13,6 +13,7 @@ from rossec.authority.console.views import IdentityRequestView, Outcome
 from rossec.console import approving
 from rossec.console.approving import DAY, Act, carried_out, certificate_request, read
 from rossec.console.enrollment import Enrollment
+from rossec.console.made_codes import MadeCodes
 from rossec.errors import EnrollmentUnknown, FormRefused
 
 QUESTION = "q" * 22
@@ -57,6 +58,7 @@ class Sources:
         self.heard: list[tuple[str, Outcome]] = []
         self.enrollments: Any = self
         self.service: Any = self
+        self.made_codes = MadeCodes()
 
     def get(self, number: str) -> Enrollment:
         if number not in self.known:
@@ -193,9 +195,16 @@ def test_a_request_is_read_as_pem_or_as_its_base64() -> None:
 def test_the_page_after_an_approval_is_the_one_of_its_kind() -> None:
     sources, outcome = Sources(), Outcome(b"\xab" * 16, "done", "", b"")
     act = Act("enroll", [], "/add/e1", subject="e1")
-    assert carried_out(sources, act, outcome) == "/add/e1"
+    assert carried_out(sources, act, outcome, b"session") == "/add/e1"
     assert sources.heard == [("e1", outcome)]
-    assert carried_out(sources, Act("policy", [], "/approved/{id}"), outcome) == (
+    assert carried_out(sources, Act("policy", [], "/approved/{id}"), outcome, b"session") == (
         "/approved/q6urq6urq6urq6urq6urqw"
     )
     assert len(sources.heard) == 1
+
+
+def test_a_join_code_is_for_the_session_that_made_it() -> None:
+    sources, outcome = Sources(), Outcome(b"\xab" * 16, "done", "", b"code")
+    carried_out(sources, Act("invitation", [], "/invited/{id}"), outcome, b"session")
+    assert not sources.made_codes.take(outcome.id, b"another")
+    assert sources.made_codes.take(outcome.id, b"session")
