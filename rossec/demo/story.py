@@ -4,6 +4,8 @@
 demo it does everything by commands and processes; the console is one of them.
 """
 
+import socket
+
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment
 
@@ -34,10 +36,16 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
 
 async def _start_console(demo: DemoEnvironment, port: int) -> str:
     service = await demo.start(
-        "rossec", "ca", "serve", "--json", "--unlock-for", "0", "--join-address", "127.0.0.1:0",
+        "rossec", "ca", "serve", "--json", "--unlock-for", "0", "--join-address", f"127.0.0.1:{_free_port()}",
         "--passphrase-file", str(demo.root / "passphrase"), name="authority",
     )  # fmt: skip
     await service.expect("starting", lambda report: "ready" in report, within=START)
     console = await demo.start("rossec", "console", "--json", "--port", str(port), name="console")
     ready = await console.expect("starting", lambda report: "ready" in report, within=START)
-    return str(ready["link"])
+    return str(ready["login"])
+
+
+def _free_port() -> int:
+    """A port that nobody listens at now; the join port must be named."""
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        return int(sock.getsockname()[1])
