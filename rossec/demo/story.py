@@ -36,7 +36,8 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
 
 async def _start_console(demo: DemoEnvironment, port: int) -> str:
     service = await demo.start(
-        "rossec", "ca", "serve", "--json", "--unlock-for", "0", "--join-address", f"127.0.0.1:{_free_port()}",
+        "rossec", "ca", "serve", "--json", "--unlock-for", "0",
+        "--join-address", f"127.0.0.1:{_free_port()}",
         "--passphrase-file", str(demo.root / "passphrase"), name="authority",
     )  # fmt: skip
     await service.expect("starting", lambda report: "ready" in report, within=START)
