@@ -22,20 +22,20 @@ class Settings:
         domain: the trust domain's name.
         origins: the addresses under which it is used; of the first one are links and passkeys.
         users: user ids whose programs on this host may connect; None: it is not on localhost.
-        proxy_users: whose programs may connect at a unix socket, as a proxy.
         hsts: whether browsers shall insist on https for this name.
         read_only: whether pages only show.
         lifetime, idle: of sessions, in seconds.
+        proxy_users: whose programs may connect at a unix socket, as a proxy.
     """
 
     domain: str
     origins: tuple[str, ...]
     users: frozenset[int] | None = None
-    proxy_users: frozenset[int] = frozenset()
     hsts: bool = False
     read_only: bool = False
     lifetime: int = LIFETIME
     idle: int = IDLE
+    proxy_users: frozenset[int] = frozenset()
 
     @property
     def origin(self) -> str:
