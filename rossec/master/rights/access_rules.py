@@ -198,6 +198,8 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
+    "rossec.revocationStanding": AccessRule(Scope.AUTHORITY),
+    "rossec.recentDenials": AccessRule(Scope.AUTHORITY),
     "rossec.fetchGrants": AccessRule(Scope.OPEN),  # only grants of the caller's key are returned
     "rossec.watchGrants": AccessRule(Scope.OPEN),  # as above
     "rossec.trl": AccessRule(Scope.FILTERED),  # all entries with ADMIN on the master
