@@ -3,6 +3,7 @@
 import shutil
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -127,7 +128,7 @@ def test_a_copy_of_a_phone_is_noticed_by_its_counter(acts: Acts) -> None:
     ids=str,
 )
 def test_a_touch_at_another_page_or_without_its_owner_is_refused(
-    acts: Acts, flaw: dict[str, object], refusal: type[Exception]
+    acts: Acts, flaw: dict[str, Any], refusal: type[Exception]
 ) -> None:
     with pytest.raises(refusal):
         acts.touch(acts.asks(), **flaw)
