@@ -10,16 +10,25 @@ from rossec.cli.shared.lazy import LazyGroup
 from rossec.console.options import HAND_OUT_PORT, PORT
 
 _CONSOLE: Final = {
+    "approvals": (
+        "console.approvals:approvals",
+        "Show who approved what at the console, oldest first, and what came of it.",
+    ),
     "phone": (
         "console.phone:phone",
         "Show a one-time code that logs in a phone, and can set it up to approve.",
     ),
+    "phones": ("console.group:phones", "Show the phones that can approve."),
     "tls": (
         "console.tls:tls",
         "Show the console's own TLS authority (--lan): its fingerprint, in words and hex.",
     ),
 }
 _FILE: Final = click.Path(path_type=Path)
+
+_PHONES: Final = {
+    "remove": ("console.phones:remove", "Let the phone NAME approve nothing any more."),
+}
 
 
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
@@ -71,3 +80,16 @@ def console(
         show_demo(context, found)
         return
     serve(context.ensure_object(Environment), found, Form(log, as_json), rename=rename)
+
+
+@click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)
+@click.option("--all", "everything", is_flag=True, help="also those that were removed")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def phones(context: click.Context, everything: bool, as_json: bool) -> None:
+    """Show the phones that can approve."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.console.phones import show  # noqa: PLC0415 - imported when it runs
+
+    show(context.ensure_object(Environment), everything=everything, as_json=as_json)
