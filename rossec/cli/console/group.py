@@ -9,14 +9,23 @@ from rossec.cli.shared.lazy import LazyGroup
 from rossec.console.options import PORT
 
 _CONSOLE: Final = {
+    "approvals": (
+        "console.approvals:approvals",
+        "Show who approved what at the console, oldest first, and what came of it.",
+    ),
     "phone": (
         "console.phone:phone",
         "Show a one-time code that logs in a phone, and can set it up to approve.",
     ),
+    "phones": ("console.group:phones", "Show the phones that can approve."),
     "tls": (
         "console.tls:tls",
         "Show the console's own TLS authority (--lan): its fingerprint, in words and hex.",
     ),
+}
+
+_PHONES: Final = {
+    "remove": ("console.phones:remove", "Let the phone NAME approve nothing any more."),
 }
 
 
@@ -38,3 +47,16 @@ def console(context: click.Context, port: int | None, log: str, as_json: bool) -
     from rossec.console.options import Options  # noqa: PLC0415
 
     serve(context.ensure_object(Environment), Options(port=port), log=log, as_json=as_json)
+
+
+@click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)
+@click.option("--all", "everything", is_flag=True, help="also those that were removed")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def phones(context: click.Context, everything: bool, as_json: bool) -> None:
+    """Show the phones that can approve."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.console.phones import show  # noqa: PLC0415 - imported when it runs
+
+    show(context.ensure_object(Environment), everything=everything, as_json=as_json)
