@@ -59,10 +59,14 @@ class Grant(NamedTuple):
 
 
 class PolicyChange(NamedTuple):
-    """A policy file put in force: digests of the one before (zeros: none) and of the new one."""
+    """A policy file put in force: digests of the one before (zeros: none) and of the new one.
+
+    `effect`: digest of the grants that it makes and revokes (`rossec.authority.policy_plan`).
+    """
 
     old: bytes
     new: bytes
+    effect: bytes
 
 
 class Delegate(NamedTuple):
@@ -163,7 +167,7 @@ _FORMS: Final[Mapping[Kind, _Form]] = {
         Enroll, (_is_digest, _is_name, _is_digest, _is_flag, _is_number, _is_flag), 0, 0
     ),
     Kind.GRANT: _Form(Grant, (_is_id, _is_digest), 0, 1),
-    Kind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest), 1, 1),
+    Kind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
     Kind.DELEGATE: _Form(Delegate, (_is_digest, _is_number, _is_number), 0),
     Kind.INTERMEDIATE: _Form(Intermediate, (_is_digest, _is_flag, _is_number), 0, 0),
     Kind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),

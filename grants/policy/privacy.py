@@ -6,7 +6,6 @@ users at home. Built from what the policy allows or from live grants: both are `
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from typing import Final
 
 from grants.filters.layout import Array, Layout, Struct, Type
@@ -156,35 +155,3 @@ def lines(found: Sequence[PrivacyRow]) -> list[str]:
 def as_json(found: Sequence[PrivacyRow]) -> list[dict[str, str]]:
     """The rows for programs."""
     return [asdict(row) for row in found]
-
-
-_PAGE: Final = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>
-body {{ font: 16px/1.5 sans-serif; margin: 2em auto; max-width: 70em; padding: 0 1em }}
-table {{ border-collapse: collapse; width: 100%; margin: 1em 0 2em }}
-td, th {{ border-bottom: 1px solid #ccc; padding: .3em .6em; text-align: left;
-         vertical-align: top }}
-.open {{ background: #fff3d6 }}
-</style></head><body><h1>{title}</h1>
-<p>Each field of each topic, who receives it, how, why and until when. To revoke access:
-<code>rossec privacy opt-out NAME</code>.</p>
-{body}
-</body></html>
-"""
-
-
-def html(found: Sequence[PrivacyRow], title: str) -> str:
-    """The report as one page without external resources; every text is escaped."""
-    topics = dict.fromkeys((row.topic, row.type) for row in found)
-    parts: list[str] = []
-    for topic, kind in topics:
-        parts.append(f"<h2>{escape(topic)} <small>{escape(kind)}</small></h2><table><tr>"
-                     "<th>field<th>receiver<th>treatment<th>when<th>why<th>until</tr>")  # fmt: skip
-        for row in found:
-            if row.topic == topic:
-                cells = (row.field, row.receiver, row.treatment, row.when, row.why, row.until)
-                mark = ' class="open"' if row.treatment == AS_IT_IS else ""
-                parts.append(f"<tr{mark}>" + "".join(f"<td>{escape(cell)}" for cell in cells))
-        parts.append("</table>")
-    body = "\n".join(parts) or "<p>No receiver has access.</p>"
-    return _PAGE.format(title=escape(title), body=body)

@@ -163,8 +163,7 @@ class ApprovalQueue:
             ConfigurationError: the policy was changed meanwhile; nothing is signed.
         """
         chosen = list(approvals)
-        verdicts = [change(approve(approval.verdict)) for approval in chosen]
-        made = self._drafts(authority.domain, zip(chosen, verdicts, strict=True))
+        made = self.drafts(authority.domain, chosen, change)
         answers = GrantRequestStore(authority.store.database)
         with authority.store.transaction():
             self._policy.check_unchanged()
@@ -173,12 +172,19 @@ class ApprovalQueue:
             signed = authority.issue_grants(made, self._now)
         return [(draft, data) for (draft, _), data in zip(made, signed, strict=True)]
 
-    def _drafts(
-        self, domain: str, decided: Iterable[tuple[PendingApproval, Verdict]]
+    def drafts(
+        self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
     ) -> list[tuple[Draft, str]]:
-        """The grants to sign, with the rules of those that the policy allows by itself."""
+        """The grants to sign for the verdicts, modified by `change`.
+
+        With the rules of those that the policy allows by itself.
+
+        Raises:
+            PolicyRefused: as `sign`.
+        """
         groups: dict[str, list[Verdict]] = {}
-        for approval, verdict in decided:
+        for approval in approvals:
+            verdict = change(approve(approval.verdict))
             rules = rule_ids(verdict.rules) if approval.is_allowed else ""
             groups.setdefault(rules, []).append(verdict)
         return [

@@ -12,7 +12,6 @@ from ca.enrollment.invitation import SECRET_SIZE, InvitationCode
 from ca.names import RESERVED, check_name, check_wildcard
 from ca.revocation.state import RevocationList
 from ca.store.invitations import InvitationRow, InvitationUse
-from ca.store.lifecycle import RequestState
 from ca.store.record import Store
 from grants.names import check_pattern
 from rossec.authority.home import AuthorityHome
@@ -62,6 +61,22 @@ def invite(
         ConfigurationError: it would allow reserved names only.
         CodeRefused: the address does not fit into a code.
     """
+    check_invitation(pattern, wildcard=wildcard)
+    code, row = make_invitation(home, pattern, uses, expires, address, now, wildcard=wildcard)
+    store = home.store()
+    try:
+        store.invitations.add(row)
+    finally:
+        store.close()
+    return code
+
+
+def check_invitation(pattern: str, *, wildcard: bool) -> None:
+    """Return if there can be an invitation for names within `pattern`.
+
+    Raises:
+        PatternRefused, NameRefused, ConfigurationError: as `invite`.
+    """
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
@@ -70,16 +85,27 @@ def invite(
             f"{pattern} is reserved: no invitation is for it",
             f"enroll it in person: rossec node enroll {pattern}",
         )
+
+
+def make_invitation(
+    home: AuthorityHome,
+    pattern: str,
+    uses: int,
+    expires: int,
+    address: str,
+    now: int,
+    *,
+    wildcard: bool,
+) -> tuple[InvitationCode, InvitationRow]:
+    """A new code, and the row that has to be recorded before it is shown.
+
+    Raises:
+        CodeRefused: the address does not fit into a code.
+    """
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)
-    store = home.store()
-    try:
-        row = InvitationRow(code.id, code.key, pattern, uses, wildcard, expires, now)
-        store.invitations.add(row)
-    finally:
-        store.close()
-    return code
+    return code, InvitationRow(code.id, code.key, pattern, uses, wildcard, expires, now)
 
 
 def invitations(store: Store) -> list[InvitationStatus]:
@@ -103,14 +129,13 @@ def find(store: Store, beginning: str) -> InvitationStatus:
 
 
 def end(store: Store, invitation: InvitationStatus, reason: str, now: int) -> int:
-    """End an invitation, and deny what waits for a person because of it; returns their number."""
+    """End an invitation, and deny what waits because of it; returns their number.
+
+    Also what a person approved while the key was locked, and is not issued yet.
+    """
     with store.transaction():
         store.invitations.end(invitation.row.id, reason, now)
-        waiting = [
-            row
-            for row in store.requests.open()
-            if row.source == source(invitation.row) and row.state is RequestState.PENDING
-        ]
+        waiting = [row for row in store.requests.open() if row.source == source(invitation.row)]
         for row in waiting:
             store.requests.deny(row.digest, now, f"its invitation was ended: {reason}")
     return len(waiting)

@@ -7,15 +7,17 @@ identity and get none. The grants of other keys only lose what the policy no lon
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import Final
 
+from ca.encoding import Value, encode
 from ca.errors import RevocationRefused
 from ca.names import RESERVED
 from ca.revocation.lists import MAX_ENTRIES
 from ca.revocation.tree import MAX_LEAVES
 from ca.store.record import Store
-from grants import document
-from grants.model import Draft, Grant, Permission
+from grants import claims, document
+from grants.model import ID_SIZE, KEY_SIZE, Draft, Grant, Permission
 from grants.policy.difference import (
     Contradiction,
     Moment,
@@ -98,6 +100,19 @@ class PolicyPlan:
     def ends(self) -> int | None:
         """When the first right from the policy ends, seconds; None without any."""
         return min((node.ends for node in self.nodes if node.ends is not None), default=None)
+
+    def effect(self, domain: str) -> bytes:
+        """The digest of what it signs and revokes; plans that do the same have the same, whenever.
+
+        SHA-256 of the CBOR of the claims of its grants, as if they were signed at the time `SKEW`
+        with serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
+        """
+        drafts = self.drafts(domain, SKEW, lambda: bytes(ID_SIZE))
+        signs: list[Value] = [
+            [claims.from_draft(draft, bytes(KEY_SIZE)), rules] for draft, rules in drafts
+        ]
+        revokes: list[Value] = [*sorted(grant.id for grant in self.revoke)]
+        return sha256(encode([signs, revokes])).digest()
 
     def drafts(
         self, domain: str, now: int, serial: Callable[[], bytes]

@@ -161,8 +161,12 @@ class SigningAuthority:
                 self.store.add_grant(row, now, rules)
         return signed
 
-    def issue_delegation(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
+    def issue_delegation(
+        self, holder: bytes, lifetime: int, max_ttl: int, now: int, *, serial: bytes = b""
+    ) -> bytes:
         """Let the master with the key `holder` renew grants; recorded before it is delivered.
+
+        `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
 
         Raises:
             RenewalMalformed: the lifetime is too long.
@@ -170,12 +174,14 @@ class SigningAuthority:
         self.refresh_list(now)
         begin = now - SKEW
         draft = Delegation(
-            self.domain, holder, begin, begin + lifetime, max_ttl, secrets.token_bytes(16)
-        )
+            self.domain, holder, begin, begin + lifetime, max_ttl,
+            serial or secrets.token_bytes(16),
+        )  # fmt: skip
         data = sign_delegation(self.signer, draft)
         files.make_private_directory(self.path / DELEGATIONS)
         name = open_delegation(data, self.signer.public_key).id.hex()
-        files.create(self.path / DELEGATIONS / f"{name}.cose", data)
+        write = files.replace if serial else files.create
+        write(self.path / DELEGATIONS / f"{name}.cose", data)
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:

@@ -18,6 +18,10 @@ _TABLE: Final = {
         "Show the master's audit: what was denied, and what was administered.",
     ),
     "ca": ("ca.group:ca", "Run the authority, which signs the identities."),
+    "console": (
+        "console.group:console",
+        "Show who sees what, and decide: pages for a browser, and the phones that approve.",
+    ),
     "demo": ("demo:demo", "Show the main job: enroll, grant, filter, refuse, revoke."),
     "discover": (
         "master.discover:discover",

@@ -5,6 +5,7 @@ The application knows no address but those of its settings, so a request's `Host
 
 import logging
 from collections.abc import Awaitable, Callable
+from typing import Final
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -21,6 +22,7 @@ from rossec.console.server.guard import Guard, wants_json
 from rossec.errors import HttpRefused, KeyServiceFailed
 from rossec.ros.text import printable
 
+CRASHED: Final = HttpRefused("something went wrong here", "it is in the log", status=500)
 _log = logging.getLogger("rossec.console")
 
 
@@ -39,6 +41,9 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
             return await page.handler(request, context)
         except HintedError as error:
             return show_error(request, context, error)
+        except Exception as error:  # noqa: BLE001 - logged; nothing of it reaches the browser
+            _log.error("%s crashed: %s", page.path, type(error).__name__, exc_info=error)
+            return show_error(request, context, CRASHED)
 
     return answer
 

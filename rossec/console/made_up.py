@@ -14,7 +14,7 @@ import numpy as np
 
 from rossec.console.samples import Recorded
 from rossec.errors import MessageError
-from rossec.participant.message_types import MessageType, message_type
+from rossec.participant.message_types import message_type
 
 _FRAME: Final = "map"
 _SECONDS: Final = 60
@@ -118,6 +118,8 @@ def _anything(message: Any, at: float) -> None:
     """Every number moves, every text is its field's name."""
     for each in fields(message):
         value = getattr(message, each.name)
+        if each.name.startswith("__"):  # rosbags' own
+            continue
         if is_dataclass(value):
             _anything(value, at)
         elif isinstance(value, float):
@@ -140,11 +142,3 @@ _MAKERS: Final = {
     "sensor_msgs/LaserScan": _scan,
     "sensor_msgs/Image": _image,
 }
-
-
-def known(type_name: str) -> MessageType | None:
-    """The message type, if it is known here."""
-    try:
-        return message_type(type_name)
-    except MessageError:
-        return None

@@ -103,7 +103,10 @@ def _without_conditions(given: Iterable[Restriction]) -> Iterable[Restriction]:
 
 def as_mapping(message: Any) -> Mapping[str, Any]:
     """The fields of a message by name; arrays of numbers stay as they are."""
-    return {each.name: _plain(getattr(message, each.name)) for each in fields(message)}
+    names = (
+        each.name for each in fields(message) if not each.name.startswith("__")
+    )  # rosbags' own
+    return {name: _plain(getattr(message, name)) for name in names}
 
 
 def _plain(value: Any) -> Any:

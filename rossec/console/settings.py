@@ -4,7 +4,8 @@ An origin is what a browser sends as `Origin` (RFC 6454): scheme, name, and the 
 the scheme's own. The first one is the console's address as people are told it.
 """
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -49,7 +50,16 @@ class Settings:
         return frozenset(urlsplit(origin).netloc for origin in self.origins)
 
 
-def origin_of(scheme: str, name: str, port: int) -> str:
-    """The origin of a server, as browsers write it."""
-    usual = {"http": 80, "https": 443}[scheme]
-    return f"{scheme}://{name}" if port == usual else f"{scheme}://{name}:{port}"
+def write_settings(settings: Settings) -> str:
+    """Settings as text, for the web process's command line: nothing in them is secret."""
+    fields = asdict(settings)
+    fields["users"] = None if settings.users is None else sorted(settings.users)
+    return json.dumps(fields)
+
+
+def read_settings(text: str) -> Settings:
+    """The settings that `write_settings` wrote."""
+    fields = json.loads(text)
+    fields["origins"] = tuple(fields["origins"])
+    fields["users"] = None if fields["users"] is None else frozenset(fields["users"])
+    return Settings(**fields)

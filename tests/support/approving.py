@@ -28,7 +28,7 @@ WHATS: dict[Kind, What] = {
         DIGESTS[1], "/robot", DIGESTS[2], wildcard=False, lifetime=9, replaces=True
     ),
     Kind.GRANT: Grant(b"r" * 16, DIGESTS[3]),
-    Kind.POLICY: PolicyChange(DIGESTS[0], DIGESTS[4]),
+    Kind.POLICY: PolicyChange(DIGESTS[0], DIGESTS[4], DIGESTS[8]),
     Kind.DELEGATE: Delegate(DIGESTS[5], 86400, 3600),
     Kind.INTERMEDIATE: Intermediate(DIGESTS[6], enrolls=True, lifetime=86400),
     Kind.PASSKEY: NewPasskey(b"credential", DIGESTS[7], "Ann's phone"),

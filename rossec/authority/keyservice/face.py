@@ -9,12 +9,8 @@ service's own socket refuses it.
 import asyncio
 import logging
 import os
-import resource
 import socket
 import sys
-import sysconfig
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -34,7 +30,7 @@ from rossec.enrollment.join_server import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
 from rossec.net.rpc.client import RpcClient
-from rossec.operation import landlock
+from rossec.operation.confinement import confine_files, confine_processes
 from rossec.operation.json_log import log_as_json
 from rossec.operation.process_memory import protect_memory
 from rossec.operation.shutdown import until_first_ends
@@ -42,7 +38,6 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 ANY: Final = "*"  # as the host of a join address: every address of this host
-_THREADS: Final = 4  # for names of hosts; made before new ones are forbidden
 _FRESH: Final = 10.0  # seconds for which the own identity is not read again
 _log = logging.getLogger("rossec.authority.face")
 
@@ -147,43 +142,14 @@ def _report(line: str) -> None:
     _log.warning("refused at the join port: %s", line)
 
 
-def confine_files(own: Path) -> None:
-    """Let this process read its own directory and what programs need, and write nothing.
-
-    So it cannot read the authority's encrypted key, its record or a passphrase beside them. Where
-    the kernel cannot do that, the limits of the service manager remain.
-    """
-    found = sysconfig.get_paths()
-    libraries = {found[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-    programs = {*libraries, f"{sys.base_prefix}/lib", *sys.path}
-    system = (
-        "/usr", "/lib", "/lib64", "/etc", "/proc/self", "/proc/sys", "/dev/urandom",
-        "/run/systemd/resolve",
-    )  # fmt: skip
-    try:
-        landlock.read_only([own, *map(Path, system), *map(Path, sorted(programs))])
-    except OSError as error:
-        _log.warning("the network process can read the files of its user: %s", error)
-
-
-def confine() -> ThreadPoolExecutor:
-    """Let this process start no other one, nor a thread beyond those of the executor returned."""
-    ready = threading.Barrier(_THREADS + 1)
-    executor = ThreadPoolExecutor(_THREADS)
-    for _ in range(_THREADS):
-        executor.submit(ready.wait)
-    ready.wait()
-    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
-    return executor
-
-
 def main(arguments: list[str]) -> None:
     """Run the face: descriptor, directory of `/ca`, join address, master's URI, form of the log."""
     descriptor, directory, join_address, master_uri, log = arguments
     log_as_json() if log == "json" else logging.basicConfig(level=logging.WARNING)
     protect_memory()
-    confine_files(Path(directory))
-    executor = confine()
+    # So it cannot read the authority's encrypted key, its record or a passphrase beside them.
+    confine_files([Path(directory)])
+    executor = confine_processes()
     suites = suite_selection.post_quantum(os.environ)
     face = Face(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
 

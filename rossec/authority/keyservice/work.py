@@ -57,7 +57,7 @@ class AuthorityWork:
         self._policy = policy
         self._now = now
         self._applied: tuple[object, int] = None, 0
-        self._published = b""
+        self.published = b""  # the list that the master has from here
 
     @property
     def is_locked(self) -> bool:
@@ -163,9 +163,9 @@ class AuthorityWork:
     def _publish(self, service: AuthorityService) -> None:
         """Deliver the newest list, whoever signed it, until the master has taken it."""
         newest = service.home.revocation_list()
-        if newest != self._published:
+        if newest != self.published:
             service.publish()
-            self._published = newest
+            self.published = newest
 
     @contextlib.contextmanager
     def service(self, purpose: str) -> Iterator[AuthorityService]:

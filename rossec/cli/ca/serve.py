@@ -24,7 +24,9 @@ from rossec.authority.keyservice.process import (
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at
+from rossec.cli.shared.own_address import own_address
 from rossec.clock import format_duration
+from rossec.enrollment import address
 from rossec.enrollment.address import JOIN_PORT
 from rossec.errors import ConfigurationError
 from rossec.net.host.peeruid import UnixPeer
@@ -106,12 +108,12 @@ def serve(
             network = NetworkWork(
                 environment.home, operations, face, applies=applies, policy=policy_path
             )
-            operations.on_unlock = network.rounds.wake
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
-        console = Console(where, environment.home, operations, network, policy_path)
+        reached = lambda: _join_address(environment, join_address, face)  # noqa: E731 - one expression
+        console = Console(where, environment.home, operations, network, policy_path, reached)
         admit = _Admission(console, face).admit
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
         serving = _Serving(environment, home, process, console, face, network)
@@ -151,8 +153,7 @@ class _Serving:
             await self.console.socket.start()
             audit.info("the service began")
             tasks = [self._until_stopped(stop, as_json=as_json), self.process.watch_time()]
-            if self.network is not None:
-                tasks.append(self.network.run())
+            tasks.append(self.network.run() if self.network else self.console.rounds.run())
             await until_first_ends(*tasks)
         finally:
             await self.console.socket.close()
@@ -176,6 +177,20 @@ class _Serving:
         say(f"authority of {self.home.domain}: {describe_remaining(remaining)}")
         if port:
             say(f"nodes join at port {port}: rossec ca invite PATTERN")
+
+
+def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
+    """Where nodes reach the join port, for a code.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    if face is None or not face.port:
+        raise ConfigurationError(
+            "this service has no join port", "start it without --no-network: rossec ca serve"
+        )
+    host = address.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
+    return address.join(own_address(environment) if given.startswith(ANY) else host, face.port)
 
 
 def describe_remaining(remaining: int | None) -> str:

@@ -1,5 +1,7 @@
 """`rossec privacy`: which node has access to which data, and why."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from ca.names import check_name
@@ -8,12 +10,13 @@ from grants.model import Grant, Permission, Right
 from grants.policy import privacy as report
 from grants.policy.decision import Decider
 from grants.policy.model import Subject
-from grants.policy.privacy import PrivacyRow, ReceiverAccess
+from grants.policy.privacy import ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import layout_of, read_policy
 from rossec.cli.shared.context import Environment, now
 from rossec.clock import format_time
+from rossec.errors import ConfigurationError
 from rossec.terminal import say, say_json
 
 
@@ -32,12 +35,17 @@ def show(
     accesses = report.from_policy(read.decider)
     if held:
         accesses = _held(AuthorityHome.at(environment.home), read.decider)
-    rows = [row for row in report.rows(accesses, layout_of) if _wanted(row, node, field)]
     if html is not None:
-        page = report.html(rows, f"What {read.policy.robot} shows to whom")
-        files.replace(html, page.encode(), 0o644)
+        wanted = partial(_is_wanted, node, field)
+        files.replace(html, _page(accesses, wanted, read.policy.robot).encode(), 0o644)
         say(f"written to {html}")
-    elif as_json:
+        return
+    rows = [
+        row
+        for row in report.rows(accesses, layout_of)
+        if _is_wanted(node, field, row.receiver, row.field)
+    ]
+    if as_json:
         say_json(report.as_json(rows))
     else:
         for line in report.lines(rows):
@@ -78,5 +86,22 @@ def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverA
     )
 
 
-def _wanted(row: PrivacyRow, node: str | None, field: str | None) -> bool:
-    return (node is None or row.receiver == node) and (field is None or field in row.field)
+def _is_wanted(node: str | None, field: str | None, receiver: str, path: str) -> bool:
+    return node in (None, receiver) and (field is None or field in path)
+
+
+def _page(accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], robot: str) -> str:
+    """The report as the console shows it, as one file.
+
+    Raises:
+        ConfigurationError: the extra `console` is missing.
+    """
+    try:
+        from rossec.console.pages.privacy import write  # noqa: PLC0415 - an extra
+        from rossec.console.report import topics  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"a page needs the package {error.name}",
+            "pip install 'rossec[console]', or leave out --html",
+        ) from error
+    return write(topics(accesses, layout_of, wanted), robot, now())

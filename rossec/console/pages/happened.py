@@ -15,8 +15,7 @@ from rossec.console.routing import Page
 from rossec.console.sentences import Known, Sentence, refusals, story
 
 THINGS: Final = 50
-MAX_LINES: Final = 80  # of the flow as a list
-MAX_DENIALS: Final = 40
+MAX_REFUSED: Final = 20  # sentences about denials on one page
 _ENTRIES: Final = 100  # asked at once
 _ROUNDS: Final = 10  # of asking, where few entries are of the node that is looked for
 
@@ -30,13 +29,23 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     known = Known.of(home.held, home.nodes, await context.service.questions())
     events, following = await _events(context, before, node, known)
     denied = _between(await overview.denials(context), events, before, following)
-    told = [each for each in story(events, denied, known) if not node or each.node == node]
+    told, refused = _bounded(
+        [each for each in story(events, denied, known) if not node or each.node == node]
+    )
     fresh = 0 if before else _look(request, events, told)
     more = urlencode({"before": following, **({"node": node} if node else {})})
     return render(
         context, request, "log.html", live=not before, sentences=told, node=node, before=before,
-        more=f"/log?{more}" if following else "", new=fresh, without_master=home.without_master,
+        more=f"/log?{more}" if following else "", new=fresh, more_refused=refused,
+        without_master=home.without_master,
     )  # fmt: skip
+
+
+def _bounded(told: list[Sentence]) -> tuple[list[Sentence], int]:
+    """At most so many denials, the newest, and how many are left out: nodes cause them at will."""
+    denied = [each for each in told if each.number < 0]
+    left = set(denied[MAX_REFUSED:])
+    return [each for each in told if each not in left], len(left)
 
 
 async def _events(
@@ -83,20 +92,14 @@ async def way(request: Request, context: ConsoleContext) -> Response:
     denied = await overview.denials(context)
     busy = home.matrix.busiest_first()
     part = busy.window(slice(row, row + flow.MAX_ROWS), slice(flow.MAX_ROWS))
-    lines = [
-        (each, cell)
-        for each in busy.rows[row : row + flow.MAX_ROWS]
-        for cell in each.cells
-        if cell.grants
-    ]
     told = refusals(denied)
     running = {fact.name for fact in home.facts if fact.kind == "publisher"}
     return render(
         context, request, "way.html", live=True, row=row, rows=len(busy.rows),
-        page_rows=flow.MAX_ROWS, lines=lines[:MAX_LINES], more=max(0, len(lines) - MAX_LINES),
+        page_rows=flow.MAX_ROWS, shown=busy.rows[row : row + flow.MAX_ROWS],
         flow=flow.draw(part, overview.refused_names(denied)), running=running,
-        refused=sorted(told, key=lambda each: -each.at)[:MAX_DENIALS],
-        more_refused=max(0, len(told) - MAX_DENIALS), without_master=home.without_master,
+        refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
+        more_refused=max(0, len(told) - MAX_REFUSED), without_master=home.without_master,
     )  # fmt: skip
 
 

@@ -18,13 +18,13 @@ from rossec.authority.console.client import Assertion, Registration
 from rossec.authority.console.views import LoginChallenge
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import bytes_field, read_form, read_json, text_field, to_base64url
+from rossec.console.phone_names import MAX_NAME
 from rossec.console.rendering import render
 from rossec.console.routing import PUBLIC, Page
 from rossec.console.sessions import COOKIE, COOKIE_SIZE
 from rossec.errors import HttpRefused, KeyServiceFailed
 
 _T = TypeVar("_T")
-MAX_NAME: Final = 40
 FIRST: Final = "/"  # the page after a login
 
 

@@ -14,7 +14,7 @@ from rossec.console.routing import Page
 from rossec.errors import HttpRefused
 
 ROWS: Final = 12
-RECEIVERS: Final = 6
+RECEIVERS: Final = 4
 MAX_OTHERS: Final = 60
 MAX_CELLS: Final = 40
 _OTHER: Final = ~(Right.SUBSCRIBE | Right.PUBLISH)

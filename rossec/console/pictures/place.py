@@ -270,8 +270,8 @@ def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
 
 
 def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
-    left, right = max(x - wide / 2, 0.0) + 1, min(x + wide / 2, WIDTH) - 1
-    top, bottom = max(y - high / 2, 0.0) + 1, min(y + high / 2, HEIGHT) - 1
+    left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
+    top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
     return Element(
         "rect", x=left, y=top, width=max(right - left, 1.0), height=max(bottom - top, 1.0),
         rx=4.0, class_=class_,

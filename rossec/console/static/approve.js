@@ -120,10 +120,14 @@ async function run(form, action) {
 }
 
 function codeFromAddress() {
-  const code = location.hash.slice(1);
+  const [code, name] = location.hash.slice(1).split("."); // a code is base64url: it has no dot
   if (!code || !document.querySelector("[data-register]")) return;
   history.replaceState(null, "", location.pathname); // before anything else: it is a secret
   for (const input of document.querySelectorAll("[data-register] input[name=code]")) input.value = code;
+  const field = document.querySelector("[data-register] input[name=name]");
+  try {
+    if (name) field.value = decodeURIComponent(name);
+  } catch { /* a damaged name: the field keeps its own */ }
   for (const part of document.querySelectorAll("[data-without-code]")) part.hidden = true;
 }
 

@@ -6,10 +6,11 @@ What stock rosmaster refuses is answered with its texts and defaults; what only 
 """
 
 import xmlrpc.client
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
+from rossec.master.api.authority_calls import AuthorityCalls
 from rossec.master.api.deposit_calls import DepositCalls
 from rossec.master.api.graph_calls import GraphCalls
 from rossec.master.api.methods import (
@@ -27,8 +28,9 @@ from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
 from rossec.master.api.watch_calls import WatchCalls
-from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
+from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Peer, Refused
 from rossec.master.rights.deposits import Deposits
+from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
@@ -47,6 +49,8 @@ class MasterApi:
         parameters: those already set.
         parameter_bytes: limit on the size of all parameters together.
         deposits: the grants deposited so far; by default none is accepted.
+        denials: which rights nodes lacked.
+        connected: the identities that have a connection now.
     """
 
     def __init__(
@@ -62,6 +66,8 @@ class MasterApi:
         parameters: Parameters | None = None,
         parameter_bytes: int = SIZE_LIMIT,
         deposits: Deposits | None = None,
+        denials: RecentDenials | None = None,
+        connected: Callable[[], Iterable[Peer]] = tuple,
     ) -> None:
         self._uri = uri
         self._pid = pid
@@ -69,6 +75,7 @@ class MasterApi:
         self.watch_calls = WatchCalls(registry, self._access_control, instance)
         tree = Parameters() if parameters is None else parameters
         deposits = Deposits() if deposits is None else deposits
+        denials = RecentDenials() if denials is None else denials
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
             **GraphCalls(registry, self._access_control).methods(),
@@ -76,6 +83,7 @@ class MasterApi:
             **self.watch_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),
             **DepositCalls(statements, deposits).methods(),
+            **AuthorityCalls(statements, denials, connected).methods(),
             **self._own_methods(),
         }
 

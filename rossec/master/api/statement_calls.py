@@ -117,7 +117,7 @@ class StatementCalls:
 
     def _since(self, request: CallRequest) -> Reply:
         """The list, unless the caller says that it holds the same."""
-        self._statements.record_held_list(request.caller, request.binary(1))
+        self._statements.held_lists.record(request.caller, request.binary(1), request.now)
         return Reply(
             list(self._statements.revocations_for(request.caller, request.now)), "revocations"
         )

@@ -107,8 +107,11 @@ class Caller:
         return replace(self, name=name, wildcard=False, certified=self.name)
 
     def may(self, right: Right, name: str) -> bool:
-        """Whether a grant covers `right` on `name`."""
-        return self.reach.covers(right, name)
+        """Whether a grant covers `right` on `name`.
+
+        The authority's own node sees the graph without one, which it could sign for itself.
+        """
+        return self.reach.covers(right, name) or (self.is_authority and right is Right.GRAPH)
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
         """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
@@ -129,7 +132,7 @@ class Caller:
 
     def may_see(self, name: str) -> bool:
         """Whether a topic, service or node name may appear in an answer to this caller."""
-        return self.reach.covers_any(VISIBILITY_RIGHTS, name)
+        return self.is_authority or self.reach.covers_any(VISIBILITY_RIGHTS, name)
 
 
 class Scope(Enum):
@@ -195,6 +198,8 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
+    "rossec.revocationStanding": AccessRule(Scope.AUTHORITY),
+    "rossec.recentDenials": AccessRule(Scope.AUTHORITY),
     "rossec.fetchGrants": AccessRule(Scope.OPEN),  # only grants of the caller's key are returned
     "rossec.watchGrants": AccessRule(Scope.OPEN),  # as above
     "rossec.trl": AccessRule(Scope.FILTERED),  # all entries with ADMIN on the master

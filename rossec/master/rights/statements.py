@@ -22,6 +22,7 @@ from grants.model import Grant
 from grants.token import Verifier
 from rossec.master.rights.access_rules import Caller, Peer, is_authority
 from rossec.master.rights.delegation import Delegate, discard
+from rossec.master.rights.held_lists import HeldLists, ListStanding
 from rossec.master.rights.presented_grants import (
     FAILURE_WINDOW,
     MAX_HELD,
@@ -33,7 +34,6 @@ from rossec.master.rights.presented_grants import (
 )
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
-MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
 
 
 Renewer = Callable[[bytes, int, RevocationCheck], bytes]
@@ -73,7 +73,7 @@ class TrustState:
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, PresentedGrants] = {}
         self._revoked_grants: dict[bytes, Grant] = {}
-        self._lists: dict[tuple[str, bytes], bytes] = {}
+        self.held_lists = HeldLists()
         self._identity_keys: dict[bytes, tuple[bytes, ...]] = {}  # by the identity's own key
         self._timestamp_cache: tuple[int, bytes] = (-1, b"")
         self._context = NOT_EVALUATED
@@ -196,18 +196,20 @@ class TrustState:
             self._timestamp_cache = now, sign_timestamp(self._signer, self._timestamp(now))
         return self._revocations.data, self._timestamp_cache[1]
 
-    def record_held_list(self, peer: Peer, digest: bytes) -> None:
-        """Record which list a node says it holds, by its digest; used only not to send it again."""
-        if len(self._lists) >= MAX_HELD_LISTS:  # a wildcard identity has as many names as it wants
-            self._lists.clear()
-        self._lists[peer.name, peer.thumbprint] = digest
-
     def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
         """As `current`, but without the list if the node has said that it holds it."""
         data, stamp = self.current(now)
-        return (
-            b"" if self._lists.get((peer.name, peer.thumbprint)) == digest(data) else data
-        ), stamp
+        return (b"" if self.held_lists.holds(peer, digest(data)) else data), stamp
+
+    def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
+        """How many of the `connected` hold the list in force."""
+        return self.held_lists.standing(connected, digest(self._revocations.data), now)
+
+    @property
+    def list_number(self) -> tuple[int, int]:
+        """Epoch and sequence number of the list in force; zeros: none."""
+        current = self._revocations.current
+        return (0, 0) if current is None else current.number
 
     @property
     def number(self) -> int:
@@ -262,7 +264,7 @@ class TrustState:
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Discard the grants of all other keys, and the expired grants of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
-        self._lists = {key: held for key, held in self._lists.items() if key[1] in thumbprints}
+        self.held_lists.keep_only(thumbprints)
         self._identity_keys = {
             key: keys for key, keys in self._identity_keys.items() if key in thumbprints
         }

@@ -14,6 +14,7 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from ca.revocation.state import digest
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
@@ -31,6 +32,7 @@ from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.access_rules import Peer
 from rossec.master.rights.enforce import enforce, steps
+from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.dialer import SlaveDialer
@@ -70,6 +72,7 @@ class MasterState:
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
     grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
+    recent_denials: RecentDenials = field(default_factory=RecentDenials)
 
     def now(self) -> int:
         """The time, in whole seconds."""
@@ -99,7 +102,7 @@ class Effects:
         self._state = state
         self._on_denial = on_denial
         self.dialer: Final = SlaveDialer(context, self.evict)
-        self.updates: Final = Updates(self.dialer.dial, max_clients)
+        self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
         self.list_changed: Final = asyncio.Event()
         self.calls = self.denials = 0
@@ -157,6 +160,7 @@ class Effects:
                 self.denials += 1
                 _denials.warning("%s may not %s: %s", node, method, printable(status))
             case Denied(node, right, name):
+                self._state.recent_denials.add(self._state.now(), node, right, name)
                 self._on_denial(self._state.now(), node, right, name)
             case GrantsPresented(name, refused):
                 self._state.graph_changes.notify()  # it may see more or less now
@@ -197,6 +201,13 @@ class Effects:
         for node in self.updates.nodes:
             if self._state.trust.caller_of(node, now) is None:
                 self.updates.drop(node)
+
+    def _record_taken(self, node: NodeRef, method: str, params: tuple[object, ...]) -> None:
+        """A node that has taken a list has closed what the list ends."""
+        match params:
+            case (_, bytes(revocations), _) if revocations and method == REVOCATION_UPDATE:
+                taken = digest(revocations)
+                self._state.trust.held_lists.record(node, taken, self._state.now())
 
     def drop_deposits(self) -> None:
         """Remove the deposited grants that have ended or are revoked."""

@@ -167,6 +167,8 @@ class MasterServer:
             parameters=parameters,
             parameter_bytes=self._limits.parameters,
             deposits=self._load_deposits(),
+            denials=state.recent_denials,
+            connected=lambda: [stream.peer for stream in state.streams],
         )
         self._answers = CallAnswers(api, state, self._effects, self._turns)
         self._maintenance.start(api.watch_calls.keep_only)

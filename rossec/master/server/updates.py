@@ -31,8 +31,15 @@ _log = logging.getLogger("rossec.master.updates")
 Dial = Callable[[NodeRef], Awaitable[RpcClient]]
 """Connects to a slave API, or raises `RossecError`, also when another peer answers there."""
 
+OnTaken = Callable[[NodeRef, str, tuple[object, ...]], None]
+"""Called with the method and parameters of an update that a node has accepted."""
+
 Key = tuple[str, str]
 """Method and subject: of two pending updates with one key only the newer is sent."""
+
+
+def ignore_taken(node: NodeRef, method: str, params: tuple[object, ...]) -> None:
+    """Take no notice."""
 
 
 class NodeClient:
@@ -43,11 +50,13 @@ class NodeClient:
         node: NodeRef,
         dial: Dial,
         *,
+        on_taken: OnTaken = ignore_taken,
         deadline: float = CALL_DEADLINE,
         retry_after: tuple[float, ...] = _RETRY_AFTER,
     ) -> None:
         self.node = node
         self._dial = dial
+        self._on_taken = on_taken
         self._deadline = deadline
         self._retry_after = retry_after
         self._pending: dict[Key, tuple[object, ...]] = {}
@@ -110,6 +119,7 @@ class NodeClient:
                 if self._client is None or self._client.closed:
                     self._client = await self._dial(self.node)
                 await self._client.ask(method, *params)
+            self._on_taken(self.node, method, params)
         except (Fault, AnswerRefused) as error:
             _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
@@ -132,11 +142,18 @@ class Updates:
     Args:
         max_clients: clients for one key at a time. A node can register any number of addresses, one
             after another; the master must neither run out of connections nor be used for a scan.
+        on_taken: called for each update that a node has accepted.
     """
 
     def __init__(
-        self, dial: Dial, max_clients: int = 64 + MAX_CLOSING, *, deadline: float = CALL_DEADLINE
+        self,
+        dial: Dial,
+        max_clients: int = 64 + MAX_CLOSING,
+        *,
+        on_taken: OnTaken = ignore_taken,
+        deadline: float = CALL_DEADLINE,
     ) -> None:
+        self._on_taken = on_taken
         self._dial = dial
         self._max_clients = max_clients
         self._deadline = deadline
@@ -152,7 +169,8 @@ class Updates:
             ):
                 _log.info("%s changes its address too often: no %s is sent", node.name, key[0])
                 return
-            client, tasks = NodeClient(node, self._dial, deadline=self._deadline), TaskSet()
+            client = NodeClient(node, self._dial, on_taken=self._on_taken, deadline=self._deadline)
+            tasks = TaskSet()
             tasks.spawn(client.run(), f"updates to {node.name}")
             self._clients[node] = client, tasks
         self._clients[node][0].post(key, *params)

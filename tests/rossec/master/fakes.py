@@ -12,6 +12,7 @@ from rossec.master.api.methods import MasterEvent
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
 from rossec.master.rights.access_rules import Caller, Peer
+from rossec.master.rights.held_lists import HeldLists, ListStanding
 from rossec.master.rights.presented_grants import Presented, Renewed
 from rossec.master.rights.statements import TrustState
 
@@ -95,7 +96,7 @@ class FakeStatements(TrustState):
     callers: dict[str, Caller] = field(default_factory=dict)
     lists: list[bytes] = field(default_factory=list)
     presented: list[bytes] = field(default_factory=list)
-    held: dict[str, bytes] = field(default_factory=dict)
+    held_lists: HeldLists = field(default_factory=HeldLists)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         known = self.callers.get(peer.name)
@@ -141,12 +142,16 @@ class FakeStatements(TrustState):
     def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
         return [b"proof of " + entry for entry in entries]
 
-    def record_held_list(self, peer: Peer, digest: bytes) -> None:
-        self.held[peer.name] = digest
+    @property
+    def list_number(self) -> tuple[int, int]:
+        return 1, len(self.lists)
+
+    def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
+        return self.held_lists.standing(connected, self.lists[-1], now)
 
     def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)
-        return (b"" if self.held.get(peer.name) == data else data), stamp
+        return (b"" if self.held_lists.holds(peer, data) else data), stamp
 
     def update(self, data: bytes, now: int) -> bool:
         if data == b"forged":

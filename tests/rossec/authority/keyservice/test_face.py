@@ -1,12 +1,7 @@
 """The network face: the join port, calls at the master, and its confinement."""
 
 import asyncio
-import os
-import resource
 import socket
-import subprocess
-import sys
-import threading
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
@@ -20,7 +15,7 @@ from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice import face as module
-from rossec.authority.keyservice.face import Face, confine, confine_files, main
+from rossec.authority.keyservice.face import Face, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
@@ -140,48 +135,6 @@ async def test_it_ends_with_the_service(home: AuthorityHome) -> None:
     assert face.done()
 
 
-# A confined process can write no file, so it records no coverage.
-UNMEASURED = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
-
-CONFINED = """
-import os, sys, threading
-from rossec.authority.keyservice.face import confine
-if os.getuid() == 0:
-    os.setuid(65534)
-executor = confine()
-assert executor.submit(lambda: 5).result() == 5
-for start in (os.fork, threading.Thread(target=print).start):
-    try:
-        start()
-    except (OSError, RuntimeError):
-        continue
-    sys.exit("a process or thread was started")
-"""
-
-
-def test_it_can_start_no_process() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", CONFINED],
-        env=UNMEASURED, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_the_threads_of_its_executor_are_there_before_new_ones_are_forbidden(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    limits: list[tuple[object, int]] = []
-
-    def forbid(*limit: object) -> None:
-        limits.append((limit, threading.active_count() - before))
-
-    before = threading.active_count()
-    monkeypatch.setattr(resource, "setrlimit", forbid)
-    with confine() as executor:
-        assert executor.submit(lambda: 5).result() == 5
-    assert limits == [((resource.RLIMIT_NPROC, (0, 0)), 4)]
-
-
 async def test_the_process_is_confined_before_it_serves(
     home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -193,7 +146,7 @@ async def test_the_process_is_confined_before_it_serves(
 
     monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
     monkeypatch.setattr(landlock, "read_only", lambda paths: done.append(paths[0]))
-    monkeypatch.setattr(module, "confine", confine)
+    monkeypatch.setattr(module, "confine_processes", confine)
     node = home.node()
     served = Served(face_of(node, ""))
     arguments = [str(node.path), f"127.0.0.1:{free_port()}", "http://127.0.0.1:1/", "text"]
@@ -205,41 +158,3 @@ async def test_the_process_is_confined_before_it_serves(
     await asyncio.gather(service, return_exceptions=True)
     async with asyncio.timeout(30):
         await running
-
-
-def test_a_kernel_that_cannot_confine_files_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def refuse(_: object) -> None:
-        raise OSError("no Landlock")
-
-    monkeypatch.setattr(landlock, "read_only", refuse)
-    confine_files(tmp_path)
-    assert "can read the files of its user: no Landlock" in caplog.text
-
-
-FILES = """
-import sys
-from pathlib import Path
-from rossec.authority.keyservice.face import confine_files
-own = Path(sys.argv[1])
-confine_files(own)
-assert (own / "node.key").read_bytes()
-for secret in ("ca.key", "ca.db", "passphrase"):
-    try:
-        (own.parent / secret).read_bytes()
-    except PermissionError:
-        continue
-    sys.exit("the face reads " + secret)
-"""
-
-
-def test_it_reads_no_file_of_the_authority_but_its_own(home: AuthorityHome) -> None:
-    (home.path / "passphrase").write_text("four random words")
-    done = subprocess.run(
-        [sys.executable, "-c", FILES, str(home.node().path)],
-        env=UNMEASURED, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    if "can read the files of its user" in done.stderr:
-        pytest.skip("NOT RUN: this kernel has no Landlock")
-    assert (done.returncode, done.stderr) == (0, "")

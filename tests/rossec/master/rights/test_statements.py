@@ -11,7 +11,6 @@ from ca.revocation.state import RevocationList, digest, open_timestamp, sign_lis
 from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, open_tree, sign_tree
 from grants.document import grant_id
 from grants.model import Right
-from rossec.master.rights import statements as module
 from rossec.master.rights.access_rules import Caller, Refused, require
 from rossec.master.rights.presented_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
 from rossec.master.rights.statements import TrustState
@@ -193,7 +192,7 @@ def test_other_keys_are_discarded(world: World) -> None:
 def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
     data, stamp = world.trust.current(world.now)
     assert world.trust.revocations_for(world.node, world.now) == (data, stamp)
-    world.trust.record_held_list(world.node, digest(data))
+    world.trust.held_lists.record(world.node, digest(data), world.now)
     assert world.trust.revocations_for(world.node, world.now) == (b"", stamp)
     assert world.trust.revocations_for(world.master, world.now) == (data, stamp)
     other = NodeRef("/anonymous", "http://h:1/", world.node.thumbprint)
@@ -201,7 +200,7 @@ def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
     newer = world.site.revoke(world.master)
     world.trust.update(newer, world.now)
     assert world.trust.revocations_for(world.node, world.now)[0] == newer
-    world.trust.record_held_list(world.node, digest(newer))
+    world.trust.held_lists.record(world.node, digest(newer), world.now)
     world.trust.keep_only(frozenset(), world.now)
     assert world.trust.revocations_for(world.node, world.now)[0] == newer
 
@@ -218,13 +217,16 @@ def test_a_caller_has_the_names_of_its_certificate(world: World) -> None:
     assert not registered.wildcard  # a name in the registry has no wildcard
 
 
-def test_the_recorded_lists_are_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_HELD_LISTS", 2)
-    for n in range(5):
-        world.trust.record_held_list(
-            NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32)
-        )
-        assert len(world.trust._lists) <= 2
+def test_how_far_the_list_in_force_has_come(world: World) -> None:
+    data, _ = world.trust.current(world.now)
+    both = (world.node, world.master)
+    assert world.trust.standing(both, world.now)[:2] == (2, 0)
+    world.trust.held_lists.record(world.node, digest(data), world.now)
+    assert world.trust.standing(both, world.now) == (2, 1, (world.master.identity.name,))
+    before = world.trust.list_number
+    world.trust.update(world.site.revoke(world.master), world.now)
+    assert world.trust.list_number == (before[0], before[1] + 1)
+    assert world.trust.standing(both, world.now).holding == 0
 
 
 def test_entries_that_pertain_to_a_node(world: World) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import socket
+from typing import Any
 
 import pytest
 
@@ -184,3 +185,35 @@ async def test_a_deposit_is_audited_and_ends_the_waits_of_its_holders(
         assert (await office("rossec.updateRevocations", revoked))[0] == 1
         assert state.deposit_file is not None
         assert len(state.deposit_file.deposits) == 0, "before the call is answered"
+
+
+async def test_a_node_that_accepts_a_list_holds_it(world: World) -> None:
+    camera, stubborn = await world.node("/camera"), await world.node("/stubborn")
+    stubborn.answer = [-1, "no", 0]
+    for node in (camera, stubborn):
+        await node.ask("registerPublisher", "/t", T, node.uri)
+    office = await world.call_as(world.site.enroll("/ca"))
+    gone = world.site.enroll("/gone")
+    await camera.ask("rossec.updateRevocations", world.site.revoke(gone))
+
+    async def standing() -> Any:
+        return await office.ask("rossec.revocationStanding", "/ca")
+
+    async with asyncio.timeout(30):
+        while (found := await standing())["holding"] != 1:  # noqa: ASYNC110 - at the master
+            await asyncio.sleep(0.01)
+    assert found == {"list": "1.2", "nodes": 2, "holding": 1, "lacking": ["/stubborn"]}
+
+
+async def test_a_denied_right_is_told_to_the_authority_alone(world: World) -> None:
+    eve = await world.node("/eve", {"/other": Right.PUBLISH})
+    for _ in range(2):
+        with pytest.raises(AnswerRefused):
+            await eve.ask("registerSubscriber", "/scan", T, eve.uri)
+    office = await world.call_as(world.site.enroll("/ca"))
+    answer: Any = await office.ask("rossec.recentDenials", "/ca")
+    ((ago, *denied),) = answer
+    assert 0 <= ago <= 30
+    assert denied == ["/eve", int(Right.SUBSCRIBE), "/scan"]
+    with pytest.raises(AnswerRefused, match="only the authority's own node"):
+        await eve.ask("rossec.recentDenials")

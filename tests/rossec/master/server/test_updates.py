@@ -206,3 +206,15 @@ async def test_a_dropped_node_receives_no_more_updates(nodes: Nodes, updates: Up
     await nodes.until(lambda: len(updates._closing) == 0)
     nodes.gate.set()
     assert nodes.received_calls("/slow") == [(1,)]
+
+
+async def test_what_a_node_has_accepted_is_reported(nodes: Nodes) -> None:
+    taken: list[tuple[str, str, object]] = []
+    updates = Updates(
+        nodes.dial, on_taken=lambda node, method, params: taken.append((node.name, method, params))
+    )
+    for name in ("/hostile", "/a"):
+        updates.post(NodeRef(name, "http://h:1/", b"k"), KEY, "/master", "/t")
+    await nodes.until(lambda: len(nodes.calls) == 2 and bool(taken))
+    await updates.close()
+    assert taken == [("/a", "publisherUpdate", ("/master", "/t"))]

@@ -1,0 +1,1 @@
+"""`rossec console`: the pages, and the phones that approve."""

@@ -1,0 +1,60 @@
+"""The console as a command: sockets that listen, the web process behind them, its end. A shell.
+
+It has what the web process must not have: the terminal, and the right to start processes. It reads
+nothing that browsers send; pictures go on to the scanner's process unread.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+
+from rossec.console.listening import listen
+from rossec.console.options import Endpoint
+from rossec.console.server.web_process import Certificates, WebOptions, WebProcess
+from rossec.console.settings import Settings
+from rossec.operation.shutdown import stop_on_signals, until_first_ends
+
+
+def settings_for(endpoint: Endpoint, domain: str) -> Settings:
+    """The web process's settings: on localhost only this user's programs may connect."""
+    is_localhost = endpoint.is_local and endpoint.unix_path is None
+    return Settings(
+        domain,
+        (endpoint.origin,),
+        users=frozenset({os.geteuid()}) if is_localhost else None,
+        hsts=endpoint.hsts,
+        read_only=endpoint.read_only,
+    )
+
+
+async def supervise(
+    endpoint: Endpoint,
+    options: WebOptions,
+    environ: Mapping[str, str],
+    ready: Callable[[], None],
+    certificates: Certificates | None = None,
+) -> None:
+    """Run the console until SIGINT or SIGTERM; `ready` is called when it serves.
+
+    Raises:
+        ConfigurationError: it cannot listen, or its web process does not start.
+    """
+    stop = stop_on_signals()
+    sockets = listen(endpoint)
+    try:
+        web = WebProcess(options, sockets, environ, certificates)
+
+        async def until_stopped() -> None:
+            await web.started()
+            ready()
+            await stop.wait()
+
+        await until_first_ends(web.run(), until_stopped(), stop.wait())
+    finally:
+        for sock in sockets:
+            sock.close()
+        _remove_path(endpoint)
+
+
+def _remove_path(endpoint: Endpoint) -> None:
+    if endpoint.unix_path is not None:
+        endpoint.unix_path.unlink(missing_ok=True)

@@ -1,0 +1,100 @@
+"""What a topic looks like to each of its receivers."""
+
+from grants.model import Restriction, filter_rules
+from rossec.console import made_up
+from rossec.console.matrix import Access, Cell
+from rossec.console.pictures import image, laser, looks
+from rossec.console.pictures.looks import Comparison
+from tests.support.consolehome import COARSE, HOSTILE, POSE
+from tests.support.drawings import checked
+
+
+def compare(kind: str, *ways: Restriction | None) -> Comparison:
+    recorded = made_up.recorded("/robot/topic", kind)
+    assert recorded is not None
+    cells = [
+        Cell(f"/node_{at}", "/robot/topic", Access.COARSE if way else Access.ALL,
+             "said", "", (b"g",), (way,) if way else ())
+        for at, way in enumerate(ways)
+    ]  # fmt: skip
+    return looks.compare(recorded, cells)
+
+
+def test_one_drive_exact_and_coarse() -> None:
+    found = compare(POSE, COARSE, None)
+    assert found.is_made_up
+    exact, coarse = found.looks
+    assert (exact.receivers, exact.heading) == (("/node_1",), "sees the exact place")
+    assert exact.caption == "240 different places in 240 messages: said"
+    assert (coarse.receivers, coarse.heading) == (("/node_0",), "sees which square")
+    assert coarse.caption.startswith("12 squares in 240 messages")
+    for look in found.looks:
+        checked(look.picture)
+
+
+def test_receivers_that_see_the_same_share_a_look() -> None:
+    found = compare(POSE, COARSE, None, None)
+    assert [each.receivers for each in found.looks] == [("/node_1", "/node_2"), ("/node_0",)]
+
+
+def test_who_sees_nothing_has_no_look() -> None:
+    recorded = made_up.recorded("/robot/topic", POSE)
+    assert recorded is not None
+    assert looks.compare(recorded, [Cell("/a", "/t", Access.ENDED)]).looks == ()
+
+
+def test_a_place_that_was_removed_is_said_and_the_fields_are_shown() -> None:
+    gone = Restriction(POSE, (), filter_rules({"pose.position": {"clear": True}}))
+    (look,) = compare(POSE, gone).looks
+    assert look.heading == "does not see the place"
+    assert look.picture is None
+    struck = {line.path for line in look.fields if line.removed}
+    assert struck == {f"pose.position.{axis}" for axis in "xyz"}
+    assert all(line.value == "" for line in look.fields if line.removed)
+
+
+def test_a_laser_a_picture_and_a_number() -> None:
+    (seen,) = compare(laser.TYPE, None).looks
+    assert seen.heading == "sees what the laser meets"
+    checked(seen.picture)
+    blur = Restriction(image.TYPE, (), filter_rules({"data": {"pixelate": {"block": 32}}}))
+    assert [each.heading for each in compare(image.TYPE, blur, None).looks] == [
+        "sees the picture", "sees this of the picture",
+    ]  # fmt: skip
+    (number,) = compare("sensor_msgs/BatteryState", None).looks
+    assert number.heading == "sees the voltage"
+    checked(number.picture)
+
+
+def test_another_type_is_shown_as_fields() -> None:
+    hidden = Restriction("std_msgs/String", (), filter_rules({"data": {"redact": {"text": "-"}}}))
+    exact, coarse = compare("std_msgs/String", hidden, None).looks
+    assert exact.heading == "sees these fields"
+    assert [(line.path, line.value) for line in exact.fields] == [("data", "some data")]
+    assert [(line.path, line.value) for line in coarse.fields] == [("data", "-")]
+
+
+def test_a_rate_shows_in_the_number_of_messages() -> None:
+    (look,) = compare(POSE, Restriction(POSE, (), (), 0.2)).looks
+    assert "messages" in look.caption
+    assert int(look.caption.split(" in ")[1].split()[0]) <= 15
+
+
+def test_a_grant_for_another_type_gets_nothing() -> None:
+    (look,) = compare("std_msgs/String", COARSE).looks
+    assert look.heading.startswith("gets nothing")
+
+
+def test_only_so_many_ways_are_drawn() -> None:
+    ways = [Restriction(POSE, (), (), rate) for rate in range(1, 10)]
+    found = compare(POSE, *ways)
+    assert (len(found.looks), found.more) == (looks.MAX_LOOKS, 3)
+
+
+def test_a_hostile_text_in_a_message_is_text() -> None:
+    hidden = Restriction(
+        "std_msgs/String", (), filter_rules({"data": {"redact": {"text": HOSTILE}}})
+    )
+    (look,) = compare("std_msgs/String", hidden).looks
+    assert "\u202e" not in look.fields[0].value
+    assert len(look.fields[0].value) < 80

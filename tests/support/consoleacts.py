@@ -1,0 +1,152 @@
+"""An authority's service as its console uses it, without sockets: played phones and master.
+
+`console.approve(phone, "enroll", ...)` prepares, touches and approves; what its clocks say and
+whether the master answers is for the test to say.
+"""
+
+import shutil
+import tempfile
+from contextlib import closing
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ca.encoding import Value
+from ca.requests import build_request
+from ca.store.record import Store
+from rossec.authority.console.access import Access
+from rossec.authority.console.approving import Approving, Of
+from rossec.authority.console.records import from_value
+from rossec.authority.console.removals import Removals
+from rossec.authority.console.serving import acts_of
+from rossec.authority.console.views import Outcome, Prepared
+from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.process import operations_of
+from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.master_call import MasterCall
+from rossec.errors import KeyServiceRefused, NotDelivered
+from rossec.ros.names import MASTER
+from tests.support.approving import registered
+from tests.support.passkeys import Passkey
+from tests.support.pki import new_signer
+
+NOW, DAY, SECRET = 1_800_000_000, 86_400, "four random words here"
+JOIN_ADDRESS = "127.0.0.1:7413"
+POLICY = """rossec: 1
+robot: r
+types: {/pose: geometry_msgs/PoseStamped}
+rules:
+  - {id: a, who: "/fleet/*", allow: {subscribe: [/pose]}}
+  - {id: b, who: /map, prompt: {subscribe: [/pose]}}
+"""
+
+
+@lru_cache(1)
+def _authority() -> Path:
+    """One that is copied: to make its key takes a second."""
+    root = Path(tempfile.mkdtemp(prefix="rossec-console"))
+    AuthorityHome.create(root, "home", SECRET, NOW)
+    return root
+
+
+class Acts:
+    """The service of a new authority below `root`, unlocked, with one phone."""
+
+    def __init__(self, root: Path) -> None:
+        shutil.copytree(_authority(), root, dirs_exist_ok=True)
+        self.root, self.now, self.elapsed = root, NOW, 0.0
+        self.home = AuthorityHome.at(root)
+        self.audit: list[str] = []
+        self.calls: list[MasterCall] = []
+        self.woken = 0
+        self.reachable = True
+        self.disk_is_full = False
+        self.operations = operations_of(self.home, self.write_audit)
+        self.start()
+        self.unlock()
+        self.phone = Passkey()
+        with self.store() as store:
+            store.passkeys.add(registered(self.phone, at=self.now))
+        (self.home.path / "policy.yaml").write_text(POLICY)
+
+    def start(self) -> None:
+        """As a service that was restarted: what was in memory is gone."""
+        self.work = AuthorityWork(self.root, self.operations, self.deliver, None, lambda: self.now)
+        self.access = Access(self.work, self.write_audit, lambda: self.elapsed)
+        of = Of(self.work, self.write_audit, self.wake, self.access.counter)
+        acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS)
+        self.approving = Approving(of, acts, lambda: self.elapsed)
+        self.removals = Removals(self.work, self.wake)
+
+    def write_audit(self, text: str) -> None:
+        if self.disk_is_full:
+            raise KeyServiceRefused("the audit cannot be written", "make room")
+        self.audit.append(text)
+
+    def wake(self) -> None:
+        self.woken += 1
+
+    def unlock(self) -> None:
+        self.operations.unlock(SECRET, 0, "a test")
+
+    def lock(self) -> None:
+        self.operations.held.lock()
+
+    def pass_time(self, seconds: int) -> None:
+        """On both clocks."""
+        self.now += seconds
+        self.elapsed += seconds
+
+    def store(self) -> "closing[Store]":
+        return closing(self.home.store())
+
+    def deliver(self, call: MasterCall) -> object:
+        if not self.reachable:
+            raise NotDelivered("no master", call.hint)
+        self.calls.append(call)
+        (items,) = call.statement[:1]
+        return [""] * len(items) if isinstance(items, list) else 1
+
+    def prepare(self, kind: str, *arguments: Value) -> Prepared:
+        return from_value(Prepared, self.approving.prepare(kind, [*arguments]))
+
+    def touch(self, prepared: Prepared, phone: Passkey | None = None, **flaws: Any) -> Outcome:
+        """Approve what was prepared; flaws as of `Passkey.sign`."""
+        signed = (phone or self.phone).sign(prepared.challenge, **flaws)
+        return from_value(Outcome, self.approving.approve(prepared.id, *signed))
+
+    def approve(self, kind: str, *arguments: Value) -> Outcome:
+        return self.touch(self.prepare(kind, *arguments))
+
+    def outcome(self, number: bytes) -> Outcome:
+        return from_value(Outcome, self.approving.outcome(number))
+
+    def csr(self, name: str = "/lamp") -> bytes:
+        return build_request(new_signer(), "home", name)
+
+    def enroll(self, name: str = "/lamp", **changes: Any) -> Outcome:
+        return self.touch(self.asks(name, **changes))
+
+    def asks(
+        self,
+        name: str = "/lamp",
+        *,
+        csr: bytes | None = None,
+        wildcard: bool = False,
+        replaces: bool = False,
+    ) -> Prepared:
+        """A node asks for an identity, and the page shows it."""
+        given = self.csr(name) if csr is None else csr
+        return self.prepare("enroll", given, "code", wildcard, 30 * DAY, replaces)
+
+    def enroll_master(self) -> None:
+        assert self.enroll(MASTER).state == "done"
+
+    def grants(self, name: str) -> int:
+        with self.store() as store:
+            return sum(row.name == name for row in store.grants())
+
+    def audit_record(self) -> None:
+        """The record is whole, approvals included."""
+        with self.store() as store:
+            store.log.audit(self.home.own_key())
