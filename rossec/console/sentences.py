@@ -244,6 +244,33 @@ def _restored(event: EventView, _: Known) -> _Told:
     return "note", "Restored", (Part(text),)
 
 
+def _passkey(event: EventView, _: Known) -> _Told:
+    return "joined", "Phone", (Part(printable(event.subject, 80)), Part("can approve now"))
+
+
+def _approval(event: EventView, _: Known) -> _Told:
+    what = printable(event.detail.split(" ")[0], 40)
+    phone = Part(printable(event.subject, 80))
+    return "allowed", "Approved", (Part(APPROVED.get(what, what)), Part("with"), phone)
+
+
+def _approval_ended(event: EventView, _: Known) -> _Told:
+    if event.detail.startswith("done"):
+        return None  # what it made has entries of its own
+    return "note", "Approval", (Part(printable(event.detail, 200)),)
+
+
+APPROVED: Final[Mapping[str, str]] = {
+    "enroll": "that a node joins",
+    "grant": "a right",
+    "policy": "the policy",
+    "delegate": "that the master renews",
+    "intermediate": "an intermediate authority",
+    "passkey": "another phone",
+    "invitation": "a join code",
+    "foreign_domain": "another domain",
+    "revoke_master": "that the master is removed",
+}
 _FOLDED: Final = frozenset({"issued", "policy grant"})
 _TELL: Final[Mapping[str, _Tell]] = {
     "pending": _pending,
@@ -261,4 +288,10 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
     "imported": _plain("note", "Imported", "from an intermediate:"),
     "restored": _restored,
+    "passkey": _passkey,
+    "passkey ended": _about("ended", "Removed", "can no longer approve"),
+    "approval": _approval,
+    "approval ended": _approval_ended,
 }
+KINDS: Final = _TELL.keys() | _FOLDED
+"""The kinds of log entries that are told in words of their own, or by another one."""

@@ -67,7 +67,11 @@ async def _waiting(context: ConsoleContext) -> list[Waiting]:
         for each in await context.service.questions()
     ]
     found += [
-        Waiting((Part(each.name, is_name=True), Part("asks to join")), "/add", each.arrived)
+        Waiting(
+            (Part(each.name, is_name=True), Part("asks to join")),
+            f"/join/{to_base64url(each.id)}",
+            each.arrived,
+        )
         for each in await context.service.identity_requests()
         if each.state == "pending"
     ]

@@ -2,9 +2,21 @@
 
 import pytest
 
+from ca.approvals.statement import Kind
+from ca.store.lifecycle import RequestState
+from ca.store.schema import LOGGED_TABLES
 from grants.model import Right
 from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
-from rossec.console.sentences import Known, Sentence, permission, refusals, story, wanted
+from rossec.console.sentences import (
+    APPROVED,
+    KINDS,
+    Known,
+    Sentence,
+    permission,
+    refusals,
+    story,
+    wanted,
+)
 from tests.support.consolehome import COARSE, HOSTILE, NOW, demo, sees
 
 NOTHING = Known.of()
@@ -56,6 +68,12 @@ def test_the_story_of_the_demo() -> None:
         ("invitation ended", "", "Ended /lamp can no longer be joined with its code"),
         ("imported", "1f", "Imported from an intermediate: /lamp"),
         ("restored", "from 12 entries", "Restored the record was put back from 12 entries"),
+        ("passkey", "aa", "Phone /lamp can approve now"),
+        ("passkey ended", "lost", "Removed /lamp can no longer approve because: lost"),
+        ("approval", "grant 01ab", "Approved a right with /lamp"),
+        ("approval", "new_kind 01ab", "Approved new_kind with /lamp"),
+        ("approval ended", "done: signed", ""),
+        ("approval ended", "expired: too late", "Approval expired: too late"),
         ("never heard of", "more", "Never heard of /lamp more"),
     ],
 )
@@ -115,3 +133,8 @@ def test_many_permissions_are_bounded() -> None:
     made = home.grant("/doctor", *(sees(f"/t{at}") for at in range(9)), at=NOW)
     said = told("grant", "/doctor", made.id.hex(), home.known)
     assert said == "Allowed /doctor may see /t0, /t1, /t2, /t3 and 5 more"
+
+
+def test_every_kind_of_entry_and_of_approval_has_words() -> None:
+    assert LOGGED_TABLES.keys() | set(RequestState) <= KINDS
+    assert {kind.name.lower() for kind in Kind} == APPROVED.keys()

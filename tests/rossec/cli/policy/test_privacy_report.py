@@ -1,4 +1,5 @@
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ def site(shell: Shell) -> Shell:
     return shell
 
 
-def test_the_report_shows_what_the_policy_allows(site: Shell, tmp_path: Path) -> None:
+def test_the_report_shows_what_the_policy_allows(site: Shell) -> None:
     lines = site("privacy").out.splitlines()
     assert lines[:4] == [
         "/pose (geometry_msgs/PoseStamped) -> /viewer",
@@ -36,9 +37,34 @@ def test_the_report_shows_what_the_policy_allows(site: Shell, tmp_path: Path) ->
     rows = json.loads(site("privacy", "--field", "position", "--json").out)
     assert {row["field"] for row in rows} == {f"pose.position.{axis}" for axis in "xyz"}
     assert site("privacy", "--node", "/nobody").out == "no receiver has access\n"
+
+
+def test_the_page_is_the_report_of_the_console(site: Shell, tmp_path: Path) -> None:
     page = tmp_path / "privacy.html"
     assert site("privacy", "--html", str(page)).out == f"written to {page}\n"
-    assert "What robbie shows to whom" in page.read_text()
+    text = page.read_text()
+    assert text.startswith("<!doctype html>")
+    assert "<title>What robbie shows to whom</title>" in text
+    assert "/viewer" in text
+    assert "pose.position.x" in text
+    site("privacy", "--html", str(page), "--field", "orientation")
+    assert "pose.position.x" not in page.read_text()
+    site("privacy", "--html", str(page), "--node", "/nobody")
+    assert "No receiver has access" in page.read_text()
+
+
+def test_without_the_extra_a_page_is_refused_and_the_text_is_not(
+    site: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("rossec.console")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    said = site("privacy", "--html", str(tmp_path / "x.html"))
+    assert said.code == 1
+    assert "a page needs the package" in said.err
+    assert "rossec[console]" in said.err
+    assert not (tmp_path / "x.html").exists()
+    assert "looking" in site("privacy").out
 
 
 def test_the_report_shows_the_grants_held_now(site: Shell) -> None:

@@ -1,0 +1,101 @@
+"""What pages begin with."""
+
+from typing import Any
+
+import pytest
+
+from rossec.authority.console.views import DenialView
+from rossec.console import made_up, overview
+from rossec.console.samples import Recorded
+from rossec.errors import HttpRefused, KeyServiceRefused
+from tests.support.consolehome import NOW, POSE, as_service, crowd, demo, sees
+from tests.support.consolepages import Browser
+
+
+def browser(**context: Any) -> Browser:
+    made = Browser(as_service(demo()), **context)
+    made.now = NOW
+    return made
+
+
+async def test_it_has_the_matrix_of_the_grants_and_the_graph() -> None:
+    home = await overview.load(browser().context)
+    assert home.matrix == demo().matrix
+    assert home.without_master == ""
+    assert [node.name for node in home.named("/robot")] == ["/robot"]
+    assert home.named("/nobody") == []
+
+
+async def test_without_a_master_there_are_the_grants() -> None:
+    made = browser()
+    made.home.refusals["graph"] = KeyServiceRefused("no master answers", "start it")
+    made.home.refusals["denials"] = KeyServiceRefused("no master answers")
+    home = await overview.load(made.context)
+    assert home.without_master == "no master answers"
+    assert home.matrix.receivers == ("/doctor", "/heating")
+    assert await overview.denials(made.context) == ()
+
+
+async def test_a_refusal_of_the_rest_is_not_hidden() -> None:
+    made = browser()
+    made.home.refusals["grants"] = KeyServiceRefused("busy")
+    with pytest.raises(KeyServiceRefused, match="busy"):
+        await overview.load(made.context)
+
+
+def test_refused_names_are_those_of_the_last_nodes() -> None:
+    found = tuple(DenialView(NOW - at, f"/node{at % 20}", 2, f"/topic{at % 3}") for at in range(60))
+    names = overview.refused_names(found)
+    assert list(names) == [f"/node{at}" for at in range(overview.MAX_REFUSED)]
+    assert names["/node0"] == ["/topic0", "/topic2", "/topic1"]
+
+
+class _Preview:
+    def recorded(self, topic: str) -> Recorded | None:
+        if topic != "/robot/pose":
+            return None
+        made = made_up.recorded(topic, POSE)
+        return None if made is None else made._replace(is_made_up=False)
+
+
+async def test_a_topic_is_compared_by_the_preview_or_made_up() -> None:
+    made = browser(preview=_Preview())
+    home = await overview.load(made.context)
+    found = {row.topic: overview.comparison(made.context, row) for row in home.matrix.rows}
+    pose, scan = found["/robot/pose"], found["/robot/scan"]
+    assert pose is not None
+    assert scan is not None
+    assert (pose.is_made_up, scan.is_made_up) == (False, True)
+    assert found["/robot/camera"] is None  # nobody sees it any more
+
+
+def test_a_pattern_and_an_unknown_type_are_not_drawn() -> None:
+    home = demo()
+    home.node("/eye")
+    home.grant("/eye", sees("/robot/**"), sees("/untyped"))
+    context = browser().context
+    for topic in ("/robot/**", "/untyped"):
+        row = home.matrix.row(topic)
+        assert row is not None
+        assert overview.comparison(context, row) is None
+
+
+def test_a_name_in_a_path_is_a_name_or_a_pattern() -> None:
+    assert overview.name_of("robot/pose") == "/robot/pose"
+    assert overview.name_of("robot/**") == "/robot/**"
+    for wrong in ("", "a b", "../x", "a//b", "<script>", "\u202e"):
+        with pytest.raises(HttpRefused) as refused:
+            overview.name_of(wrong)
+        assert refused.value.status == 404
+
+
+def test_a_position_is_a_number() -> None:
+    assert overview.position(None) == overview.position("") == 0
+    assert overview.position("24") == 24
+    for wrong in ("-1", "x", "1" * 13, "٣"):
+        with pytest.raises(HttpRefused):
+            overview.position(wrong)
+
+
+def test_a_crowd_is_read() -> None:
+    assert len(crowd().matrix.rows) == 40
