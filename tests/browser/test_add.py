@@ -32,7 +32,7 @@ class NewNode:
             log=f"{host}{name.strip('/')}",
             **self.environ,
         )
-        self.code = self.program.said(r"ROSSEC:\S+")[0]
+        self.code = self.program.said(r"ROSSEC:.*\S")[0]
         self.program.said("waits at")
 
     def confirm(self, digits: str) -> None:
