@@ -1,9 +1,9 @@
 """`rossec console`: the pages, as long as it runs."""
 
 import asyncio
-import importlib.util
 import os
 import socket
+from importlib.util import find_spec
 from typing import Final
 
 from rossec.authority.console.messages import SOCKET
@@ -27,7 +27,7 @@ def check_libraries() -> None:
     Raises:
         ConfigurationError: one is missing.
     """
-    missing = [name for name in _LIBRARIES if importlib.util.find_spec(name) is None]
+    missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
             f"the console needs libraries that are not installed: {', '.join(missing)}",
