@@ -12,17 +12,44 @@ from tests.support.person import press, thief
 
 pytestmark = pytest.mark.browser
 
-POLICY = """
+ASKED = """
 rossec: 1
 robot: the robot at home
-identities:
+defaults: {decision: prompt, prompt_timeout: 10m, lifetime: 7d}
+rules: []
+"""
+POLICY = ASKED.replace(
+    "rules: []",
+    """identities:
   heating: {node: /heating}
 rules:
   - id: heating-scans
     why: walls say where the rooms are
     who: heating
-    allow: {subscribe: [/robot/scan]}
-"""
+    allow: {subscribe: [/robot/scan]}""",
+)
+
+
+def test_without_a_policy_nothing_is_asked(
+    phone: Window, site: ConsoleSite, check: PageCheck
+) -> None:
+    phone.open("/policy")
+    expect(phone.page.locator("h1")).to_have_text("There is no policy")
+    check(phone, "no-policy")
+    write_policy(site, "rossec: 1")
+    phone.open("/")
+    expect(phone.page.locator("main")).to_contain_text("The policy cannot be used.")
+    check(phone, "today-policy-mistakes")
+    phone.open("/policy")
+    expect(phone.page.locator("h1")).to_have_text("The policy has mistakes")
+    check(phone, "policy-mistakes")
+    write_policy(site, ASKED)
+
+
+def write_policy(site: ConsoleSite, text: str) -> None:
+    path = site.root / "ca" / "policy.yaml"
+    path.touch(0o600)
+    path.write_text(text)
 
 
 def ask(site: ConsoleSite, node: str, topic: str, why: str) -> None:
@@ -149,8 +176,8 @@ def test_a_policy_is_shown_as_what_it_changes_and_applied(
     phone: Window, site: ConsoleSite, check: PageCheck
 ) -> None:
     phone.open("/policy")
-    expect(phone.page.locator("h1")).to_have_text("There is no policy")
-    (site.root / "ca" / "policy.yaml").write_text(POLICY)
+    expect(phone.page.locator("h1")).to_have_text("All is as the policy says")
+    write_policy(site, POLICY)
     phone.open("/policy")
     expect(phone.page.locator("h1")).to_have_text("The policy has changed")
     check(phone, "policy", "phone")
