@@ -35,6 +35,7 @@ class ConsoleWork:
         self.home = AuthorityHome.create(root, "home", PASSPHRASE, NOW)
         self.audit: list[str] = []
         self.called: list[MasterCall] = []
+        self.answers: list[object] = []  # of a master; without any there is none
         self.operations = operations_of(self.home, self.audit.append)
         self.work = AuthorityWork(root, self.operations, self._deliver, now=lambda: self.now)
 
@@ -83,6 +84,8 @@ class ConsoleWork:
 
     def _deliver(self, call: MasterCall) -> object:
         self.called.append(call)
+        if self.answers:
+            return self.answers.pop(0)
         raise NotDelivered(f"the master did not get {call.what}: there is none", call.hint)
 
 

@@ -52,7 +52,7 @@ class WebProcess:
         self._client, self._tls = client, context
         self._scanner = ScannerClient(scanner)
         self._context = ConsoleContext(client, settings, self._scanner)
-        self._server = ConsoleServer(create_app(self._context), context)
+        self._server = ConsoleServer(create_app(self._context), context, settings.proxy_users)
 
     async def run(self, supervisor: socket.socket, listening: Sequence[socket.socket]) -> None:
         """Serve until the supervisor ends its end of the socketpair.
