@@ -36,8 +36,8 @@ def add(statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL) -> St
 def test_a_statement_is_taken_once(statements: Statements) -> None:
     statement = add(statements)
     found = statements.take(statement.id, NOW)
-    assert found == (statement, b"payload", ("arguments",))
     assert isinstance(found.statement.what, Enroll)
+    assert found == (statement, b"payload", ("arguments",))
     for number in (statement.id, bytes(16)):
         with pytest.raises(ApprovalOutdated, match="not waiting"):
             statements.take(number, NOW)
