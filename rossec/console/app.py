@@ -17,7 +17,7 @@ from ca.errors import HintedError
 from rossec.console.context import ConsoleContext
 from rossec.console.rendering import render
 from rossec.console.routes import ROUTES
-from rossec.console.routing import Access, Page
+from rossec.console.routing import Access, Page, for_looking
 from rossec.console.server.guard import Guard, wants_json
 from rossec.errors import HttpRefused, KeyServiceFailed
 from rossec.ros.text import printable
@@ -27,7 +27,9 @@ _log = logging.getLogger("rossec.console")
 
 
 def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASGIApp:
-    """The console's application."""
+    """The console's application; one that only shows lacks what would do more."""
+    if context.settings.read_only:
+        pages = for_looking(pages)
     routes = [Route(page.path, _endpoint(page, context), methods=page.methods) for page in pages]
     app = Starlette(routes=routes)
     return Guard(app, context, pages, lambda request, error: show_error(request, context, error))

@@ -16,6 +16,7 @@ from rossec.console.approving import DAY
 from rossec.console.matrix import Access, Cell
 from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
+from rossec.console.samples import Preview
 from rossec.console.sentences import Part, wanted
 
 MAX_PICTURES: Final = 2  # topics
@@ -66,12 +67,19 @@ def way(coarse: str, rights: Iterable[AskedRight]) -> Way:
     return Way(coarse, tuple(_line(right) for right in rights))
 
 
-def looks(node: str, ways: Sequence[tuple[str, Sequence[AskedRight]]]) -> list[Looks]:
-    """What the node would see, of topics whose messages can be drawn."""
+def looks(
+    node: str,
+    ways: Sequence[tuple[str, Sequence[AskedRight]]],
+    preview: Preview | None = None,
+) -> list[Looks]:
+    """What the node would see, of topics whose messages can be drawn.
+
+    Of real messages where `preview` has some, else of made-up ones.
+    """
     found = []
     for right in ways[0][1]:
         if right.right == Right.SUBSCRIBE and right.type and "*" not in right.pattern:
-            drawn = _looks(node, right, ways)
+            drawn = _looks(node, right, ways, preview)
             found += [drawn] if drawn is not None else []
     return found[:MAX_PICTURES]
 
@@ -117,15 +125,23 @@ def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
 
 
 def _looks(
-    node: str, right: AskedRight, ways: Sequence[tuple[str, Sequence[AskedRight]]]
+    node: str,
+    right: AskedRight,
+    ways: Sequence[tuple[str, Sequence[AskedRight]]],
+    preview: Preview | None,
 ) -> Looks | None:
-    recorded = made_up.recorded(right.pattern, right.type)
+    recorded = None if preview is None else preview.recorded(right.pattern)
+    recorded = recorded or made_up.recorded(right.pattern, right.type)
     if recorded is None:
         return None
-    drawn = []
+    drawn: list[tuple[str, pictures.Look]] = []
+    ways_seen: set[tuple[Restriction, ...]] = set()
     for name, rights in ways:
         same = [each for each in rights if (each.right, each.pattern) == right[:2]]
         restrictions = tuple(each for one in same for each in _restrictions(one))
+        if restrictions in ways_seen:  # two filters that do the same here
+            continue
+        ways_seen.add(restrictions)
         access = Access.COARSE if restrictions else Access.ALL
         text = words.restrictions(restrictions)
         cell = Cell(node, right.pattern, access, text, restrictions=restrictions)

@@ -53,7 +53,7 @@ def render(
     text = _environment().get_template(template).render(
         domain=context.settings.domain,
         session=session,
-        places=NAVIGATION if session is not None else (),
+        places=_places(context) if session is not None else (),
         here=request.url.path,
         read_only=context.settings.read_only,
         number=getattr(request.state, "number", ""),
@@ -61,6 +61,12 @@ def render(
         **values,
     )  # fmt: skip
     return HTMLResponse(text, status)
+
+
+def _places(context: ConsoleContext) -> tuple[Place, ...]:
+    """The navigation; a console that only shows adds no node."""
+    only_shows = context.settings.read_only
+    return tuple(place for place in NAVIGATION if not (only_shows and place.path == "/add"))
 
 
 def render_text(template: str, **values: Any) -> str:

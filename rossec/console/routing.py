@@ -33,13 +33,24 @@ SESSION: Final = Access.SESSION
 
 
 class Page(NamedTuple):
-    """A path (as starlette writes it), the methods it has, and what answers them."""
+    """A path (as starlette writes it), the methods it has, and what answers them.
+
+    `looks` marks what a console that only shows has beside pages to read: logging in and out.
+    """
 
     path: str
     methods: tuple[str, ...]
     handler: Handler
     access: Access = SESSION
     max_body: int = MAX_BODY
+    looks: bool = False
+
+
+def for_looking(pages: Iterable[Page]) -> tuple[Page, ...]:
+    """The pages of a console that only shows: no form that does something, and no page of one."""
+    found = tuple(pages)
+    acting = {page.path for page in found if "POST" in page.methods and not page.looks}
+    return tuple(page for page in found if page.path not in acting)
 
 
 class Match(NamedTuple):

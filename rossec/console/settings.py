@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 LIFETIME: Final = 8 * 3600  # seconds of a session
 IDLE: Final = 30 * 60  # seconds without use after which a session ends
+ON_THE_WALL: Final = 90 * 86400  # seconds of a session that can only look, which nobody touches
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Settings:
         hsts: whether browsers shall insist on https for this name.
         read_only: whether pages only show.
         lifetime, idle: of sessions, in seconds.
+        proxy_users: whose programs may connect at a unix socket, as a proxy.
     """
 
     domain: str
@@ -33,6 +35,7 @@ class Settings:
     read_only: bool = False
     lifetime: int = LIFETIME
     idle: int = IDLE
+    proxy_users: frozenset[int] = frozenset()
 
     @property
     def origin(self) -> str:
@@ -54,6 +57,7 @@ def write_settings(settings: Settings) -> str:
     """Settings as text, for the web process's command line: nothing in them is secret."""
     fields = asdict(settings)
     fields["users"] = None if settings.users is None else sorted(settings.users)
+    fields["proxy_users"] = sorted(settings.proxy_users)
     return json.dumps(fields)
 
 
@@ -62,4 +66,5 @@ def read_settings(text: str) -> Settings:
     fields = json.loads(text)
     fields["origins"] = tuple(fields["origins"])
     fields["users"] = None if fields["users"] is None else frozenset(fields["users"])
+    fields["proxy_users"] = frozenset(fields["proxy_users"])
     return Settings(**fields)

@@ -104,6 +104,21 @@ class DemoEnvironment:
         self._processes.append(started)
         return started
 
+    async def until_one_ends(self) -> None:
+        """Wait until a process ends that nobody stopped.
+
+        Raises:
+            DemoFailed: always, with what it logged.
+        """
+        waiting = [asyncio.ensure_future(each.wait()) for each in self._processes]
+        try:
+            await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in waiting:
+                task.cancel()
+        ended = next(each for each in self._processes if each.ended)
+        raise DemoFailed(f"{ended.name} has ended; it logged: {ended.last_lines()}")
+
     async def stop_all(self) -> None:
         """Stop every process, last first."""
         for process in reversed(self._processes):
@@ -145,13 +160,18 @@ class DemoProcess:
             pass
         found = self._find(wanted, after)
         if found is None:
-            raise DemoFailed(f"{self.name}: {what} did not happen; it logged: {self._last_lines()}")
+            raise DemoFailed(f"{self.name}: {what} did not happen; it logged: {self.last_lines()}")
         return found
 
     @property
     def ended(self) -> bool:
         """The process has ended."""
         return self._ended
+
+    async def wait(self) -> None:
+        """Wait until the process has ended."""
+        async with self._changed:
+            await self._changed.wait_for(lambda: self._ended)
 
     def about(self, topic: str) -> list[Report]:
         """The reports on one topic."""
@@ -181,6 +201,7 @@ class DemoProcess:
     def _find(self, wanted: Callable[[Report], bool], after: int) -> Report | None:
         return next((report for report in self.reports[after:] if wanted(report)), None)
 
-    def _last_lines(self) -> str:
+    def last_lines(self) -> str:
+        """The end of its log."""
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return " / ".join(lines[-3:]) or "nothing"

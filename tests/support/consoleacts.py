@@ -24,7 +24,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
-from rossec.errors import NotDelivered
+from rossec.errors import KeyServiceRefused, NotDelivered
 from rossec.ros.names import MASTER
 from tests.support.approving import registered
 from tests.support.passkeys import Passkey
@@ -60,7 +60,8 @@ class Acts:
         self.calls: list[MasterCall] = []
         self.woken = 0
         self.reachable = True
-        self.operations = operations_of(self.home, self.audit.append)
+        self.disk_is_full = False
+        self.operations = operations_of(self.home, self.write_audit)
         self.start()
         self.unlock()
         self.phone = Passkey()
@@ -71,11 +72,16 @@ class Acts:
     def start(self) -> None:
         """As a service that was restarted: what was in memory is gone."""
         self.work = AuthorityWork(self.root, self.operations, self.deliver, None, lambda: self.now)
-        self.access = Access(self.work, self.audit.append, lambda: self.elapsed)
-        of = Of(self.work, self.audit.append, self.wake, self.access.counter)
+        self.access = Access(self.work, self.write_audit, lambda: self.elapsed)
+        of = Of(self.work, self.write_audit, self.wake, self.access.counter)
         acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS)
         self.approving = Approving(of, acts, lambda: self.elapsed)
         self.removals = Removals(self.work, self.wake)
+
+    def write_audit(self, text: str) -> None:
+        if self.disk_is_full:
+            raise KeyServiceRefused("the audit cannot be written", "make room")
+        self.audit.append(text)
 
     def wake(self) -> None:
         self.woken += 1

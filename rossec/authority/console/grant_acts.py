@@ -18,16 +18,12 @@ from ca.keys.publickey import thumbprint
 from ca.store.record import Store
 from grants import claims
 from grants.model import ID_SIZE, Draft
-from grants.policy.decision import Verdict
-from grants.policy.drafts import shorten
 from rossec.authority.approvals import (
     GRANTED,
     ApprovalQueue,
-    PendingApproval,
-    VerdictChange,
-    verdict_change,
 )
 from rossec.authority.console.acts import Approved, Arguments, Conclude, ToApprove
+from rossec.authority.console.questions import changed_by, pending_of
 from rossec.authority.policyfile import PolicyFile
 from rossec.authority.requests import GrantRequestStore
 from rossec.authority.service import AuthorityService
@@ -144,33 +140,6 @@ class GrantAct:
         file = PolicyFile.read(self._policy, own=True)
         if sha256(file.text.encode()).digest() != answer.policy:
             raise ConfigurationError("the policy was changed meanwhile", "look at it again")
-
-
-def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
-    """The rights of one question that wait for a person.
-
-    Raises:
-        StoreError: none does.
-    """
-    found = [
-        each
-        for each in queue.pending()
-        if each.stored.request.id == question and not each.is_allowed
-    ]
-    if not found:
-        raise _answered()
-    return found
-
-
-def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> VerdictChange:
-    """As `verdict_change`, for at most `seconds`; 0: as asked."""
-    change = verdict_change(file, coarse or None, now, only_today=False)
-
-    def restrict(verdict: Verdict) -> Verdict:
-        changed = change(verdict)
-        return shorten(changed, seconds) if seconds else changed
-
-    return restrict
 
 
 def _right(value: Value) -> tuple[int, str]:

@@ -121,7 +121,7 @@ class MasterView:
         self._heard = self._elapsed()
         with contextlib.suppress(NotDelivered):
             known, self._denials = self._denials, self._recent_denials()
-            self._note(known, self._denials)
+            self._note(*({each[1:] for each in some} for some in (known, self._denials)))
 
     def _note(self, before: object, after: object) -> None:
         self._changes += before != after
@@ -145,7 +145,7 @@ class MasterView:
         answer = self._call(DENIALS, (), "a question about denials", SHORT)
         if not isinstance(answer, list):
             raise NotDelivered("the master's answer about denials is malformed", _HINT)
-        return tuple(map(_denial, answer))
+        return tuple(_denial(row, self._work.now()) for row in answer)
 
     def _list_standing(self, epoch: int, seq: int) -> ListStanding:
         home, now = self._work.home(), self._work.now()
@@ -164,17 +164,21 @@ class MasterView:
         return self._ask_standing(*wanted, is_published=data == self._work.published)
 
     def _ask_standing(self, epoch: int, seq: int, *, is_published: bool) -> ListStanding:
-        """What the master says of a signed list; if it does not answer, what it took before."""
+        """What the master says of a signed list; if it does not answer, what it took before.
+
+        Nodes that hold a newer one than was asked for hold this one too.
+        """
         unknown = ListStanding(epoch, seq, True, is_published, 0, 0)
         try:
-            answer = self._call(STANDING, (epoch, seq), "a question about a list", SHORT)
+            answer = self._call(STANDING, (), "a question about a list", SHORT)
         except NotDelivered:
             return unknown
         match answer:
-            case {"held": bool(held), "sessions": int(nodes), "holding": int(holding)} if (
+            case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if (
                 0 <= holding <= nodes
             ):
-                return ListStanding(epoch, seq, True, held, nodes, holding)
+                is_there = _number(number) >= (epoch, seq)
+                return ListStanding(epoch, seq, True, is_there, nodes, holding if is_there else 0)
             case _:
                 return unknown
 
@@ -189,15 +193,22 @@ def _facts(view: GraphView) -> Value:
     return to_value(tuple(FactView(*fact) for fact in sorted(view.facts)))
 
 
-def _denial(row: object) -> DenialView:
+def _number(text: str) -> tuple[int, int]:
+    """A list's number, as the master writes it; [0, 0] if it is none."""
+    epoch, _, seq = text.partition(".")
+    is_one = all(part.isascii() and part.isdigit() and len(part) < 20 for part in (epoch, seq))
+    return (int(epoch), int(seq)) if is_one else (0, 0)
+
+
+def _denial(row: object, now: int) -> DenialView:
     """One of the master's list.
 
     Raises:
         NotDelivered: it is none.
     """
     match row:
-        case [int(at), str(node), int(right), str(name)]:
-            return DenialView(at, node, right, name)
+        case [int(ago), str(node), int(right), str(name)]:
+            return DenialView(now - ago, node, right, name)
         case _:
             raise NotDelivered("the master's answer about denials is malformed", _HINT)
 

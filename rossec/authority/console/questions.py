@@ -143,6 +143,6 @@ def _right(file: PolicyFile, verdict: Verdict) -> AskedRight:
         verdict.name,
         file.policy.type_of(verdict.name) or "",
         rule_ids(verdict.rules),
-        next((rule.reason for rule in verdict.rules if rule.reason), ""),
+        next((rule.why for rule in verdict.rules if rule.why), ""),
         scope_of(permissions(verdict)),
     )

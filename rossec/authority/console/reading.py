@@ -36,7 +36,7 @@ KEPT: Final = 30 * 86400  # seconds for which ended grants are shown
 MAX_EVENTS: Final = 500  # of one answer
 MAX_APPROVALS: Final = 100
 _MAX_ROWS: Final = 20_000  # grants that are looked at
-_ROOM: Final = MAX_ANSWER - 64 * 1024
+ROOM: Final = MAX_ANSWER - 64 * 1024
 _log = logging.getLogger("rossec.authority.service")
 
 Deliveries = Callable[[], Mapping[bytes, str]]
@@ -196,7 +196,7 @@ class Reading:
 
 def bounded(what: str, views: Iterable[tuple[object, ...]]) -> list[Value]:
     """The views that fit into one answer, from the first on."""
-    room = _ROOM
+    room = ROOM
     values: list[Value] = []
     for view in views:
         value = to_value(view)

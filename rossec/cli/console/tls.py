@@ -26,7 +26,7 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
     """
     if name is not None and not renew:
         raise click.UsageError("--name is for --renew")
-    directory = environment.home / "ca" / "console"
+    directory = environment.home / "ca" / store.DIRECTORY
     if renew:
         authority = store.renew(directory, _name(directory, name), store.first_address(), now())
     else:

@@ -69,7 +69,7 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
     found.check_time()
     name = found.core.request.name if found.core.csr else ""
     return render(
-        context, request, "adding.html", live=not found.is_over, number=number, found=found,
+        context, request, "adding.html", live=not found.is_over, enrollment=number, found=found,
         stage=found.stage.value, name=name, digits=group_digits(found.core.digits),
         lifetime=IDENTITY_LIFETIME, is_conflict=isinstance(found.error, ConflictingOffer),
     )  # fmt: skip

@@ -26,17 +26,17 @@ async def show(request: Request, context: ConsoleContext) -> Response:
         return render(context, request, "asked.html")
     coarse = found.coarse[:_MOST]
     ways = [("", found.rights)]
-    problems: dict[str, HintedError] = {}
     for name in coarse:
         try:
             ways.append((name, await context.service.consider(number, name, 0)))
-        except HintedError as error:  # this filter does not fit these messages
-            problems[name] = error
+        except HintedError:  # this filter does not fit these messages
+            continue
     sentence = asking.sentence(found, await _graph(context))
     return render(
         context, request, "ask.html", live=True, found=found, sentence=sentence,
         ways=[asking.way(name, rights) for name, rights in ways],
-        looks=asking.looks(found.node, ways), durations=asking.durations(found, context.clock()),
+        looks=asking.looks(found.node, ways, context.preview),
+        durations=asking.durations(found, context.clock()),
     )  # fmt: skip
 
 

@@ -164,10 +164,10 @@ def _begin(response: Response, context: ConsoleContext, phone: str) -> Response:
 
 PAGES: Final = (
     Page("/login", ("GET",), show, PUBLIC),
-    Page("/login", ("POST",), look, PUBLIC),
-    Page("/login/challenge", ("POST",), challenge, PUBLIC),
-    Page("/login/passkey", ("POST",), log_in, PUBLIC),
+    Page("/login", ("POST",), look, PUBLIC, looks=True),
+    Page("/login/challenge", ("POST",), challenge, PUBLIC, looks=True),
+    Page("/login/passkey", ("POST",), log_in, PUBLIC, looks=True),
     Page("/login/new", ("POST",), new, PUBLIC),
     Page("/login/phone", ("POST",), add_phone, PUBLIC),
-    Page("/logout", ("POST",), log_out),
+    Page("/logout", ("POST",), log_out, looks=True),
 )

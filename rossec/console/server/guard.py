@@ -174,14 +174,16 @@ class Guard:
 
     def _answer(self, rule: Rule, match: Match | None, request: Request) -> Response:
         """The answer to a request that breaks a rule."""
+        response: Response
         if rule.status == SEE_OTHER and not wants_json(request.headers):
-            return RedirectResponse("/login", SEE_OTHER)
-        status = 401 if rule.status == SEE_OTHER else rule.status
-        response = self._refuse(request, HttpRefused(rule.message, rule.hint, status=status))
+            response = RedirectResponse("/login", SEE_OTHER)
+        else:
+            status = 401 if rule.status == SEE_OTHER else rule.status
+            response = self._refuse(request, HttpRefused(rule.message, rule.hint, status=status))
         if rule.name == "method" and match is not None:
             response.headers["Allow"] = ", ".join(sorted(match.methods))
-        if request.method not in SAFE:
-            response.headers["Connection"] = "close"  # its body is not read
+        if has_body(request.headers):
+            response.headers["Connection"] = "close"  # it is not read
         return response
 
     async def _end(self, scope: Scope, receive: Receive, send: Send, error: HintedError) -> None:
@@ -205,6 +207,11 @@ def is_by_person(headers: Mapping[str, str]) -> bool:
     if "sec-fetch-mode" not in headers or headers.get("sec-fetch-user") == "?1":
         return True
     return headers.get("content-type") is not None  # a form or an approval
+
+
+def has_body(headers: Mapping[str, str]) -> bool:
+    """Whether a body comes after these headers (RFC 9112 section 6)."""
+    return headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
 
 
 def _as_refusal(error: HintedError | TimeoutError) -> HintedError:

@@ -6,6 +6,7 @@ minute; their number is bounded, also for one address, and what cannot be read i
 """
 
 import asyncio
+import logging
 import socket
 import ssl
 from collections.abc import Iterable
@@ -17,22 +18,29 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
+from rossec.errors import PeerUserRefused
+from rossec.net.host.peeruid import require_user
+from rossec.operation.unix_socket import raw_socket
+
 HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or the answer before
 MAX_HEAD: Final = 16 * 1024
 MAX_CONNECTIONS: Final = 256
 MAX_FOR_ONE: Final = 128  # connections of one address; a browser has six, and a page one for news
 KEEP_ALIVE: Final = 10  # seconds between two requests
 
+_log = logging.getLogger("rossec.console")
+
 
 class BoundedProtocol(H11Protocol):
     """A connection that must send a whole head in time."""
 
     _deadline: asyncio.TimerHandle | None = None
+    proxy_users: frozenset[int] = frozenset()  # who may connect at a unix socket
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
         super().connection_made(transport)
-        if self._is_one_too_many():
+        if self._is_one_too_many() or not self._is_of_a_user(transport):
             transport.abort()
             return
         self._arm()
@@ -71,6 +79,18 @@ class BoundedProtocol(H11Protocol):
         addresses = [each.client[0] for each in open_now if each.client]
         return addresses.count(self.client[0]) > MAX_FOR_ONE
 
+    def _is_of_a_user(self, transport: asyncio.Transport) -> bool:
+        """Whether a proxy at a unix socket is of a user who may be one; TCP has its own check."""
+        sock = transport.get_extra_info("socket")
+        if sock is not None and sock.family != socket.AF_UNIX:
+            return True
+        try:
+            require_user(raw_socket(sock), self.proxy_users)
+        except (PeerUserRefused, OSError) as error:
+            _log.warning("refused at the console's socket: %s", error)
+            return False
+        return True
+
     @property
     def _is_answering(self) -> bool:
         cycle: RequestResponseCycle | None = self.cycle  # None before the first request
@@ -92,9 +112,15 @@ class ConsoleServer:
     Args:
         app: the application.
         context: for TLS; None: plain HTTP.
+        proxy_users: user ids whose programs may connect at a unix socket.
     """
 
-    def __init__(self, app: ASGIApp, context: ssl.SSLContext | None = None) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        context: ssl.SSLContext | None = None,
+        proxy_users: frozenset[int] = frozenset(),
+    ) -> None:
         self._config = Config(
             app, http=BoundedProtocol, ws="none", lifespan="off", interface="asgi3",
             log_config=None, access_log=False, proxy_headers=False, server_header=False,
@@ -103,6 +129,7 @@ class ConsoleServer:
         self._config.load()
         self._state = ServerState()
         self._context = context
+        self._proxy_users = proxy_users
         self._servers: list[asyncio.Server] = []
 
     async def start(self, sockets: Iterable[socket.socket]) -> None:
@@ -111,10 +138,15 @@ class ConsoleServer:
         for sock in sockets:
             handshake = None if self._context is None else HEAD_TIME
             server = await loop.create_server(
-                lambda: BoundedProtocol(self._config, self._state, {}, loop), sock=sock,
+                lambda: self._make(loop), sock=sock,
                 ssl=self._context, ssl_handshake_timeout=handshake,
             )  # fmt: skip
             self._servers.append(server)
+
+    def _make(self, loop: asyncio.AbstractEventLoop) -> BoundedProtocol:
+        made = BoundedProtocol(self._config, self._state, {}, loop)
+        made.proxy_users = self._proxy_users
+        return made
 
     async def close(self) -> None:
         """Stop, and end every connection."""

@@ -25,6 +25,7 @@ from rossec.console.tls.authority import Address, TlsAuthority
 from rossec.enrollment import address
 from rossec.errors import ConfigurationError
 
+DIRECTORY: Final = "console"  # in the authority's directory
 KEY: Final = "tls.key"
 CERTIFICATE: Final = "tls.pem"
 _MAX_FILE: Final = 8 * 1024

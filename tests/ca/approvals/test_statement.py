@@ -33,7 +33,7 @@ texts = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=6
 whats = st.one_of(
     st.builds(Enroll, digests, texts, digests, st.booleans(), numbers, st.booleans()),
     st.builds(Grant, ids, digests),
-    st.builds(PolicyChange, digests, digests),
+    st.builds(PolicyChange, digests, digests, digests),
     st.builds(Delegate, digests, numbers, numbers),
     st.builds(Intermediate, digests, st.booleans(), numbers),
     st.builds(NewPasskey, st.binary(min_size=1, max_size=1023), digests, texts),

@@ -173,6 +173,17 @@ def test_an_answer_that_makes_no_sense_is_refused(home: AuthorityHome, answer: b
     impostor.thread.join()
 
 
+def test_a_code_that_is_no_text_is_refused(home: AuthorityHome) -> None:
+    answers = [messages.write_answer("code"), messages.write_answer(7)]
+    impostor = Impostor(home.path / SOCKET, *answers)
+    client = found(home)
+    assert client.phone_code() == "code"
+    with pytest.raises(KeyServiceFailed, match="gives no code"):
+        client.phone_code()
+    client.close()
+    impostor.thread.join()
+
+
 def test_a_service_that_hangs_is_given_up(
     home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ from ca.errors import IssueRefused, PassphraseRefused
 from ca.keys import key_files
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice import process as module
+from rossec.authority.keyservice.caller import Caller
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import KeyServiceProcess, audit_to, operations_of
@@ -54,6 +55,30 @@ def test_a_line_that_is_not_written_is_a_refusal(
         write("third")
     texts = [json.loads(line)["text"] for line in path.read_text().splitlines()]
     assert texts == ["the audit begins", "first", "third"]
+
+
+async def test_codes_for_a_phone_are_made_where_there_is_a_console(home: AuthorityHome) -> None:
+    callers: list[Caller] = []
+
+    def make(caller: Caller) -> str:
+        callers.append(caller)
+        return "a code"
+
+    for phone_code in (make, None):
+        process = KeyServiceProcess(
+            home, operations_of(home, lambda _: None), admit_all, phone_code
+        )
+        await process.start()
+        client = await asyncio.to_thread(KeyServiceClient.find, home.path)
+        assert client is not None
+        if phone_code is None:
+            with pytest.raises(KeyServiceRefused, match="has no console"):
+                await asyncio.to_thread(client.phone_code)
+        else:
+            assert await asyncio.to_thread(client.phone_code) == "a code"
+        client.close()
+        await process.close()
+    assert [caller.process for caller in callers] == [os.getpid()]
 
 
 class Clocked:

@@ -1,0 +1,50 @@
+"""`rossec console --demo`: the demo's home, running, with a console that shows it."""
+
+import asyncio
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import click
+
+from rossec.cli.console.serve import check_libraries
+from rossec.cli.shared import invocation
+from rossec.console.options import PORT, Options
+from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
+from rossec.demo.story import begin_story
+from rossec.errors import ConfigurationError
+from rossec.operation.shutdown import stop_on_signals, until_first_ends
+from rossec.terminal import say
+
+
+def show_demo(context: click.Context, options: Options) -> None:
+    """Run the demo's home with a console until it is interrupted; nothing is left.
+
+    Raises:
+        ConfigurationError: a library is missing, or an option is not for it.
+        DemoFailed: a step did not do what it says.
+    """
+    check_libraries()
+    if options != Options(port=options.port):
+        raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
+    run = partial(invocation.run, context.find_root().command)
+    with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
+        asyncio.run(_play(Path(directory), run, options.port or PORT))
+
+
+async def _play(directory: Path, run: Run, port: int) -> None:
+    stop = stop_on_signals()
+    demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
+    try:
+        await until_first_ends(_show(demo, port), stop.wait())
+    finally:
+        await demo.stop_all()
+
+
+async def _show(demo: DemoEnvironment, port: int) -> None:
+    link = await begin_story(demo, port)
+    say(f"\nopen this in a browser of this computer, within 2 minutes:\n\n    {link}\n")
+    say(f"a new code: ROSSEC_HOME={demo.root} rossec console phone")
+    say("Ctrl-C ends everything and leaves nothing")
+    await demo.until_one_ends()

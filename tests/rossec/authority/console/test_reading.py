@@ -1,0 +1,177 @@
+"""What the console shows of the record."""
+
+from pathlib import Path
+
+import pytest
+
+from ca.approvals.approval import Approval
+from ca.approvals.assertion import Assertion
+from ca.approvals.statement import Invitation, Kind, NewPasskey
+from ca.encoding import Value
+from ca.store.approvals import ApprovalState
+from grants.document import peek
+from rossec.authority import invitations
+from rossec.authority.console import reading as module
+from rossec.authority.console.reading import KEPT, MAX_APPROVALS, MAX_EVENTS, Reading, bounded
+from rossec.authority.console.records import from_value, many
+from rossec.authority.console.sentences import sentence
+from rossec.authority.console.views import (
+    ApprovalView,
+    EventView,
+    GrantView,
+    IdentityRequestView,
+    InvitationView,
+    NodeView,
+    PhoneView,
+)
+from rossec.home import NodeHome
+from tests.support import approving, passkeys
+from tests.support.consolework import NOW, ConsoleWork, ask
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> ConsoleWork:
+    return ConsoleWork(tmp_path)
+
+
+@pytest.fixture
+def reading(site: ConsoleWork) -> Reading:
+    return Reading(site.work, lambda number: (number == approving.PASSKEY.id) * (NOW + 5))
+
+
+def never(_: bytes) -> int:
+    return 0
+
+
+def test_nodes_are_the_newest_of_a_name_and_other_valid_keys(site: ConsoleWork) -> None:
+    reading = Reading(site.work, never)
+    site.enroll("/robot")
+    site.home.store().revoke(b"u" * 32, "x", NOW)
+    found = many(NodeView, ask(reading, "nodes"))
+    assert [each.name for each in found] == ["/robot", "/ca"]
+    assert (found[0].revoked_at, found[0].anonymous, found[0].not_after > NOW) == (0, False, True)
+    site.home.store().revoke(found[0].key, "sold", NOW + 1)
+    (robot, _) = many(NodeView, ask(reading, "nodes"))
+    assert (robot.revoked_at, robot.reason) == (NOW + 1, "sold")
+    site.wait(60)
+    (site.root / "elsewhere").rename(site.root / "before")
+    site.enroll("/robot")
+    assert [each.reason for each in many(NodeView, ask(reading, "nodes"))] == ["", ""]
+
+
+def test_grants_are_those_in_force_and_ended_of_late(site: ConsoleWork) -> None:
+    site.enroll("/doctor")
+    short, long = site.grant("/doctor", 60), site.grant("/doctor", 400 * 86400, "rule 3")
+    reading = Reading(site.work, never, lambda: {long: "held"})
+    found = many(GrantView, ask(reading, "grants"))
+    assert [(each.id, each.rules, each.delivery) for each in found] == [
+        (long, "rule 3", "held"), (short, "", ""),
+    ]  # fmt: skip
+    assert (found[1].at, found[1].expires, found[1].cap) == (NOW, NOW + 60, NOW + 60)
+    assert peek(found[0].data).id == long
+    site.wait(KEPT + 61)
+    assert [each.id for each in many(GrantView, ask(reading, "grants"))] == [long]
+    site.home.store().revoke(long, "moved out", site.now)
+    (ended,) = many(GrantView, ask(reading, "grants"))
+    assert (ended.revoked_at, ended.reason) == (site.now, "moved out")
+    site.wait(KEPT + 1)
+    assert ask(reading, "grants") == []
+
+
+def test_grants_of_a_revoked_key_are_revoked(site: ConsoleWork) -> None:
+    site.enroll("/doctor")
+    site.grant("/doctor", 60)
+    store = site.home.store()
+    store.revoke(store.valid_certificate("/doctor", NOW).thumbprint, "gone", NOW + 2)
+    (view,) = many(GrantView, ask(Reading(site.work, never), "grants"))
+    assert (view.revoked_at, view.reason) == (NOW + 2, "gone")
+
+
+def test_requests_for_identities_are_those_that_wait(site: ConsoleWork) -> None:
+    reading = Reading(site.work, never)
+    site.enroll("/robot")
+    with site.work.service("a test") as service:
+        for name in ("/lamp", "/robot"):
+            node = NodeHome.of(site.root / "other", name)
+            asked = node.create_request("home")
+            service.add_request(asked, node.request(), "a code")
+    found = many(IdentityRequestView, ask(reading, "identity-requests"))
+    assert {(each.name, each.is_other_key) for each in found} == {
+        ("/lamp", False),
+        ("/robot", True),
+    }
+    lamp = next(each for each in found if each.name == "/lamp")
+    assert (lamp.state, lamp.source, lamp.csr) == (
+        "pending", "a code", NodeHome.of(site.root / "other", "/lamp").request(),
+    )  # fmt: skip
+    site.home.store().requests.deny(lamp.id, NOW)
+    site.wait(2 * 86400)
+    assert ask(reading, "identity-requests") == []
+
+
+def test_invitations_say_what_they_are_and_no_secret(site: ConsoleWork) -> None:
+    code = invitations.invite(site.home, "/lamp/*", 3, NOW + 60, "host:1", NOW)
+    answer = ask(Reading(site.work, never), "invitations")
+    (view,) = many(InvitationView, answer)
+    assert (view.pattern, view.uses, view.names, view.state) == ("/lamp/*", 3, (), "open")
+    assert code.secret.hex() not in repr(answer)
+    assert code.secret not in [item for each in view for item in [each]]
+    site.wait(61)
+    assert from_value(InvitationView, ask_first(site)).state == "expired"
+
+
+def ask_first(site: ConsoleWork) -> Value:
+    found = ask(Reading(site.work, never), "invitations")
+    assert isinstance(found, list)
+    return found[0]
+
+
+def test_phones_and_approvals(site: ConsoleWork, reading: Reading) -> None:
+    store, other = site.home.store(), approving.registered(passkeys.Passkey(), "Ben's")
+    store.passkeys.add(approving.PASSKEY)
+    statement = approving.state(NewPasskey(other.id, b"d" * 32, "Ben's"), store=store)
+    touch = approving.DEVICE.sign(statement.challenge)
+    given = Approval.of(statement, b"", Assertion(*touch), NOW + 3)
+    store.approvals.add(given)
+    store.passkeys.add(other._replace(approval=given.id))
+    ann, ben = many(PhoneView, ask(reading, "phones"))
+    assert (ann.name, ann.last_used, ann.added_by, ann.ended) == ("Ann's phone", NOW + 5, "", "")
+    assert (ben.name, ben.last_used, ben.added_by, ben.ended) == ("Ben's", 0, "Ann's phone", "")
+    (view,) = many(ApprovalView, ask(reading, "approvals", 9))
+    assert view == ApprovalView(
+        given.id, int(Kind.PASSKEY), "phone Ben's", "Ann's phone", NOW + 3, "waiting", ""
+    )
+    store.approvals.end(given.id, ApprovalState.DONE, "added", NOW + 4)
+    store.remove_passkey(ann.id, "", NOW + 6)
+    (view,) = many(ApprovalView, ask(reading, "approvals", 9))
+    assert (view.state, view.result) == ("done", "added")
+    assert [each.ended for each in many(PhoneView, ask(reading, "phones"))] == ["removed", ""]
+    assert ask(reading, "approvals", 0) == ask(reading, "approvals", -1) == []
+
+
+def test_events_are_read_in_pages(site: ConsoleWork, reading: Reading) -> None:
+    for number in range(10):
+        site.home.store().log_event("note", f"{number}", "", NOW)
+    everything = many(EventView, ask(reading, "events", 0, MAX_EVENTS + 1))
+    numbers = [each.number for each in everything]
+    assert numbers == list(range(len(numbers)))[::-1]
+    assert everything[0][1:] == (NOW, "note", "9", "")
+    first = many(EventView, ask(reading, "events", 0, 4))
+    then = many(EventView, ask(reading, "events", first[-1].number, 4))
+    assert first + then == everything[:8]
+    assert ask(reading, "events", 0, -5) == []
+    assert MAX_APPROVALS < MAX_EVENTS
+
+
+def test_an_answer_is_bounded_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(module, "ROOM", 100)
+    views = [EventView(number, 0, "x" * 10, "", "") for number in range(100)]
+    assert len(bounded("entries", views)) == 100 // len(b"\x85\1\0\x6axxxxxxxxxx\x60\x60")
+    assert "shown the newest 6 entries only" in caplog.text
+
+
+def test_an_invitation_that_was_approved_is_in_words() -> None:
+    statement = approving.state(Invitation("/lamp/*", 3, NOW + 60, wildcard=False))
+    assert sentence(statement, b"") == "join code for 3 of /lamp/*"

@@ -1,0 +1,120 @@
+"""The server: limits for connections that give no head, or too many of them."""
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rossec.console.server import serving as module
+from rossec.console.server.serving import MAX_HEAD, ConsoleServer
+
+REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
+
+
+async def hello(scope: Scope, receive: Receive, send: Send) -> None:
+    await PlainTextResponse(scope["client"][0])(scope, receive, send)
+
+
+@asynccontextmanager
+async def serving(app: ASGIApp = hello) -> AsyncIterator[int]:
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        server = ConsoleServer(app)
+        await server.start([sock])
+        try:
+            yield sock.getsockname()[1]
+        finally:
+            await server.close()
+
+
+async def ask(port: int, *pieces: bytes, pause: float = 0) -> bytes:
+    """Send the pieces; returns what comes until the end."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        for piece in pieces:
+            writer.write(piece)
+            await asyncio.sleep(pause)
+        async with asyncio.timeout(10):
+            return await reader.read()
+    except ConnectionError:
+        return b""
+    finally:
+        writer.transport.abort()
+
+
+CLOSING = REQUEST.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n")
+
+
+async def test_it_answers_with_a_date_and_without_its_name() -> None:
+    async with serving() as port:
+        head, _, body = (await ask(port, CLOSING)).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 200 OK\r\n")
+    assert b"\r\ndate: " in head
+    assert b"server" not in head
+    assert body == b"127.0.0.1"
+
+
+async def test_headers_of_a_proxy_are_not_read() -> None:
+    async with serving() as port:
+        given = CLOSING.replace(b"Host: a", b"Host: a\r\nX-Forwarded-For: 192.0.2.1")
+        assert (await ask(port, given)).endswith(b"127.0.0.1")
+
+
+async def test_requests_follow_each_other_on_a_connection() -> None:
+    async with serving() as port:
+        answers = await ask(port, REQUEST, REQUEST + REQUEST, CLOSING, pause=0.05)
+    assert answers.count(b"200 OK") == 4
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HT", REQUEST[:-2], REQUEST + b"GET"])
+async def test_a_head_that_does_not_come_ends_the_connection(
+    begun: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "HEAD_TIME", 0.05)
+    async with serving() as port:
+        answer = await ask(port, *[begun[place : place + 1] for place in range(len(begun))])
+    assert answer.count(b"200 OK") == begun.count(REQUEST)
+
+
+async def test_an_answer_may_take_longer_than_a_head(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "HEAD_TIME", 0.05)
+
+    async def slow(scope: Scope, receive: Receive, send: Send) -> None:
+        await asyncio.sleep(0.3)
+        await hello(scope, receive, send)
+
+    async with serving(slow) as port:
+        assert b"200 OK" in await ask(port, CLOSING)
+
+
+@pytest.mark.parametrize("data", [b"nonsense\r\n\r\n", REQUEST[:-2] + b"X: " + b"a" * MAX_HEAD])
+async def test_what_cannot_be_read_is_not_answered(data: bytes) -> None:
+    async with serving() as port:
+        assert await ask(port, data) == b""
+
+
+async def test_connections_are_bounded_for_one_address_and_for_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for limit in ("MAX_FOR_ONE", "MAX_CONNECTIONS"):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, limit, 2)
+            async with serving() as port:
+                first = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+                await asyncio.sleep(0.05)
+                assert await ask(port, CLOSING) == b""
+                for reader, writer in first:
+                    writer.write(CLOSING)
+                    assert b"200 OK" in await reader.read()
+                    writer.transport.abort()
+                assert b"200 OK" in await ask(port, CLOSING)
+
+
+async def test_no_websocket() -> None:
+    upgrade = b"\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    async with serving() as port:
+        answer = await ask(port, REQUEST.replace(b"\r\n\r\n", upgrade), CLOSING, pause=0.05)
+    assert b"101" not in answer.partition(b"\r\n")[0]

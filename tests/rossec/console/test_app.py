@@ -1,0 +1,50 @@
+"""Refusals as pages, and as JSON for scripts."""
+
+import pytest
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.testclient import TestClient
+
+from ca.errors import HintedError
+from rossec.console.app import create_app, show_error, status_of
+from rossec.console.routing import PUBLIC, Page
+from rossec.errors import AuthorityLocked, HttpRefused, KeyServiceFailed
+from tests.support.consolepages import ORIGIN, Browser
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (HttpRefused("a", status=404), 404),
+        (KeyServiceFailed("a"), 503),
+        (AuthorityLocked("a"), 422),
+    ],
+)
+def test_a_refusal_has_a_status(error: HintedError, status: int) -> None:
+    assert status_of(error) == status
+
+
+def asked(accept: str) -> Request:
+    headers = [(b"accept", accept.encode())]
+    return Request({"type": "http", "method": "GET", "path": "/", "headers": headers, "state": {}})
+
+
+def test_a_refusal_is_a_page_or_json() -> None:
+    context, error = Browser().context, AuthorityLocked("it is <locked>\n", "unlock it")
+    page = show_error(asked("text/html"), context, error)
+    assert b"it is &lt;locked&gt;\\u000a" in bytes(page.body)
+    told = show_error(asked("application/json"), context, error)
+    assert bytes(told.body) == b'{"error":"it is <locked>\\\\u000a","hint":"unlock it"}'
+
+
+@pytest.mark.parametrize("accept", ["text/html", "application/json"])
+def test_a_crash_is_logged_and_not_told(accept: str, caplog: pytest.LogCaptureFixture) -> None:
+    async def crash(*_: object) -> Response:
+        raise RuntimeError("a secret")
+
+    app = create_app(Browser().context, (Page("/", ("GET",), crash, PUBLIC),))
+    answer = TestClient(app, ORIGIN).get("/", headers={"Accept": accept})
+    assert answer.status_code == 500
+    assert "something went wrong here" in answer.text
+    assert "secret" not in answer.text
+    assert "a secret" in caplog.text
