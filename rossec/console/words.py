@@ -26,6 +26,8 @@ RIGHTS: Final[Mapping[Right, str]] = {
     Right.ADMIN: "manage",
 }
 
+_DEGREES: Final = " degrees"
+_METRES: Final = 111_320  # of a degree of latitude; of longitude it is less, away from the equator
 _UNITS: Final = ((YEAR, "year"), (DAY, "day"), (HOUR, "hour"), (MINUTE, "minute"))
 
 
@@ -175,6 +177,8 @@ def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
     said = field_name(rule.path, type_name)
     given = {parameter: _value(value) for parameter, value in rule.parameters}
     text = OPERATORS[rule.operator].format(field=said, unit=unit, **given)
+    if unit == _DEGREES and rule.operator == "round":
+        text += f" (about {_METRES * float(dict(rule.parameters)['step']):.0f} m)"
     return f"{text}, only in a part of it" if "width" in given else text
 
 

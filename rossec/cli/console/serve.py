@@ -1,11 +1,11 @@
 """`rossec console`: the pages, as long as it runs."""
 
 import asyncio
-import importlib.util
 import os
 import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rossec.authority.console.messages import SOCKET
@@ -44,7 +44,7 @@ def check_libraries() -> None:
     Raises:
         ConfigurationError: one is missing.
     """
-    missing = [name for name in _LIBRARIES if importlib.util.find_spec(name) is None]
+    missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
             f"the console needs libraries that are not installed: {', '.join(missing)}",

@@ -15,6 +15,8 @@ _MIDDLE: Final = SIZE / 2
 _REACH: Final = SIZE / 2 - 14
 _RINGS: Final = 3
 _MAX_RAYS: Final = 360
+_MAX_ANGLE: Final = 1e3
+_FAR: Final = 1e6  # metres: what is farther is no wall
 
 
 def reach_of(seen: SeenTopic) -> float:
@@ -46,11 +48,13 @@ def _rays(seen: SeenTopic) -> list[Point]:
         return []
     fields = seen.samples[-1].fields
     start, step = float(fields["angle_min"]), float(fields["angle_increment"])
+    if not (abs(start) < _MAX_ANGLE and abs(step) < _MAX_ANGLE):  # also if one is no number
+        return []
     every = max(1, math.ceil(len(fields["ranges"]) / _MAX_RAYS))
     return [
         (start + number * step, float(distance))
         for number, distance in enumerate(fields["ranges"])
-        if number % every == 0 and math.isfinite(float(distance)) and float(distance) > 0
+        if number % every == 0 and 0 < float(distance) < _FAR
     ]
 
 

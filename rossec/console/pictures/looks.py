@@ -18,6 +18,8 @@ from rossec.ros.text import printable
 
 MAX_LOOKS: Final = 6
 MAX_FIELDS: Final = 24
+MAX_MESSAGES: Final = 600
+_LAST: Final = 3
 _MAX_VALUE: Final = 60
 
 
@@ -58,6 +60,7 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
             ways.setdefault(cell.restrictions, []).append(cell)
     groups = sorted(ways.values(), key=lambda group: (group[0].access is not Access.ALL, group[0]))
     shown = groups[:MAX_LOOKS]
+    recorded = recorded._replace(messages=recorded.messages[-_newest(recorded.type) :])
     exact = try_see(recorded, "", ())
     seen = [try_see(recorded, group[0].receiver, group[0].restrictions) for group in shown]
     drawer = _drawer(exact, [each for each in seen if each], [group[0] for group in shown])
@@ -65,6 +68,11 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     return Comparison(
         recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up
     )
+
+
+def _newest(kind: str) -> int:
+    """How many messages are looked at: of a picture or a scan only the last is drawn."""
+    return _LAST if kind in (laser.TYPE, image.TYPE) else MAX_MESSAGES
 
 
 class _Drawer(NamedTuple):
@@ -111,10 +119,10 @@ def _picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, El
     if drawer.frame is not None:
         return _place(drawer.frame, cell, seen, messages)
     if seen.type == laser.TYPE:
-        return "sees what the laser meets", messages, laser.draw(seen, drawer.reach)
+        return "sees what the laser meets", "", laser.draw(seen, drawer.reach)
     if seen.type == image.TYPE:
         heading = "sees the picture" if cell.access is Access.ALL else "sees this of the picture"
-        return heading, messages, image.draw(seen)
+        return heading, "", image.draw(seen)
     if drawer.field and drawer.span is not None:
         name = words.field_name(drawer.field, seen.type)
         return f"sees the {name}", messages, series.draw(seen, drawer.field, drawer.span)

@@ -18,6 +18,7 @@ _SHADES: Final = 5
 _EARTH: Final = 111_320.0  # metres of a degree of latitude
 _MARGIN: Final = 1.2  # metres around what was seen, at least
 _MAX_CELLS: Final = 400
+_FAR: Final = 1e8  # metres, farther than anything on earth
 _MAX_POINTS: Final = 300
 
 # The field with the place, by message type; `_ON_EARTH` has latitude and longitude instead.
@@ -141,7 +142,7 @@ def _origin(seen: SeenTopic) -> Point | None:
         return None
     for sample in seen.samples:
         at = (float(sample.fields["latitude"]), float(sample.fields["longitude"]))
-        if all(map(math.isfinite, at)) and any(at):
+        if abs(at[0]) < 90 and abs(at[1]) <= 360 and any(at):
             return at
     return None
 
@@ -157,14 +158,19 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
              (float(each.fields["latitude"]) - origin[0]) * _EARTH)
             for each in seen.samples
         ]  # fmt: skip
-        return [point for point in found if all(map(math.isfinite, point))]
+        return [point for point in found if _is_near(point)]
     field = _POSITION.get(seen.type)
     if field is None:
         return []
     read = [_read(each, field) for each in seen.samples]
     found = [(float(each["x"]), float(each["y"])) for each in read]
-    found = [point for point in found if all(map(math.isfinite, point))]
+    found = [point for point in found if _is_near(point)]
     return found if any(map(any, found)) else []
+
+
+def _is_near(point: Point) -> bool:
+    """Whether it can be drawn: not a number, and infinitely far, are neither."""
+    return all(abs(value) < _FAR for value in point)
 
 
 def _paper(frame: Frame, cell: Extent | None) -> Element:

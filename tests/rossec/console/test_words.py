@@ -47,6 +47,11 @@ def test_a_restriction_says_the_most_important_first() -> None:
     assert words.rate(3) == "at most 3 a second"
 
 
+def test_degrees_are_said_in_metres_too() -> None:
+    rule = FilterRule("latitude", "round", (("step", 0.001),))
+    assert words.filter_rule(rule) == "latitude to 0.001 degrees (about 111 m)"
+
+
 def test_a_region_and_a_picture_are_named() -> None:
     rules = filter_rules(
         {"data": {"pixelate": {"block": 8, "x": 0, "y": 0, "width": 9, "height": 9}}}

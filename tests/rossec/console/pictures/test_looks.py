@@ -1,12 +1,22 @@
 """What a topic looks like to each of its receivers."""
 
+import math
+
+import numpy as np
+import pytest
+
 from grants.model import Restriction, filter_rules
 from rossec.console import made_up
 from rossec.console.matrix import Access, Cell
 from rossec.console.pictures import image, laser, looks
 from rossec.console.pictures.looks import Comparison
+from rossec.console.samples import Recorded
+from rossec.errors import MessageError
+from rossec.participant.message_types import message_type
 from tests.support.consolehome import COARSE, HOSTILE, POSE
 from tests.support.drawings import checked
+
+FIX = "sensor_msgs/NavSatFix"
 
 
 def compare(kind: str, *ways: Restriction | None) -> Comparison:
@@ -98,3 +108,31 @@ def test_a_hostile_text_in_a_message_is_text() -> None:
     (look,) = compare("std_msgs/String", hidden).looks
     assert "\u202e" not in look.fields[0].value
     assert len(look.fields[0].value) < 80
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 5e-324])
+@pytest.mark.parametrize("kind", sorted([POSE, FIX, laser.TYPE, "sensor_msgs/BatteryState"]))
+def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: float) -> None:
+    made = message_type(kind)
+
+    def message(at: int) -> bytes:
+        found = made.create()
+        if kind == POSE:
+            found.pose.position.x, found.pose.position.y = value, float(at)
+            found.pose.orientation.z, found.pose.orientation.w = value, value
+        elif kind == FIX:
+            found.latitude, found.longitude = value, float(at)
+        elif kind == laser.TYPE:
+            found.angle_min, found.ranges = value, np.ones(9, np.float32)
+        else:
+            found.voltage = value if at % 2 else -value
+        return bytes(made.serialize(found))
+
+    try:
+        messages = tuple((float(at), message(at)) for at in range(4))
+    except MessageError:  # float32 has no such number
+        return
+    recorded = Recorded("/t", kind, messages)
+    (look,) = looks.compare(recorded, [Cell("/a", "/t", Access.ALL)]).looks
+    if look.picture is not None:
+        checked(look.picture)

@@ -32,7 +32,7 @@ def test_a_number_inside_a_message_has_a_path() -> None:
 
 
 def test_strange_values_stay_inside() -> None:
-    for given in ((1.0,), (2.0, 2.0), (math.nan, 1.0), (1e300, -1e300), (True, 3)):
+    for given in ((1.0,), (2.0, 2.0), (math.nan, 1.0), (9e299, -9e299), (True, 3)):
         seen = values(*given)
         field = "data"
         span = series.span_of([seen], field)
