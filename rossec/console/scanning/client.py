@@ -6,15 +6,17 @@ and whoever has a session shall not occupy the machine with it.
 
 import asyncio
 import socket
-from typing import Final
+from typing import Final, TypeAlias
 
 from rossec.console.scanning import frames
-from rossec.console.scanning.frames import Unreadable
+from rossec.console.scanning.frames import Found, Unreadable
 from rossec.errors import KeyMessageRefused, PictureRefused, ScannerBusy
+from rossec.net.aio.tasks import TaskSet
 
 INTERVAL: Final = 0.15  # seconds between two pictures
 TIMEOUT: Final = 30.0  # the supervisor answers earlier
 _PASTE: Final = "paste the text below the code instead"
+Answer: TypeAlias = Found | Unreadable
 
 
 class ScannerClient:
@@ -23,7 +25,9 @@ class ScannerClient:
     def __init__(self, sock: socket.socket, interval: float = INTERVAL) -> None:
         self._socket = sock
         self._interval = interval
-        self._lock = asyncio.Lock()
+        self._tasks = TaskSet()
+        self._is_busy = False
+        self._next = 0.0  # when the next picture may be read
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
         self._ended = False
 
@@ -38,37 +42,53 @@ class ScannerClient:
             raise PictureRefused(
                 f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE
             )
-        if self._lock.locked():
+        if self._is_busy:
             raise ScannerBusy("another picture is being read", "wait a moment")
-        async with self._lock:
-            answer = await self._ask(picture)
-            await asyncio.sleep(self._interval)
-        if isinstance(answer, Unreadable):
-            raise PictureRefused(answer.message, answer.hint)
-        return answer.text or None
+        answer: asyncio.Future[Answer | None] = asyncio.get_running_loop().create_future()
+        self._is_busy = True
+        # A task of its own: whoever asks may go away, and the next answer is the next picture's.
+        self._tasks.spawn(self._work(picture, answer), name="a picture")
+        match await answer:
+            case Found(text):
+                return text or None
+            case Unreadable(message, hint):
+                raise PictureRefused(message, hint)
+            case _:
+                raise PictureRefused("pictures cannot be read any more", _PASTE)
 
     async def close(self) -> None:
         """End the connection, and with it the worker."""
         self._ended = True
+        await self._tasks.close()
         if self._streams is None:
             self._socket.close()
-            return
-        self._streams[1].transport.abort()
-        await asyncio.sleep(0)
+        else:
+            self._streams[1].transport.abort()
+            await asyncio.sleep(0)
 
-    async def _ask(self, picture: bytes) -> frames.Found | Unreadable:
-        if self._ended:
-            raise PictureRefused("pictures cannot be read any more", _PASTE)
+    async def _work(self, picture: bytes, answer: asyncio.Future[Answer | None]) -> None:
+        """Have a picture read, some time after the one before; None: nobody reads any more."""
+        loop = asyncio.get_running_loop()
+        try:
+            await asyncio.sleep(max(0.0, self._next - loop.time()))
+            found = None if self._ended else await self._ask(picture)
+        finally:
+            self._is_busy = False
+            self._next = loop.time() + self._interval
+        if not answer.done():
+            answer.set_result(found)
+
+    async def _ask(self, picture: bytes) -> Answer | None:
         try:
             async with asyncio.timeout(TIMEOUT):
                 return await self._exchange(picture)
-        except BaseException as error:  # an answer that comes late would be the next picture's
-            await self.close()
-            if isinstance(error, OSError | EOFError | KeyMessageRefused):
-                raise PictureRefused("pictures cannot be read any more", _PASTE) from error
-            raise
+        except (OSError, EOFError, KeyMessageRefused):
+            self._ended = True
+            if self._streams is not None:
+                self._streams[1].transport.abort()
+            return None
 
-    async def _exchange(self, picture: bytes) -> frames.Found | Unreadable:
+    async def _exchange(self, picture: bytes) -> Answer:
         if self._streams is None:
             self._streams = await asyncio.open_connection(sock=self._socket)
         reader, writer = self._streams

@@ -69,13 +69,14 @@ async def test_one_picture_at_a_time() -> None:
 
 async def test_pictures_are_some_time_apart() -> None:
     async with supervised(3600) as pair:
-        pair.answers(Found(""))
-        first = asyncio.ensure_future(pair.client.read(b"one"))
+        pair.answers(Found(""), Found(""))
+        assert await pair.client.read(b"one") is None
+        second = asyncio.ensure_future(pair.client.read(b"two"))
         await asyncio.sleep(0.05)
-        assert not first.done()
+        assert not second.done()
         with pytest.raises(ScannerBusy):
-            await pair.client.read(b"two")
-        first.cancel()
+            await pair.client.read(b"three")
+        second.cancel()
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\0\0\0", frames.frame(b"no CBOR")])
@@ -88,11 +89,15 @@ async def test_without_a_supervisor_pictures_are_refused(data: bytes) -> None:
                 await pair.client.read(b"x")
 
 
-async def test_an_answer_that_is_not_awaited_is_not_given_to_the_next_picture() -> None:
+async def test_an_answer_that_nobody_awaits_is_not_given_to_the_next_picture() -> None:
     async with supervised() as pair:
         first = asyncio.ensure_future(pair.client.read(b"one"))
         await asyncio.sleep(0.01)
         first.cancel()
         await asyncio.gather(first, return_exceptions=True)
-        with pytest.raises(PictureRefused):
+        with pytest.raises(ScannerBusy):
             await pair.client.read(b"two")
+        pair.answers(Found("ROSSEC:ONE"))
+        await asyncio.sleep(0.05)
+        pair.answers(Found("ROSSEC:THREE"))
+        assert await pair.client.read(b"three") == "ROSSEC:THREE"

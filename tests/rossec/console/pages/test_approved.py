@@ -1,0 +1,68 @@
+"""The page of what came of an approval."""
+
+import pytest
+
+from rossec.authority.console.messages import PREPARED
+from rossec.authority.console.views import ApprovalView, Outcome
+from rossec.console.forms import to_base64url
+from rossec.console.pages.approved import KINDS
+from tests.support.consolehome import HOSTILE
+from tests.support.consolepages import Browser
+
+NUMBER = b"\7" * 16
+PATH = f"/approved/{to_base64url(NUMBER)}"
+
+
+def approved(state: str, kind: int = 2, data: bytes = b"", result: str = "") -> Browser:
+    browser = Browser().log_in()
+    browser.home.outcomes[NUMBER] = Outcome(NUMBER, state, result, data)
+    (view,) = browser.home.approvals
+    browser.home.approvals = [view._replace(kind=kind)]
+    return browser
+
+
+@pytest.mark.parametrize(
+    ("state", "says", "is_live"),
+    [
+        ("done", "Done", False),
+        ("waiting", "The key is locked", True),
+        ("expired", "Too late", False),
+        ("failed", "That did not work", False),
+    ],
+)
+def test_each_state_is_told(state: str, says: str, is_live: bool) -> None:
+    text = approved(state, result="why it is so").get(PATH).text
+    assert says in text
+    assert "the doctor may see where the robot is" in text
+    assert "why it is so" in text
+    assert ("data-live" in text) is is_live
+
+
+def test_what_a_person_carries_to_a_host_is_shown() -> None:
+    kind = KINDS.index("intermediate") + 1
+    assert "BEGIN CERT" in approved("done", kind, b"-----BEGIN CERT").get(PATH).text
+
+
+@pytest.mark.parametrize("kind", sorted({*PREPARED} - {"intermediate"}))
+def test_nothing_else_that_was_made_is_shown_here(kind: str) -> None:
+    text = approved("done", KINDS.index(kind) + 1, b"ROSSEC-JOIN:X").get(PATH).text
+    assert "ROSSEC-JOIN" not in text
+
+
+def test_an_approval_of_another_number_is_not_there() -> None:
+    assert Browser().log_in().get(PATH).status_code == 422
+
+
+def test_an_approval_that_is_not_listed_any_more_has_its_outcome() -> None:
+    browser = approved("done")
+    browser.home.approvals = [ApprovalView(b"x", 99, "", "", 0, "done", "")]
+    assert "Done" in browser.get(PATH).text
+
+
+def test_texts_are_data() -> None:
+    browser = approved("failed", result=HOSTILE)
+    (view,) = browser.home.approvals
+    browser.home.approvals = [view._replace(sentence=HOSTILE, phone=HOSTILE, kind=99)]
+    text = browser.get(PATH).text
+    assert "<script>alert" not in text
+    assert "\u202e" not in text

@@ -1,0 +1,90 @@
+"""The page of a question."""
+
+from ca.errors import HintedError
+from rossec.authority.console.views import FactView
+from rossec.console.forms import to_base64url
+from rossec.console.pages.ask import DENIED
+from rossec.console.settings import Settings
+from rossec.errors import KeyServiceRefused
+from tests.support.consolehome import HOSTILE
+from tests.support.consolepages import ORIGIN, Browser
+
+PATH = f"/ask/{to_base64url(bytes([3]) * 16)}"
+
+
+def test_the_heading_is_the_sentence() -> None:
+    text = Browser().log_in().get(PATH).text
+    heading = text[text.index("<h1") : text.index("</h1>")]
+    assert "/map" in heading
+    assert "see where" in heading
+    assert "/robot" in heading
+    assert "autofocus" in heading
+
+
+def test_the_reason_is_the_nodes_own_words() -> None:
+    browser = Browser().log_in()
+    text = browser.get(PATH).text
+    assert "in its own words" in text
+    assert "<q><bdi>to draw &lt;b&gt;where&lt;/b&gt; it was</bdi></q>" in text
+    (question,) = browser.home.questions
+    browser.home.questions = [question._replace(why="")]
+    assert "It does not say why" in browser.get(PATH).text
+
+
+def test_each_way_to_answer_is_shown_in_words_and_pictures() -> None:
+    text = Browser().log_in().get(PATH).text
+    assert "if you say yes" in text
+    assert "coarser" in text
+    assert text.count("<svg") >= 3
+    assert "(all of it)" in text
+    assert "position to 0.5 m" in text
+    assert 'name="coarse" value="" checked' in text
+    assert 'name="coarse" value="room"' in text
+
+
+def test_the_durations_are_four_buttons_and_none_promises_too_much() -> None:
+    text = Browser().log_in().get(PATH).text
+    for value in ("today", "week", "month", "open"):
+        assert f'<button name="duration" value="{value}"' in text
+    assert 'value="month" disabled' in text
+    assert "the policy allows 7 days" in text
+
+
+def test_denying_needs_only_the_session() -> None:
+    browser = Browser().log_in("")
+    answer = browser.post(f"{PATH}/deny")
+    assert (answer.status_code, answer.headers["location"]) == (303, PATH)
+    assert browser.asked("deny-question") == [(bytes([3]) * 16, DENIED)]
+    assert "This is answered" in browser.get(PATH).text
+
+
+def test_a_filter_that_does_not_fit_is_not_offered() -> None:
+    browser = Browser().log_in()
+    browser.home.refusals["consider"] = KeyServiceRefused("only subscriptions can be coarse")
+    text = browser.get(PATH).text
+    assert 'name="coarse" value="" checked' in text
+    assert 'value="room"' not in text
+
+
+def test_without_a_master_the_topic_is_named() -> None:
+    browser = Browser().log_in()
+    refusal: HintedError = KeyServiceRefused("the master is out of reach")
+    browser.home.refusals["graph"] = refusal
+    heading = browser.get(PATH).text.partition("<h1")[2].partition("</h1>")[0]
+    assert "/robot/pose" in heading
+
+
+def test_texts_of_a_node_are_data() -> None:
+    browser = Browser().log_in()
+    (question,) = browser.home.questions
+    right = question.rights[0]._replace(why=HOSTILE, type="no/" + HOSTILE)
+    browser.home.questions = [question._replace(why=HOSTILE, node="/" + HOSTILE, rights=(right,))]
+    browser.home.graph = [FactView("publisher", "/robot/pose", HOSTILE)]
+    text = browser.get(PATH).text
+    assert "<script>alert" not in text
+    assert "\u202e" not in text
+
+
+def test_a_screen_that_only_shows_offers_no_buttons() -> None:
+    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    assert "<form" not in browser.get(PATH).text

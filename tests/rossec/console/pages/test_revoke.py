@@ -1,0 +1,124 @@
+"""Ending what was allowed: reason, ticks, and what asks for more."""
+
+import pytest
+
+from rossec.authority.console.views import ListStanding
+from rossec.console.forms import to_base64url
+from rossec.console.pages.revoke import REFRESH
+from rossec.console.settings import Settings
+from tests.support.consolepages import ORIGIN, Browser
+
+
+def grant_of(browser: Browser) -> str:
+    return to_base64url(browser.home.grants[1].id)
+
+
+def test_a_grant_is_ended_with_a_reason() -> None:
+    browser = Browser().log_in("")
+    path = f"/revoke/grant/{grant_of(browser)}"
+    text = browser.get(path).text
+    assert "/doctor" in text
+    assert "/robot/pose" in text
+    assert f'method="post" action="{path}"' in text
+    assert 'name="name"' not in text
+    answer = browser.post(path, data={"reason": "the visit is over"})
+    seq = browser.home.number
+    assert answer.status_code == 303
+    assert answer.headers["location"] == f"/revoked/1/{seq}?grant={grant_of(browser)}"
+    assert browser.asked("revoke-grant") == [(browser.home.grants[1].id, "the visit is over")]
+
+
+def test_the_form_on_the_grants_own_page_does_the_same() -> None:
+    browser = Browser().log_in("")
+    answer = browser.post(f"/grant/{grant_of(browser)}/revoke", data={"reason": ""})
+    assert answer.headers["location"].startswith("/revoked/1/")
+
+
+def test_a_whole_node_asks_for_its_name() -> None:
+    browser = Browser().log_in("")
+    assert 'name="name"' in browser.get("/revoke/node/robot").text
+    wrong = browser.post("/revoke/node/robot", data={"reason": "", "name": "/Robot"})
+    assert wrong.status_code == 422
+    assert browser.asked("revoke-node") == []
+    right = browser.post("/revoke/node/robot", data={"reason": "lost", "name": "/robot"})
+    assert right.headers["location"].endswith("?node=%2Frobot")
+    assert browser.asked("revoke-node") == [("/robot", "lost")]
+
+
+def test_the_master_asks_for_the_passkey() -> None:
+    browser = Browser().log_in()
+    browser.home.nodes.append(browser.home.nodes[0]._replace(name="/master"))
+    text = browser.get("/revoke/node/master").text
+    assert 'action="/prepare/revoke-master" data-approve' in text
+    assert 'class="card alarm"' in text
+
+
+@pytest.mark.parametrize(
+    ("path", "form", "status"),
+    [
+        ("/revoke/grant/AAAA", {"reason": "\n"}, 422),
+        ("/revoke/grant/AAAA", {"reason": "", "more": "1"}, 422),
+        ("/revoke/grant/AAAA", {}, 422),
+        ("/revoke/node/robot", {"reason": ""}, 422),
+        ("/revoke/node/nobody", {"reason": "", "name": "/nobody"}, 404),
+    ],
+)
+def test_another_form_ends_nothing(path: str, form: dict[str, str], status: int) -> None:
+    browser = Browser().log_in()
+    assert browser.post(path, data=form).status_code == status
+    assert browser.asked("revoke-grant") == browser.asked("revoke-node") == []
+
+
+@pytest.mark.parametrize(
+    ("standing", "ticks", "says"),
+    [
+        (ListStanding(1, 4, False, False, 0, 0), 0, "may still"),
+        (ListStanding(1, 4, True, False, 0, 0), 1, "may still"),
+        (ListStanding(1, 4, True, True, 3, 2), 2, "may still"),
+        (ListStanding(1, 4, True, True, 0, 0), 2, "may still"),
+        (ListStanding(1, 4, True, True, 3, 3), 3, "may no longer"),
+    ],
+)
+def test_the_ticks_come_as_they_are_true(standing: ListStanding, ticks: int, says: str) -> None:
+    browser = Browser().log_in()
+    browser.home.standing = standing
+    answer = browser.get(f"/revoked/1/4?grant={grant_of(browser)}")
+    assert answer.text.count("is-done") == ticks
+    assert says in answer.text
+    assert answer.headers.get("refresh") == (None if ticks == 3 else str(REFRESH))
+    assert browser.asked("standing") == [(1, 4)]
+    if standing.nodes:
+        assert f"{standing.nodes_with_list} of 3 nodes have it" in answer.text
+
+
+def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
+    browser = Browser().log_in()
+    browser.home.remaining = None
+    answer = browser.post("/revoke/node/robot", data={"reason": "", "name": "/robot"})
+    assert answer.headers["location"] == "/revoked/0/0?node=%2Frobot"
+    text = browser.get(answer.headers["location"]).text
+    assert "is still trusted" in text
+    assert "rossec ca unlock" in text
+    assert "is-done" not in text
+    browser.home.remaining = 600
+    assert "is no longer trusted" in browser.get("/revoked/0/0?node=/robot").text
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/revoke/grant/AAAA", "/revoke/node/nobody", "/revoked/1/4?grant=AAAA",
+        "/revoked/1/4?node=/nobody", "/revoked/-1/4", "/revoked/1/99999999999999999",
+    ],
+)  # fmt: skip
+def test_what_is_not_there_is_told(path: str) -> None:
+    assert Browser().log_in().get(path).status_code == 404
+
+
+def test_without_a_subject_only_the_ticks_are_shown() -> None:
+    assert "It has ended" in Browser().log_in().get("/revoked/1/4").text
+
+
+def test_a_screen_that_only_shows_offers_nothing() -> None:
+    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    assert "<form" not in browser.get(f"/revoke/grant/{grant_of(browser)}").text

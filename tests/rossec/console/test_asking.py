@@ -1,0 +1,99 @@
+"""A question in words: what is wanted, in which ways it can be given, for how long."""
+
+import pytest
+
+from grants.claims import scope_of
+from grants.model import Permission, Right
+from rossec.authority.console.views import AskedRight, FactView, GrantQuestion
+from rossec.console import asking, made_up
+from rossec.console.approving import DAY
+from rossec.console.samples import Recorded
+from rossec.console.sentences import Part
+from tests.support.consolehome import COARSE, POSE
+
+
+def right(pattern: str, kind: str = POSE, of: Right = Right.SUBSCRIBE) -> AskedRight:
+    return AskedRight(int(of), pattern, kind, "", "", scope_of([Permission(pattern, of)]))
+
+
+def question(*rights: AskedRight, lifetime: int = 7 * DAY) -> GrantQuestion:
+    return GrantQuestion(b"q", "/heating", b"k", "", 0, 9, lifetime, (), rights)
+
+
+def told(parts: tuple[Part, ...]) -> str:
+    return " ".join(part.text for part in parts)
+
+
+SENDS = [FactView("publisher", "/pose", "/robot"), FactView("type", "/pose", POSE)]
+
+
+@pytest.mark.parametrize(
+    ("rights", "facts", "said"),
+    [
+        ((right("/pose"),), SENDS, "/heating wants to see where /robot is"),
+        ((right("/pose"),), [], "/heating wants to see /pose"),
+        (
+            (right("/pose"),), [*SENDS, FactView("publisher", "/pose", "/other")],
+            "/heating wants to see /pose",
+        ),
+        ((right("/pose", "std_msgs/String"),), SENDS, "/heating wants to see /pose"),
+        (
+            (right("/lift", "", Right.CALL), right("/led", "", Right.PUBLISH)), [],
+            "/heating wants to use /lift and to send /led",
+        ),
+        (
+            tuple(right(f"/t{number}") for number in range(6)), [],
+            ("/heating wants to see /t0 and to see /t1 and to see /t2 and to see /t3 "
+            "and 2 more things"),
+        ),
+    ],
+)  # fmt: skip
+def test_the_sentence(rights: tuple[AskedRight, ...], facts: list[FactView], said: str) -> None:
+    assert told(asking.sentence(question(*rights), facts)) == said
+
+
+def test_a_way_says_what_the_node_would_get() -> None:
+    plain = right("/pose")
+    coarse = plain._replace(permissions=scope_of([Permission("/pose", Right.SUBSCRIBE, COARSE)]))
+    assert [told(line) for line in asking.way("", [plain]).lines] == ["see /pose (all of it)"]
+    (line,) = asking.way("coarse", [coarse]).lines
+    assert told(line).startswith("see /pose (position to 2 m")
+
+
+def test_two_filters_that_do_the_same_have_one_picture() -> None:
+    plain = right("/pose")
+    coarse = plain._replace(permissions=scope_of([Permission("/pose", Right.SUBSCRIBE, COARSE)]))
+    ways = [("", [plain]), ("coarse", [coarse]), ("room", [coarse])]
+    (found,) = asking.looks("/heating", ways)
+    assert [name for name, _ in found.pictures] == ["", "coarse"]
+    assert found.is_made_up
+
+
+def test_what_cannot_be_drawn_has_no_picture() -> None:
+    rights = [right("/**"), right("/x", "no/Such"), right("/x", ""), right("/y", of=Right.CALL)]
+    assert asking.looks("/heating", [("", rights)]) == []
+
+
+def test_real_messages_are_drawn_where_there_are_some() -> None:
+    class Preview:
+        def recorded(self, topic: str) -> Recorded | None:
+            found = made_up.recorded(topic, POSE)
+            return None if found is None else found._replace(is_made_up=False)
+
+    (found,) = asking.looks("/heating", [("", [right("/pose")])], Preview())
+    assert not found.is_made_up
+
+
+@pytest.mark.parametrize(
+    ("lifetime", "possible"),
+    [
+        (3600, ["today", "open"]),
+        (7 * DAY, ["today", "week", "open"]),
+        (30 * DAY, ["today", "week", "month", "open"]),
+    ],
+)
+def test_no_button_promises_more_than_the_policy(lifetime: int, possible: list[str]) -> None:
+    found = asking.durations(question(lifetime=lifetime), 1_800_000_000)
+    assert [each.value for each in found] == ["today", "week", "month", "open"]
+    assert [each.value for each in found if each.is_possible] == possible
+    assert all("the policy" in each.detail for each in found if not each.is_possible)
