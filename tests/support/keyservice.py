@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.caller import Caller
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import KeyServiceProcess, operations_of
 from rossec.authority.keyservice.server import admit_all
@@ -26,11 +27,12 @@ def running_service(
     home: AuthorityHome,
     admit: Callable[[UnixPeer], None] = admit_all,
     join_port: Callable[[], int] = int,
+    phone_code: Callable[[Caller], str] | None = None,
 ) -> Iterator[RunningService]:
     """The service of the authority in `home`, locked."""
     lines: list[str] = []
     running = RunningService(operations_of(home, lines.append, join_port), lines)
-    process = KeyServiceProcess(home, running.operations, admit)
+    process = KeyServiceProcess(home, running.operations, admit, phone_code)
     started, ended = threading.Event(), asyncio.Event()
     loop = asyncio.new_event_loop()
 

@@ -1,12 +1,12 @@
 """`rossec console`: the pages, as long as it runs."""
 
 import asyncio
-import importlib.util
 import os
 import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from typing import Final, NamedTuple
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
@@ -32,6 +32,9 @@ from rossec.operation.json_log import log_as_json
 from rossec.operation.systemd import READY, STOPPING, notify
 from rossec.terminal import say, say_json
 
+if TYPE_CHECKING:
+    from rossec.console.preview.supervisor import PreviewProcess
+
 _LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
 
 
@@ -41,7 +44,7 @@ def check_libraries() -> None:
     Raises:
         ConfigurationError: one is missing.
     """
-    missing = [name for name in _LIBRARIES if importlib.util.find_spec(name) is None]
+    missing = [name for name in _LIBRARIES if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
             f"the console needs libraries that are not installed: {', '.join(missing)}",
@@ -84,8 +87,26 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
             notify(READY, environment.variables)
 
         certificates = None if setup is None else renewed_from(setup.source, now)
+        preview = _preview(environment) if options.preview else None
         with _handing_out(endpoint, setup, environment):
-            asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates))
+            asyncio.run(
+                supervise(endpoint, web, environment.variables, ready, certificates, preview)
+            )
+
+
+def _preview(environment: Environment) -> "PreviewProcess":
+    """Checked before anything listens.
+
+    Raises:
+        HintedError: the node of the preview is not enrolled here.
+    """
+    from rossec.console.preview.supervisor import (  # noqa: PLC0415 - few consoles have one
+        PreviewProcess,
+        check_enrolled,
+    )
+
+    check_enrolled(environment.home)
+    return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
 
 
 @contextmanager
