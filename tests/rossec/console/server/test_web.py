@@ -113,7 +113,7 @@ async def test_it_is_confined_before_it_serves(
     ours, theirs = pair
     with socket.create_server(("127.0.0.1", 0)) as sock:
         given = [theirs.detach(), scanner.detach(), sock.detach()]
-    arguments = [write_settings(SETTINGS), str(tmp_path / "no.sock"), "plain", "text"]
+    arguments = [write_settings(SETTINGS), str(tmp_path / "no.sock"), "plain", "text", "made-up"]
     running = asyncio.ensure_future(
         asyncio.to_thread(main, [",".join(map(str, given)), *arguments])
     )
