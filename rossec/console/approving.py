@@ -94,11 +94,7 @@ async def read(sources: Sources, kind: str, form: Form) -> Act:
     """What the form of a page asks to be approved.
 
     Raises:
-<<<<<<< HEAD
-        FormRefused: an unknown kind, other fields, or an answer that is not one of those offered.
-=======
         FormRefused: an unknown kind, other fields, or a field without an answer.
->>>>>>> con
         HintedError: a name, a pattern or an enrollment that is refused, with its reason.
     """
     if kind not in READERS:
