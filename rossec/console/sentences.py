@@ -71,7 +71,7 @@ def story(
     events: Sequence[EventView], denials: Iterable[DenialView], known: Known
 ) -> list[Sentence]:
     """Everything that has a sentence, newest first; equal denials are one with a number."""
-    certified = {event.subject for event in events if event.what == "certificate"}
+    certified = {each.subject: each.number for each in sorted(events) if each.what == "certificate"}
     told = [_event(each, known) for each in events if not _repeats(each, certified)]
     found = [each for each in told if each is not None]
     return sorted([*found, *refusals(denials)], key=lambda each: (-each.at, -each.number))
@@ -143,8 +143,10 @@ def _because(reason: str) -> tuple[Part, ...]:
     return (Part(f"because: {printable(reason, 200)}"),) if reason else ()
 
 
-def _repeats(event: EventView, certified: set[str]) -> bool:
-    return event.what in _FOLDED or (event.what == "approved" and event.subject in certified)
+def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:
+    """Whether another entry says it: a name that was given, and asked for before."""
+    answered = certified.get(event.subject, -1) > event.number
+    return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
 
 
 def _event(event: EventView, known: Known) -> Sentence | None:

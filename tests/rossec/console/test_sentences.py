@@ -88,6 +88,17 @@ def test_an_approval_is_told_while_the_identity_is_not_issued() -> None:
     assert texts(story([approved, issued], (), NOTHING)) == ["Joined /lamp has a name here now"]
 
 
+def test_a_question_to_join_is_told_until_it_is_answered() -> None:
+    asked = EventView(1, NOW, "pending", "/lamp", "code")
+    issued = EventView(2, NOW, "certificate", "/lamp", "aa")
+    again = EventView(3, NOW, "pending", "/lamp", "code")
+    assert texts(story([asked], (), NOTHING)) == ["Asked /lamp asked to join from code"]
+    assert texts(story([again, issued, asked], (), NOTHING)) == [
+        "Asked /lamp asked to join from code",
+        "Joined /lamp has a name here now",
+    ]
+
+
 def test_ids_are_told_as_what_they_are() -> None:
     home = demo()
     key = home.nodes[1].key.hex()
