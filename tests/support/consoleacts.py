@@ -4,6 +4,7 @@
 whether the master answers is for the test to say.
 """
 
+import copy
 import secrets
 import shutil
 import tempfile
@@ -11,7 +12,7 @@ from collections.abc import Callable
 from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from ca.encoding import Value
 from ca.requests import build_request
@@ -26,6 +27,7 @@ from rossec.authority.console.removals import Removals
 from rossec.authority.console.serving import acts_of
 from rossec.authority.console.views import Outcome, Prepared
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
@@ -84,6 +86,15 @@ class Acts:
         acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS, lambda: self.elapsed)
         self.approving = Approving(of, acts, lambda: self.elapsed)
         self.removals = Removals(self.work, self.wake)
+
+    def moved(self, root: Path, operations: KeyOperations | None = None) -> Self:
+        """The service of the same authority, copied to `root`, as if it had just started."""
+        shutil.copytree(self.root, root)
+        other = copy.copy(self)
+        other.root, other.home, other.calls = root, AuthorityHome.at(root), []
+        other.operations = operations or self.operations
+        other.start()
+        return other
 
     def write_audit(self, text: str) -> None:
         self.before_audit()

@@ -16,6 +16,7 @@ from urllib.parse import urlencode, urlsplit
 
 import pytest
 
+from rossec.cli.console import serve
 from rossec.console.tls import fingerprint, store
 from rossec.console.tls.store import key_pem, open_authority
 from tests.support.commands import Shell, refused
@@ -162,6 +163,37 @@ def test_the_certificate_is_handed_out_only_when_asked_for(service: ServiceProce
         socket.create_connection(("127.0.0.1", 7410), 5)
 
 
+def test_the_terminal_tells_what_to_compare_and_where(service: ServiceProcess) -> None:
+    port = free_port()
+    command = ["console", "--lan", "--name", NAME, "--port", str(port), "--hand-out", "--log=json"]
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-m", "rossec", *command],
+        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        said = ""
+        while "Ctrl-C ends it" not in said:
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+    finally:
+        process.terminate()
+        assert process.wait(30) == 0
+        assert process.stdout is not None
+        process.stdout.close()
+    assert fingerprint.in_words(authority_of(service)) in said
+    assert "http://rossec.local:7410/\n" in said
+    assert "compare the fingerprint before you trust it" in said
+    assert f"https://rossec.local:{port}/login#" in said
+    assert "the console is at" in said
+
+
+def test_a_library_that_is_missing_is_named(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serve, "find_spec", lambda name: None if name == "fido2" else name)
+    refused(shell("console"), "not installed: fido2", "pip install 'rossec[console]'")
+
+
 def test_certificates_of_a_real_name(service: ServiceProcess, tmp_path: Path) -> None:
     authority, key = new_authority(), new_key()
     (tmp_path / "chain.pem").write_bytes(pem(authority.issue(key.public_key(), now=NOW, serial=5)))
@@ -276,8 +308,6 @@ def test_a_screen_on_the_wall_has_nothing_but_looking(service: ServiceProcess) -
 def test_phones_of_another_address_stop_the_start(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rossec.cli.console import serve
-
     monkeypatch.setattr(serve, "_origins_of_phones", lambda _: {"http://localhost:7411"})
     refused(shell("console", "--port", "7412"), "cannot approve at http://localhost:7412")
     refused(shell("console", "--port", "7412", "--rename"), "the authority's service does not run")
