@@ -24,6 +24,7 @@ ros:
 
 demo: $(READY)
 	@$(BIN)/rossec demo
+	@echo "(here: $(BIN)/rossec console --demo)"
 
 # The venv is looked at after the ROS packages: installing them may bring a better Python for it.
 # Unit tests alone must cover the packages; integration tests only add confidence, a worker a file.

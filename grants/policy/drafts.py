@@ -72,6 +72,12 @@ def shorten(verdict: Verdict, seconds: int) -> Verdict:
     return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=0)
 
 
+def limit(verdict: Verdict, seconds: int) -> Verdict:
+    """The verdict for at most `seconds`, its renewals included."""
+    renew = min(verdict.renew_until, seconds)
+    return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=renew)
+
+
 def drafts(
     verdicts: Iterable[Verdict],
     *,

@@ -26,6 +26,7 @@ def demo(context: click.Context, keep: Path | None) -> None:
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
             asyncio.run(_run(Path(directory), run))
+        say(_LOOK)
         return
     try:
         keep.mkdir(mode=0o700, parents=True)
@@ -44,6 +45,8 @@ async def _run(directory: Path, run: Run) -> None:
         await environment.stop_all()
 
 
+_LOOK = "\nto look at such a home in a browser: rossec console --demo"
+
 _CONTINUE = """
 Everything is in {directory}. To continue, in three terminals:
 
@@ -56,4 +59,9 @@ The authority's passphrase is in {directory}/passphrase. Try
 
     rossec grant list
     rossec grant sign /heating --subscribe /robot/scan --passphrase-file {directory}/passphrase
+
+To look at it in a browser, in two more terminals (pip install 'rossec[console]'):
+
+    rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
+    rossec console
 """

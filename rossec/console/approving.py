@@ -94,7 +94,7 @@ async def read(sources: Sources, kind: str, form: Form) -> Act:
     """What the form of a page asks to be approved.
 
     Raises:
-        FormRefused: an unknown kind, other fields, or an answer that is none.
+        FormRefused: an unknown kind, other fields, or a field without an answer.
         HintedError: a name, a pattern or an enrollment that is refused, with its reason.
     """
     if kind not in READERS:
@@ -182,7 +182,7 @@ async def _invitation(_: Sources, form: Form) -> Act:
 
 async def _revoke_master(_: Sources, form: Form) -> Act:
     check_typed(form, "/master")
-    return Act("revoke-master", [reason(form)], "/approved/{id}")
+    return Act("revoke-master", [reason(form)], "/revoked/0/0?node=/master")
 
 
 READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {

@@ -99,7 +99,7 @@ def durations(question: GrantQuestion, now: int) -> list[Duration]:
             each if each.is_possible else each._replace(detail=f"the policy allows {allowed}")
             for each in given
         ),
-        Duration("open", "Until I end it", f"for {allowed}, as the policy says", True),
+        Duration("open", "Until I end it", f"at most {allowed}, says the policy", True),
     ]
 
 

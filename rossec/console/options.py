@@ -50,6 +50,7 @@ class Options:
     port: int | None = None
     read_only: bool = False
     hand_out: bool = False
+    preview: bool = False
 
 
 @dataclass(frozen=True)

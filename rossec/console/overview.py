@@ -88,7 +88,8 @@ def comparison(context: ConsoleContext, row: TopicRow) -> looks.Comparison | Non
         return None
     real = context.preview.recorded(row.topic) if context.preview is not None else None
     recorded = real if real is not None else made_up.recorded(row.topic, row.type)
-    return None if recorded is None else looks.compare(recorded, row.cells)
+    found = None if recorded is None else looks.compare(recorded, row.cells)
+    return found if found is not None and found.looks else None
 
 
 def name_of(text: str) -> str:

@@ -21,6 +21,16 @@ class Part(NamedTuple):
     text: str
     is_name: bool = False
 
+    @property
+    def is_glued(self) -> bool:
+        """Whether it follows without a space."""
+        return not self.is_name and self.text[:1] in (",", ":")
+
+    @property
+    def spaced(self) -> str:
+        """The text as it follows another part."""
+        return self.text if self.is_glued else f" {self.text}"
+
 
 class Sentence(NamedTuple):
     """One thing that happened; `tone` is `joined`, `allowed`, `ended`, `refused`, `asked`, `note`.
@@ -38,7 +48,7 @@ class Sentence(NamedTuple):
     @property
     def text(self) -> str:
         """The whole of it, as plain text."""
-        return " ".join((self.verb, *(part.text for part in self.parts))).replace(" ,", ",")
+        return self.verb + "".join(part.spaced for part in self.parts)
 
 
 class Known(NamedTuple):
@@ -71,7 +81,7 @@ def story(
     events: Sequence[EventView], denials: Iterable[DenialView], known: Known
 ) -> list[Sentence]:
     """Everything that has a sentence, newest first; equal denials are one with a number."""
-    certified = {event.subject for event in events if event.what == "certificate"}
+    certified = {each.subject: each.number for each in sorted(events) if each.what == "certificate"}
     told = [_event(each, known) for each in events if not _repeats(each, certified)]
     found = [each for each in told if each is not None]
     return sorted([*found, *refusals(denials)], key=lambda each: (-each.at, -each.number))
@@ -140,11 +150,13 @@ def _name(text: str) -> Part:
 
 
 def _because(reason: str) -> tuple[Part, ...]:
-    return (Part(f"because: {printable(reason, 200)}"),) if reason else ()
+    return (Part(f": {printable(reason, 200)}"),) if reason else ()
 
 
-def _repeats(event: EventView, certified: set[str]) -> bool:
-    return event.what in _FOLDED or (event.what == "approved" and event.subject in certified)
+def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:
+    """Whether another entry says it: a name that was given, and asked for before."""
+    answered = certified.get(event.subject, -1) > event.number
+    return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
 
 
 def _event(event: EventView, known: Known) -> Sentence | None:

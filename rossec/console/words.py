@@ -6,6 +6,7 @@ here, which a test compares with `grants.filters.operators`; a text of a node or
 shown passes `printable`.
 """
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
@@ -146,6 +147,14 @@ _OWN_NAMES: Final[Mapping[tuple[str, str], str]] = {
 }
 
 
+_COMPARISON: Final = re.compile(
+    r"""msg\.([A-Za-z][\w.]*) (==|!=|<=|>=|<|>) ("[^"\\]*"|'[^'\\]*'|-?\d+(?:\.\d+)?)""", re.ASCII
+)
+_COMPARED: Final[Mapping[str, str]] = {
+    "==": "", "!=": "not ", "<": "below ", ">": "above ", "<=": "at most ", ">=": "at least ",
+}  # fmt: skip
+
+
 def field_name(path: str, type_name: str | None = None) -> str:
     """What the field at `path` is called; an unknown one by its path."""
     own = _OWN_NAMES.get((type_name or "", path))
@@ -200,7 +209,17 @@ def restriction(given: Restriction) -> list[str]:
     parts = filters(given.filters, given.type)
     if given.rate is not None:
         parts.append(rate(given.rate))
-    return [*parts, *(f"only when {printable(text, 200)}" for text in given.conditions)]
+    return [*parts, *(f"only when {condition(text, given.type)}" for text in given.conditions)]
+
+
+def condition(text: str, type_name: str | None = None) -> str:
+    """A condition in words if it compares one field with one value; else as it is written."""
+    found = _COMPARISON.fullmatch(text)
+    if found is None:
+        return printable(text, 200)
+    path, operator, value = found.groups()
+    shown = f"“{printable(value[1:-1], 40)}”" if value[0] in "\"'" else value
+    return f"{field_name(path, type_name)} is {_COMPARED[operator]}{shown}"
 
 
 def restrictions(given: Iterable[Restriction]) -> str:

@@ -17,7 +17,7 @@ from rossec import clock
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.suite_selection import post_quantum
 from rossec.environment import own_home
-from rossec.errors import NodeShutdown
+from rossec.errors import AnswerMalformed, NodeShutdown
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.node.context import NodeContext
@@ -41,6 +41,7 @@ from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SlaveApi
 from rossec.participant.topic_handshake import TopicEndpoint
 from rossec.ros import settings
+from rossec.ros.names import ANY_TYPE
 
 
 class Node:
@@ -122,6 +123,22 @@ class Node:
         """
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self._topics.publish(endpoint, latch=latch, queue_size=queue_size)
+
+    async def topic_types(self) -> dict[str, str]:
+        """The topics that have a publisher or subscriber, and that this node may see: their types.
+
+        Raises:
+            RossecError: the master refuses, or is out of reach.
+        """
+        answer = await self._context.call("getTopicTypes")
+        found: dict[str, str] = {}
+        for row in answer if isinstance(answer, list) else [answer]:
+            match row:
+                case [str(topic), str(kind)]:
+                    found |= {topic: kind} if kind != ANY_TYPE else {}
+                case _:
+                    raise AnswerMalformed("a list of topics that is malformed")
+        return found
 
     async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.

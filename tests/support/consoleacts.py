@@ -4,16 +4,22 @@
 whether the master answers is for the test to say.
 """
 
+import copy
+import secrets
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from ca.encoding import Value
 from ca.requests import build_request
 from ca.store.record import Store
+from grants.model import Right
+from grants.request import GrantRequest, RequestedRight, sign_request
+from rossec.authority.approvals import ApprovalQueue
 from rossec.authority.console.access import Access
 from rossec.authority.console.approving import Approving, Of
 from rossec.authority.console.records import from_value
@@ -21,9 +27,11 @@ from rossec.authority.console.removals import Removals
 from rossec.authority.console.serving import acts_of
 from rossec.authority.console.views import Outcome, Prepared
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
+from rossec.authority.policyfile import PolicyFile
 from rossec.errors import KeyServiceRefused, NotDelivered
 from rossec.ros.names import MASTER
 from tests.support.approving import registered
@@ -61,6 +69,7 @@ class Acts:
         self.woken = 0
         self.reachable = True
         self.disk_is_full = False
+        self.before_audit: Callable[[], object] = str
         self.operations = operations_of(self.home, self.write_audit)
         self.start()
         self.unlock()
@@ -74,11 +83,21 @@ class Acts:
         self.work = AuthorityWork(self.root, self.operations, self.deliver, None, lambda: self.now)
         self.access = Access(self.work, self.write_audit, lambda: self.elapsed)
         of = Of(self.work, self.write_audit, self.wake, self.access.counter)
-        acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS)
+        acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS, lambda: self.elapsed)
         self.approving = Approving(of, acts, lambda: self.elapsed)
         self.removals = Removals(self.work, self.wake)
 
+    def moved(self, root: Path, operations: KeyOperations | None = None) -> Self:
+        """The service of the same authority, copied to `root`, as if it had just started."""
+        shutil.copytree(self.root, root)
+        other = copy.copy(self)
+        other.root, other.home, other.calls = root, AuthorityHome.at(root), []
+        other.operations = operations or self.operations
+        other.start()
+        return other
+
     def write_audit(self, text: str) -> None:
+        self.before_audit()
         if self.disk_is_full:
             raise KeyServiceRefused("the audit cannot be written", "make room")
         self.audit.append(text)
@@ -138,6 +157,17 @@ class Acts:
         """A node asks for an identity, and the page shows it."""
         given = self.csr(name) if csr is None else csr
         return self.prepare("enroll", given, "code", wildcard, 30 * DAY, replaces)
+
+    def ask(self, name: str = "/map", *topics: str) -> bytes:
+        """A node is enrolled and asks to subscribe; returns the id of its question."""
+        signer = new_signer()
+        assert self.enroll(name, csr=build_request(signer, "home", name)).state == "done"
+        rights = tuple(RequestedRight(Right.SUBSCRIBE, topic) for topic in topics or ("/pose",))
+        asked = GrantRequest("home", name, self.now, secrets.token_bytes(16), rights, "to draw")
+        policy = PolicyFile.read(self.work.policy_path())
+        with closing(ApprovalQueue(self.home, policy, self.now)) as queue:
+            queue.add_request(sign_request(signer, asked))
+        return asked.id
 
     def enroll_master(self) -> None:
         assert self.enroll(MASTER).state == "done"

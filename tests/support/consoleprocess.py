@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from rossec.console.preview.supervisor import PreviewProcess
 from rossec.console.server.web_process import WebOptions, WebProcess
 from rossec.console.settings import Settings
 from tests.support.consoleservice import FakeHome, fake_service
@@ -36,14 +37,18 @@ def listening() -> Iterator[socket.socket]:
 
 @contextlib.asynccontextmanager
 async def running_web(
-    directory: Path, users: frozenset[int] | None = frozenset({os.geteuid()}), **settings: object
+    directory: Path,
+    users: frozenset[int] | None = frozenset({os.geteuid()}),
+    preview: PreviewProcess | None = None,
+    **settings: object,
 ) -> AsyncIterator[Running]:
     """A web process that serves, ended afterwards. `directory` is for the service's socket."""
     with fake_service(directory / "console.sock") as home, listening() as sock:
         port = sock.getsockname()[1]
         origin = f"http://localhost:{port}"
         found = Settings("home", (origin,), users=users, **settings)  # type: ignore[arg-type]
-        web = WebProcess(WebOptions(found, directory / "console.sock"), [sock], UNMEASURED)
+        options = WebOptions(found, directory / "console.sock")
+        web = WebProcess(options, [sock], UNMEASURED, preview=preview)
         task = asyncio.ensure_future(web.run())
         try:
             await web.started()

@@ -31,6 +31,10 @@ def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
     Raises:
         ConfigurationError: another user cannot come there, or could put a socket of their own.
     """
+    if path is not None and path.exists() and not path.is_socket():
+        raise ConfigurationError(
+            f"{path} is a file, and not a socket", "choose another --console-socket"
+        )
     if user is None:
         return ConsolePlace(path or directory / messages.SOCKET)
     try:
@@ -57,7 +61,8 @@ def _check_directory(directory: Path) -> None:
         ) from None
     if found.st_mode & 0o022 or found.st_uid not in {0, os.geteuid()}:
         raise ConfigurationError(
-            f"another user could replace the socket in {directory}", f"chmod go-w {directory}"
+            f"another user could replace the socket in {directory}",
+            "choose a directory of your own, which no other user can write",
         )
 
 

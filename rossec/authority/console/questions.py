@@ -15,7 +15,7 @@ from grants.claims import scope_of
 from grants.filters.presets import PRESETS
 from grants.model import Right
 from grants.policy.decision import Verdict
-from grants.policy.drafts import approve, permissions, shorten
+from grants.policy.drafts import approve, limit, permissions
 from grants.policy.wanted import rule_ids
 from rossec.authority.approvals import (
     ApprovalQueue,
@@ -94,12 +94,12 @@ def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
 
 
 def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> VerdictChange:
-    """As `verdict_change`, for at most `seconds`; 0: as asked."""
+    """As `verdict_change`, for at most `seconds` with all renewals; 0: as asked."""
     change = verdict_change(file, coarse or None, now, only_today=False)
 
     def restrict(verdict: Verdict) -> Verdict:
         changed = change(verdict)
-        return shorten(changed, seconds) if seconds else changed
+        return limit(changed, seconds) if seconds else changed
 
     return restrict
 
@@ -113,7 +113,7 @@ def _question(file: PolicyFile, waiting: list[PendingApproval]) -> GrantQuestion
         stored.request.why,
         stored.at,
         stored.at + file.policy.defaults.prompt_timeout,
-        min(verdict.lifetime for verdict in verdicts),
+        min(max(verdict.lifetime, verdict.renew_until) for verdict in verdicts),
         tuple(_filters(file, verdicts)),
         tuple(_right(file, verdict) for verdict in verdicts),
     )

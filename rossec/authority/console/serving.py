@@ -8,6 +8,7 @@ from typing import Final
 
 from ca.approvals.statement import Kind
 from ca.errors import HintedError
+from rossec import clock
 from rossec.authority.console.access import Access
 from rossec.authority.console.acts import Act
 from rossec.authority.console.admission import ConsolePeers
@@ -120,9 +121,12 @@ class Deliveries:
 
 
 def acts_of(
-    work: AuthorityWork, access: Access, join_address: Callable[[], str]
+    work: AuthorityWork,
+    access: Access,
+    join_address: Callable[[], str],
+    elapsed: clock.Seconds | None = None,
 ) -> Mapping[Kind, Act]:
-    """What a phone can approve."""
+    """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
     return {
         Kind.ENROLL: EnrollAct(policy),
@@ -131,7 +135,7 @@ def acts_of(
         Kind.DELEGATE: DelegateAct(),
         Kind.INTERMEDIATE: IntermediateAct(),
         Kind.PASSKEY: PasskeyAct(access.proposals),
-        Kind.INVITATION: InvitationAct(work.home(), join_address),
+        Kind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
         Kind.REVOKE_MASTER: RevokeMasterAct(),
     }
 

@@ -82,7 +82,7 @@ class GrantQuestion(NamedTuple):
     why: str  # the node's own words
     at: int
     expires: int  # denied afterwards
-    lifetime: int  # seconds that would be granted
+    lifetime: int  # seconds that would be granted, renewals by the master included
     coarse: tuple[str, ...]  # names of filters that could be put on it
     rights: tuple[AskedRight, ...]
 

@@ -47,6 +47,7 @@ _PHONES: Final = {
 @click.option("--origin", metavar="URL", help="of the proxy: https://NAME")
 @click.option("--proxy-user", metavar="NAME", help="whose proxy may connect; by default your own")
 @click.option("--read-only", is_flag=True, help="only show: for a screen on the wall")
+@click.option("--preview", is_flag=True, help="pictures of real messages, as the node /console")
 @click.option("--port", type=click.IntRange(1, 65535), help=f"where it listens; default {PORT}")
 @click.option("--demo", "is_demo", is_flag=True, help="show the demo's home, and leave nothing")
 @click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from importlib.util import find_spec
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
@@ -31,6 +31,9 @@ from rossec.errors import ConfigurationError
 from rossec.operation.json_log import log_as_json
 from rossec.operation.systemd import READY, STOPPING, notify
 from rossec.terminal import say, say_json
+
+if TYPE_CHECKING:
+    from rossec.console.preview.supervisor import PreviewProcess
 
 _LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
 
@@ -84,8 +87,26 @@ def serve(environment: Environment, options: Options, form: Form, *, rename: boo
             notify(READY, environment.variables)
 
         certificates = None if setup is None else renewed_from(setup.source, now)
+        preview = _preview(environment) if options.preview else None
         with _handing_out(endpoint, setup, environment):
-            asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates))
+            asyncio.run(
+                supervise(endpoint, web, environment.variables, ready, certificates, preview)
+            )
+
+
+def _preview(environment: Environment) -> "PreviewProcess":
+    """Checked before anything listens.
+
+    Raises:
+        HintedError: the node of the preview is not enrolled here.
+    """
+    from rossec.console.preview.supervisor import (  # noqa: PLC0415 - few consoles have one
+        PreviewProcess,
+        check_enrolled,
+    )
+
+    check_enrolled(environment.home)
+    return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from ca.enrollment.transcript import group_digits
 from ca.errors import CodeRefused, ConflictingOffer, HintedError
 from rossec.console.approving import IDENTITY_LIFETIME
 from rossec.console.context import ConsoleContext
+from rossec.console.enrollment import Stage
 from rossec.console.forms import read_form, text_field
 from rossec.console.rendering import render
 from rossec.console.routing import MAX_FRAME, Page
@@ -68,10 +69,12 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
     found = context.enrollments.get(number)
     found.check_time()
     name = found.core.request.name if found.core.csr else ""
+    held = await context.service.grants() if found.stage is Stage.ENROLLED else ()
     return render(
         context, request, "adding.html", live=not found.is_over, enrollment=number, found=found,
         stage=found.stage.value, name=name, digits=group_digits(found.core.digits),
         lifetime=IDENTITY_LIFETIME, is_conflict=isinstance(found.error, ConflictingOffer),
+        has_grants=any(each.node == name and not each.revoked_at for each in held),
     )  # fmt: skip
 
 

@@ -5,17 +5,13 @@ from typing import Final
 from starlette.requests import Request
 from starlette.responses import Response
 
-from rossec.authority.console.messages import PREPARED
+from ca.approvals.statement import Kind
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url
 from rossec.console.rendering import render
 from rossec.console.routing import Page
 
-KINDS: Final = tuple(PREPARED)
-"""By the number of the statement's kind, less one."""
 _RECENT: Final = 200
-_CARRIED: Final = ("intermediate",)  # kinds whose result a person carries to its host
-_SECRET: Final = ("invitation",)  # kinds whose result only `/invited` shows, once
 
 
 async def show(request: Request, context: ConsoleContext) -> Response:
@@ -28,16 +24,12 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     outcome = await context.service.outcome(number)
     approvals = await context.service.approvals(_RECENT)
     approval = next((each for each in approvals if each.id == number), None)
-    kind = "" if approval is None else _kind(approval.kind)
+    # Of what was made, a bundle for another host is carried there; a join code is for `/invited`.
+    is_carried = approval is not None and approval.kind == Kind.INTERMEDIATE
     return render(
         context, request, "approved.html", live=outcome.state == "waiting", outcome=outcome,
-        approval=approval, kind=kind,
-        carried=outcome.data.decode(errors="replace") if kind in _CARRIED else "",
+        approval=approval, carried=outcome.data.decode(errors="replace") if is_carried else "",
     )  # fmt: skip
-
-
-def _kind(number: int) -> str:
-    return KINDS[number - 1] if 0 < number <= len(KINDS) else ""
 
 
 PAGES: Final = (Page("/approved/{id}", ("GET",), show),)

@@ -10,7 +10,6 @@ from urllib.parse import urlencode
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from rossec.authority.console.views import ListStanding
 from rossec.console import approving
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url, read_form, to_base64url
@@ -71,12 +70,8 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     """How far a revocation has come; the page looks again until every node has it."""
     epoch, seq = (_number(request.path_params[part]) for part in ("epoch", "seq"))
     node, what = await _subject(request, context)
-    locked = (epoch, seq) == (0, 0) and (await context.service.status()).locked
-    standing = (
-        ListStanding(0, 0, False, False, 0, 0)
-        if locked
-        else await context.service.standing(epoch, seq)
-    )
+    standing = await context.service.standing(epoch, seq)
+    locked = not standing.is_signed and (await context.service.status()).locked
     has_all = 0 < standing.nodes == standing.nodes_with_list
     answer = render(
         context, request, "revoked.html", standing=standing, node=node, what=what, locked=locked,

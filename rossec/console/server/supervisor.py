@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 from rossec.console.listening import listen
 from rossec.console.options import Endpoint
+from rossec.console.preview.supervisor import PreviewProcess
 from rossec.console.server.web_process import Certificates, WebOptions, WebProcess
 from rossec.console.settings import IDLE, LIFETIME, ON_THE_WALL, Settings
 from rossec.errors import ConfigurationError
@@ -52,6 +53,7 @@ async def supervise(
     environ: Mapping[str, str],
     ready: Callable[[], None],
     certificates: Certificates | None = None,
+    preview: PreviewProcess | None = None,
 ) -> None:
     """Run the console until SIGINT or SIGTERM; `ready` is called when it serves.
 
@@ -61,7 +63,7 @@ async def supervise(
     stop = stop_on_signals()
     sockets = listen(endpoint)
     try:
-        web = WebProcess(options, sockets, environ, certificates)
+        web = WebProcess(options, sockets, environ, certificates, preview=preview)
 
         async def until_stopped() -> None:
             await web.started()

@@ -19,6 +19,7 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.authority.keyservice import messages
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
+from rossec.console.preview.client import PreviewClient
 from rossec.console.scanning.client import ScannerClient
 from rossec.console.server import control
 from rossec.console.server.serving import ConsoleServer
@@ -40,6 +41,7 @@ class WebProcess:
         client: of the authority's service.
         scanner: the end of a socketpair behind which pictures are read.
         context: for TLS; None: plain HTTP.
+        preview: the end of a socketpair from which messages come; None: pictures are made up.
     """
 
     def __init__(
@@ -48,10 +50,12 @@ class WebProcess:
         client: ConsoleClient,
         scanner: socket.socket,
         context: ssl.SSLContext | None = None,
+        preview: socket.socket | None = None,
     ) -> None:
         self._client, self._tls = client, context
         self._scanner = ScannerClient(scanner)
-        self._context = ConsoleContext(client, settings, self._scanner)
+        self._preview = None if preview is None else PreviewClient(preview)
+        self._context = ConsoleContext(client, settings, self._scanner, self._preview)
         self._server = ConsoleServer(create_app(self._context), context, settings.proxy_users)
 
     async def run(self, supervisor: socket.socket, listening: Sequence[socket.socket]) -> None:
@@ -65,7 +69,9 @@ class WebProcess:
             if self._tls is not None:
                 await self._obey(reader)  # the first certificate
             await self._server.start(listening)
-            writer.write(control.write(control.Word(control.READY)))
+            if self._preview is not None:
+                self._preview.start()
+            writer.write(control.write(control.ControlMessage(control.READY)))
             await writer.drain()
             while True:
                 await self._obey(reader)
@@ -79,7 +85,9 @@ class WebProcess:
         head = await reader.readexactly(messages.HEAD)
         size = messages.frame_size(head, control.MAX_FRAME)
         match control.read(await reader.readexactly(size)):
-            case control.Word(control.CERTIFICATE, (bytes() as bundle,)) if self._tls is not None:
+            case control.ControlMessage(control.CERTIFICATE, (bytes() as bundle,)) if (
+                self._tls is not None
+            ):
                 load(self._tls, bundle)
             case other:
                 raise ConfigurationError(f"the supervisor says {other.word}, which is not for here")
@@ -89,16 +97,18 @@ class WebProcess:
         await self._context.news.close()
         await self._context.enrollments.close()
         await self._scanner.close()
+        if self._preview is not None:
+            await self._preview.close()
         await self._client.close()
 
 
 def main(arguments: list[str]) -> None:
     """Run it.
 
-    Arguments: descriptors (supervisor, scanner, those that listen), settings, path of the service,
-    `plain` or `tls`, form of the log.
+    Arguments: descriptors (supervisor, scanner, perhaps the preview, those that listen), settings,
+    path of the service, `plain` or `tls`, form of the log, `preview` or `made-up`.
     """
-    descriptors, settings, service, tls, log = arguments
+    descriptors, settings, service, tls, log, pictures = arguments
     log_as_json() if log == "json" else logging.basicConfig(level=logging.WARNING)
     protect_memory()
     confine_files([])
@@ -111,9 +121,9 @@ def main(arguments: list[str]) -> None:
         asyncio.get_running_loop().set_default_executor(executor)
         context = make_context() if tls == "tls" else None
         client = ConsoleClient(Path(service))
-        await WebProcess(read_settings(settings), client, scanner, context).run(
-            supervisor, listening
-        )
+        preview = listening.pop(0) if pictures == "preview" else None
+        process = WebProcess(read_settings(settings), client, scanner, context, preview)
+        await process.run(supervisor, listening)
 
     asyncio.run(run())
 

@@ -10,11 +10,13 @@ import socket
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.face_process import CREDENTIALS
+from rossec.console.preview.supervisor import PreviewProcess
 from rossec.console.scanning.supervisor import ScannerSupervisor
 from rossec.console.server import control
 from rossec.console.settings import Settings, write_settings
@@ -48,6 +50,7 @@ class WebProcess:
         listening: sockets that listen.
         environ: its environment.
         certificates: for TLS; None: plain HTTP.
+        preview: receives messages for its pictures; None: nothing does.
     """
 
     def __init__(
@@ -57,7 +60,9 @@ class WebProcess:
         environ: Mapping[str, str],
         certificates: Certificates | None = None,
         module: str = MODULE,
+        preview: PreviewProcess | None = None,
     ) -> None:
+        self._preview = preview
         self._options, self._listening = options, listening
         self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
         self._certificates = certificates
@@ -118,14 +123,16 @@ class WebProcess:
         """Start the process; returns our ends of the socketpairs."""
         ours, theirs = socket.socketpair()
         scanner, other = socket.socketpair()
-        inherited = [theirs, other, *self._listening]
+        messages_end = None if self._preview is None else self._preview.start()
+        inherited = [theirs, other, *([messages_end] if messages_end else []), *self._listening]
         descriptors = [sock.fileno() for sock in inherited]
         options = self._options
         arguments = (
             ",".join(map(str, descriptors)), write_settings(options.settings),
             str(options.service), "plain" if self._certificates is None else "tls", options.log,
+            "preview" if messages_end else "made-up",
         )  # fmt: skip
-        with theirs, other:
+        with theirs, other, messages_end or nullcontext():
             self._process = subprocess.Popen(  # noqa: S603 - this program's own module
                 [*self._command, *arguments],
                 stdin=subprocess.DEVNULL,
@@ -151,13 +158,18 @@ class WebProcess:
 
     async def _install(self, certificates: Certificates, writer: asyncio.StreamWriter) -> None:
         async def install(bundle: bytes) -> None:
-            writer.write(control.write(control.Word(control.CERTIFICATE, (bundle,))))
+            writer.write(control.write(control.ControlMessage(control.CERTIFICATE, (bundle,))))
             await writer.drain()
 
         await certificates(install)
 
     async def _end(self) -> None:
         """Reap it: it ends with the connection, or is killed."""
+        await self._end_process()
+        if self._preview is not None:
+            await self._preview.end()
+
+    async def _end_process(self) -> None:
         process = self._process
         if process is None:
             return

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Final
+from typing import BinaryIO, Final
 
 from rossec.console.listening import listen_tcp
 from rossec.console.options import HAND_OUT_PORT
@@ -22,7 +22,7 @@ from rossec.console.tls.hand_out import SECONDS, create_hand_out
 from rossec.operation.confinement import confine_files, confine_processes
 
 MODULE: Final = "rossec.console.tls.hand_out_process"
-_END: Final = 5.0  # seconds until it is killed
+END: Final = 5.0  # seconds until it is killed
 
 
 @contextmanager
@@ -64,19 +64,21 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     if process.stdin is not None:
         process.stdin.close()
     try:
-        process.wait(_END)
+        process.wait(END)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
 
 
-async def serve(listening: list[socket.socket], origin: str, seconds: float, data: bytes) -> None:
-    """Hand `data` out for `seconds`, or until the standard input ends."""
+async def serve(
+    listening: list[socket.socket], origin: str, seconds: float, data: bytes, until: BinaryIO
+) -> None:
+    """Hand `data` out for `seconds`, or until the pipe `until` ends."""
     end = time.monotonic() + seconds
     server = ConsoleServer(create_hand_out(data, origin, lambda: time.monotonic() > end))
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin.buffer)
+    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), until)
     await server.start(listening)
     try:
         async with asyncio.timeout(seconds):
@@ -84,6 +86,7 @@ async def serve(listening: list[socket.socket], origin: str, seconds: float, dat
     except TimeoutError:
         pass
     finally:
+        transport.close()
         await server.close()
 
 
@@ -97,7 +100,7 @@ def main(arguments: list[str]) -> None:
 
     async def run() -> None:
         asyncio.get_running_loop().set_default_executor(executor)
-        await serve(listening, origin, float(seconds), bytes.fromhex(data))
+        await serve(listening, origin, float(seconds), bytes.fromhex(data), sys.stdin.buffer)
 
     asyncio.run(run())
 

@@ -9,7 +9,7 @@ from grants.document import open_grant, sign
 from grants.errors import PolicyRefused
 from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.drafts import approve, approximate, drafts, permissions, plan, shorten
+from grants.policy.drafts import approve, approximate, drafts, limit, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy
 from grants.request import RequestedRight
 from tests.grants.authority import CA, NOW
@@ -99,6 +99,13 @@ def test_shortening_never_extends_the_lifetime(policy: Policy) -> None:
     verdict = verdict_on(policy, Right.SUBSCRIBE, "/b")
     assert (shorten(verdict, HOUR).lifetime, shorten(verdict, HOUR).renew_until) == (HOUR, 0)
     assert shorten(verdict, 99 * DAY).lifetime == 7 * DAY
+
+
+def test_a_limit_ends_the_renewals_too_and_never_extends(policy: Policy) -> None:
+    verdict = replace(verdict_on(policy, Right.SUBSCRIBE, "/b"), lifetime=HOUR, renew_until=7 * DAY)
+    assert (limit(verdict, DAY).lifetime, limit(verdict, DAY).renew_until) == (HOUR, DAY)
+    assert (limit(verdict, 60).lifetime, limit(verdict, 60).renew_until) == (60, 60)
+    assert limit(verdict, 99 * DAY) == verdict
 
 
 def test_the_lowest_rate_is_in_every_restriction(policy: Policy) -> None:

@@ -18,6 +18,8 @@ def test_a_kept_demo_prints_how_to_go_on(
     said = empty("demo", "--keep", str(there))
     assert said.code == 0, said
     assert f"export ROSSEC_HOME={there}" in said.out
+    assert f"rossec ca serve --unlock-for 0 --passphrase-file {there}/passphrase\n" in said.out
+    assert "    rossec console\n" in said.out
     assert there.stat().st_mode & 0o777 == 0o700
 
 
@@ -32,5 +34,7 @@ def test_without_keep_nothing_is_left(empty: Shell, monkeypatch: pytest.MonkeyPa
         roots.append(demo.root)
 
     monkeypatch.setattr(steps, "run_steps", run_steps)
-    assert empty("demo").code == 0
+    said = empty("demo")
+    assert said.code == 0
+    assert said.out.endswith("in a browser: rossec console --demo\n")
     assert not roots[0].exists()

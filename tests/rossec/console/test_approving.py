@@ -101,7 +101,8 @@ GIVEN: list[tuple[str, dict[str, str], list[object], str]] = [
     ("invitation", INVITATION, ["/cam/*", 3, 3600, False], "/invited/{id}"),
     ("invitation", INVITATION | {"anonymous": "on"}, ["/cam/*", 3, 3600, True], "/invited/{id}"),
     (
-        "revoke-master", {"reason": "lost", "name": "/master"}, ["lost"], "/approved/{id}",
+        "revoke-master", {"reason": "lost", "name": "/master"}, ["lost"],
+        "/revoked/0/0?node=/master",
     ),
 ]  # fmt: skip
 
@@ -168,7 +169,7 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
 
 
 @pytest.mark.parametrize(("kind", "form", "error", "text"), REFUSED)
-async def test_an_answer_that_is_none_is_refused(
+async def test_a_field_without_an_answer_is_refused(
     kind: str, form: dict[str, str], error: type[HintedError], text: str
 ) -> None:
     with pytest.raises(error, match=text):

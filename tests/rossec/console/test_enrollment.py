@@ -69,9 +69,11 @@ class Adding:
         self.stages.append(self.found.stage)
 
     def signed(self) -> Outcome:
-        leaf = SITE.authority.issue(
-            self.found.core.csr, now=clock(), serial=7, wildcard=self.found.core.request.wildcard
-        )
+        return self.signed_for(self.found.core)
+
+    @staticmethod
+    def signed_for(core: AuthorityEnrollment) -> Outcome:
+        leaf = SITE.authority.issue(core.csr, now=clock(), serial=7, wildcard=core.request.wildcard)
         return Outcome(APPROVAL, "done", "", to_pem(leaf, SITE.root))
 
 

@@ -47,6 +47,25 @@ def test_a_restriction_says_the_most_important_first() -> None:
     assert words.rate(3) == "at most 3 a second"
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('msg.header.frame_id == "living_room"', "the map's name is “living_room”"),
+        ("msg.header.frame_id != 'a'", "the map's name is not “a”"),
+        ("msg.percentage < 0.2", "charge is below 0.2"),
+        ("msg.pose.position.z >= -1", "height is at least -1"),
+        ("msg.a > 1 && msg.b < 2", "msg.a > 1 && msg.b < 2"),
+        ("now < 5", "now < 5"),
+        ('msg.a == "' + HOSTILE.replace('"', "") + '"', None),
+    ],
+)
+def test_a_condition_on_one_field_is_in_words(text: str, said: str | None) -> None:
+    shown = words.condition(text)
+    assert "\u202e" not in shown
+    if said is not None:
+        assert shown == said
+
+
 def test_degrees_are_said_in_metres_too() -> None:
     rule = FilterRule("latitude", "round", (("step", 0.001),))
     assert words.filter_rule(rule) == "latitude to 0.001 degrees (about 111 m)"

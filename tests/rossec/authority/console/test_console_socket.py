@@ -45,6 +45,14 @@ def test_a_place_where_others_write_is_refused(tmp_path: Path, mode: int) -> Non
         place(tmp_path, tmp_path / "run" / "console.sock", OTHER.pw_name)
 
 
+def test_a_file_that_is_no_socket_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "policy.yaml"
+    path.touch()
+    with pytest.raises(ConfigurationError, match="is a file, and not a socket"):
+        place(tmp_path, path, None)
+    assert path.exists()
+
+
 async def test_the_socket_answers_and_remembers_who_came(tmp_path: Path) -> None:
     peers = ConsolePeers()
     where = ConsolePlace(tmp_path / "console.sock")

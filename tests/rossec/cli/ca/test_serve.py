@@ -1,5 +1,6 @@
 """`rossec ca serve` in this process, until a signal ends it."""
 
+import asyncio
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
+from rossec.authority.console.client import ConsoleClient
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.lock import service_lock
@@ -93,6 +95,51 @@ def test_it_says_for_programs_that_it_is_ready(shell: Shell) -> None:
     assert json.loads(said.out) == {
         "ready": path, "console": console, "remaining": 0, "join_port": None,
     }  # fmt: skip
+
+
+def test_the_console_of_another_user_has_a_socket_elsewhere(shell: Shell) -> None:
+    path = shell.root / "run" / "console.sock"
+    path.parent.mkdir(mode=0o755)
+    modes: list[int] = []
+    names: list[str] = []
+
+    def meanwhile() -> None:
+        async def look() -> None:
+            client = ConsoleClient(path)
+            names.append((await client.status()).domain)
+            await client.close()
+
+        deadline = time.monotonic() + 10
+        while not path.exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        modes.append(path.stat().st_mode & 0o777)
+        asyncio.run(look())
+
+    options = ("--console-user", "nobody", "--console-socket", str(path))
+    assert serve(shell, *options, meanwhile=meanwhile).code == 0
+    assert (modes, names) == ([0o666], ["home"])
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message", "hint"),
+    [
+        (("--console-user", "nobody"), "nobody cannot enter", "--console-socket"),
+        (("--console-user", "no such"), "there is no user 'no such'", "--console-user"),
+        (
+            ("--console-user", "nobody", "--console-socket", "/no/such/x.sock"),
+            "/no/such: No such file", "make it",
+        ),
+        (
+            ("--console-user", "nobody", "--console-socket", "/tmp/x.sock"),
+            "another user could replace the socket in /tmp", "a directory of your own",
+        ),
+    ],
+)  # fmt: skip
+def test_a_place_where_the_console_cannot_be_is_refused(
+    shell: Shell, options: tuple[str, ...], message: str, hint: str
+) -> None:
+    refused(serve(shell, *options), message, hint)
 
 
 def test_it_starts_locked_without_a_passphrase(

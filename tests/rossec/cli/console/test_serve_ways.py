@@ -1,25 +1,23 @@
 """Each way to get to a console, with real processes: `rossec ca serve` and `rossec console`."""
 
 import http.client
-import json
-import signal
 import socket
 import ssl
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode, urlsplit
 
 import pytest
 
+from rossec.cli.console import serve
 from rossec.console.tls import fingerprint, store
 from rossec.console.tls.store import key_pem, open_authority
 from tests.support.commands import Shell, refused
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
+from tests.support.consolecommand import console
 from tests.support.serviceprocess import ServiceProcess
 
 
@@ -35,38 +33,6 @@ def free_port() -> int:
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
-
-
-@dataclass
-class Console:
-    """A console that runs, and what it said."""
-
-    process: subprocess.Popen[str]
-    said: dict[str, Any]
-
-    @property
-    def code(self) -> str:
-        return urlsplit(str(self.said["login"])).fragment
-
-
-@contextmanager
-def console(service: ServiceProcess, *options: str) -> Iterator[Console]:
-    """`rossec console OPTIONS`, ended afterwards; it ends well."""
-    process = subprocess.Popen(
-        [sys.executable, "-I", "-m", "rossec", "console", "--json", *options],
-        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-    )  # fmt: skip
-    assert process.stdout is not None
-    try:
-        line = process.stdout.readline()
-        assert line, process.wait(30)
-        yield Console(process, json.loads(line))
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def ask(
@@ -160,6 +126,37 @@ def test_the_certificate_is_handed_out_only_when_asked_for(service: ServiceProce
             assert connection.getresponse().read() == authority_of(service)
     with pytest.raises(OSError, match="refused"):
         socket.create_connection(("127.0.0.1", 7410), 5)
+
+
+def test_the_terminal_tells_what_to_compare_and_where(service: ServiceProcess) -> None:
+    port = free_port()
+    command = ["console", "--lan", "--name", NAME, "--port", str(port), "--hand-out", "--log=json"]
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-m", "rossec", *command],
+        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        said = ""
+        while "Ctrl-C ends it" not in said:
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+    finally:
+        process.terminate()
+        assert process.wait(30) == 0
+        assert process.stdout is not None
+        process.stdout.close()
+    assert fingerprint.in_words(authority_of(service)) in said
+    assert "http://rossec.local:7410/\n" in said
+    assert "compare the fingerprint before you trust it" in said
+    assert f"https://rossec.local:{port}/login#" in said
+    assert "the console is at" in said
+
+
+def test_a_library_that_is_missing_is_named(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serve, "find_spec", lambda name: None if name == "fido2" else name)
+    refused(shell("console"), "not installed: fido2", "pip install 'rossec[console]'")
 
 
 def test_certificates_of_a_real_name(service: ServiceProcess, tmp_path: Path) -> None:
@@ -276,8 +273,6 @@ def test_a_screen_on_the_wall_has_nothing_but_looking(service: ServiceProcess) -
 def test_phones_of_another_address_stop_the_start(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rossec.cli.console import serve
-
     monkeypatch.setattr(serve, "_origins_of_phones", lambda _: {"http://localhost:7411"})
     refused(shell("console", "--port", "7412"), "cannot approve at http://localhost:7412")
     refused(shell("console", "--port", "7412", "--rename"), "the authority's service does not run")

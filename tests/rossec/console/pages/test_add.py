@@ -194,6 +194,17 @@ def test_each_stage_says_what_happens(stage: Stage, says: str) -> None:
     assert "data-approve" not in text
 
 
+def test_an_enrolled_node_sees_nothing_unless_the_policy_allowed_it_something() -> None:
+    adding = Adding()
+    adding.found.stage = Stage.ENROLLED
+    browser = added(adding)
+    assert "It sees nothing yet" in browser.get(f"/add/{NUMBER}").text
+    browser.home.grants = [browser.home.grants[1]._replace(node="/fridge")]
+    text = browser.get(f"/add/{NUMBER}").text
+    assert "It sees nothing yet" not in text
+    assert 'href="/node/fridge"' in text
+
+
 @pytest.mark.parametrize(
     ("error", "says", "is_alarm"),
     [

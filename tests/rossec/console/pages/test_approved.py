@@ -2,10 +2,9 @@
 
 import pytest
 
-from rossec.authority.console.messages import PREPARED
+from ca.approvals.statement import Kind
 from rossec.authority.console.views import ApprovalView, Outcome
 from rossec.console.forms import to_base64url
-from rossec.console.pages.approved import KINDS
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import Browser
 
@@ -17,7 +16,7 @@ def approved(state: str, kind: int = 2, data: bytes = b"", result: str = "") -> 
     browser = Browser().log_in()
     browser.home.outcomes[NUMBER] = Outcome(NUMBER, state, result, data)
     (view,) = browser.home.approvals
-    browser.home.approvals = [view._replace(kind=kind)]
+    browser.home.approvals = [view._replace(kind=int(kind))]
     return browser
 
 
@@ -39,13 +38,13 @@ def test_each_state_is_told(state: str, says: str, is_live: bool) -> None:
 
 
 def test_what_a_person_carries_to_a_host_is_shown() -> None:
-    kind = KINDS.index("intermediate") + 1
-    assert "BEGIN CERT" in approved("done", kind, b"-----BEGIN CERT").get(PATH).text
+    browser = approved("done", Kind.INTERMEDIATE, b"-----BEGIN CERT")
+    assert "BEGIN CERT" in browser.get(PATH).text
 
 
-@pytest.mark.parametrize("kind", sorted({*PREPARED} - {"intermediate"}))
-def test_nothing_else_that_was_made_is_shown_here(kind: str) -> None:
-    text = approved("done", KINDS.index(kind) + 1, b"ROSSEC-JOIN:X").get(PATH).text
+@pytest.mark.parametrize("kind", sorted({*Kind} - {Kind.INTERMEDIATE}))
+def test_nothing_else_that_was_made_is_shown_here(kind: Kind) -> None:
+    text = approved("done", kind, b"ROSSEC-JOIN:X").get(PATH).text
     assert "ROSSEC-JOIN" not in text
 
 

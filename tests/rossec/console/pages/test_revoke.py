@@ -94,6 +94,7 @@ def test_the_ticks_come_as_they_are_true(standing: ListStanding, ticks: int, say
 def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
     browser = Browser().log_in()
     browser.home.remaining = None
+    browser.home.standing = ListStanding(0, 0, False, False, 0, 0)
     answer = browser.post("/revoke/node/robot", data={"reason": "", "name": "/robot"})
     assert answer.headers["location"] == "/revoked/0/0?node=%2Frobot"
     text = browser.get(answer.headers["location"]).text
@@ -101,6 +102,7 @@ def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
     assert "rossec ca unlock" in text
     assert "is-done" not in text
     browser.home.remaining = 600
+    browser.home.standing = ListStanding(1, 5, True, True, 3, 3)
     assert "is no longer trusted" in browser.get("/revoked/0/0?node=/robot").text
 
 

@@ -1,11 +1,18 @@
+import asyncio
 import http.client
+import io
 import os
 import socket
+import subprocess
+import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from typing import Any
 
 import pytest
 
+from rossec.console.tls import hand_out_process
 from rossec.console.tls.hand_out import FILE
 from rossec.console.tls.hand_out_process import handing_out
 from rossec.errors import ConfigurationError
@@ -20,6 +27,10 @@ def free_port() -> int:
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
+
+
+def listening() -> socket.socket:
+    return socket.create_server(("127.0.0.1", 0))
 
 
 def ask(port: int, method: str = "GET", path: str = FILE) -> tuple[int, bytes, str]:
@@ -67,3 +78,62 @@ def test_a_port_in_use_is_said() -> None:
             handing_out(CERTIFICATE, ORIGIN, HERE, os.environ, port),
         ):
             raise AssertionError
+
+
+async def test_it_serves_until_its_supervisor_ends() -> None:
+    reading, writing = os.pipe()
+    sock = listening()
+    port = sock.getsockname()[1]
+    with os.fdopen(reading, "rb") as until:
+        task = asyncio.ensure_future(hand_out_process.serve([sock], ORIGIN, 60, CERTIFICATE, until))
+        assert await asyncio.to_thread(ask, port) == (200, CERTIFICATE, "")
+        os.close(writing)
+        await asyncio.wait_for(task, 30)
+    assert is_closed(port)
+
+
+async def test_it_serves_for_its_time() -> None:
+    reading, writing = os.pipe()
+    sock = listening()
+    port = sock.getsockname()[1]
+    with os.fdopen(reading, "rb") as until, os.fdopen(writing, "wb"):
+        await hand_out_process.serve([sock], ORIGIN, 0.1, CERTIFICATE, until)
+    assert is_closed(port)
+
+
+def test_it_is_confined_before_it_serves(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+
+    async def serve(listening: list[socket.socket], *given: object) -> None:
+        done.append("served")
+        assert given[:3] == (ORIGIN, 600.0, CERTIFICATE)
+        for sock in listening:
+            sock.close()
+
+    def confine() -> ThreadPoolExecutor:
+        done.append("processes")
+        return ThreadPoolExecutor(1)
+
+    monkeypatch.setattr(hand_out_process, "confine_files", lambda _: done.append("files"))
+    monkeypatch.setattr(hand_out_process, "confine_processes", confine)
+    monkeypatch.setattr(hand_out_process, "serve", serve)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO()))
+    descriptor = listening().detach()
+    hand_out_process.main([str(descriptor), ORIGIN, "600", CERTIFICATE.hex()])
+    assert done == ["files", "processes", "served"]
+
+
+def test_one_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    sleeper = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(600)"
+    real = subprocess.Popen
+
+    def start(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        del command
+        return real([sys.executable, "-c", sleeper], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr(hand_out_process, "END", 0.2)
+    port = free_port()
+    with handing_out(CERTIFICATE, ORIGIN, HERE, os.environ, port):
+        assert not is_closed(port)
+    assert is_closed(port)

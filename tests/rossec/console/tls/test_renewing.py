@@ -7,7 +7,7 @@ from rossec.console.tls.renewing import renewed_from
 from rossec.errors import ConfigurationError
 
 
-class Source:
+class FakeSource:
     """Has a newer bundle at every second look."""
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ async def test_the_first_bundle_and_newer_ones_are_installed_as_they_come() -> N
         if len(used) == 3:
             raise asyncio.CancelledError
 
-    run = renewed_from(Source(), lambda: 7, period=0.001)
+    run = renewed_from(FakeSource(), lambda: 7, period=0.001)
     for _ in range(2):  # a server that ended is started again
         used.clear()
         with suppress(asyncio.CancelledError):
@@ -45,4 +45,4 @@ async def test_a_source_without_a_first_bundle_ends_it() -> None:
         raise AssertionError
 
     with pytest.raises(ConfigurationError, match="it has expired"):
-        await renewed_from(Source(), lambda: -1)(install)
+        await renewed_from(FakeSource(), lambda: -1)(install)

@@ -1,0 +1,1 @@
+"""Real messages for the pictures of the console: received as a node, kept for a minute."""

@@ -1,0 +1,84 @@
+"""Statements that wait for a touch: used once, few, and not longer than their time."""
+
+import pytest
+
+from ca.approvals.statement import Enroll, Kind, RevokeMaster, Statement
+from ca.errors import ApprovalOutdated
+from rossec.authority.console.statements import (
+    MAX_OF_KIND,
+    MAX_STATEMENTS,
+    PreparedStatement,
+    Statements,
+)
+from tests.support.approving import NOW, WHATS, state
+
+
+class Time:
+    elapsed = 0.0
+
+
+@pytest.fixture
+def time() -> Time:
+    return Time()
+
+
+@pytest.fixture
+def statements(time: Time) -> Statements:
+    return Statements(lambda: time.elapsed)
+
+
+def add(statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL) -> Statement:
+    statement = state(WHATS[kind], id=number.to_bytes(16))
+    statements.add(PreparedStatement(statement, b"payload", ("arguments",)))
+    return statement
+
+
+def test_a_statement_is_taken_once(statements: Statements) -> None:
+    statement = add(statements)
+    found = statements.take(statement.id, NOW)
+    assert isinstance(found.statement.what, Enroll)
+    assert found == (statement, b"payload", ("arguments",))
+    for number in (statement.id, bytes(16)):
+        with pytest.raises(ApprovalOutdated, match="not waiting"):
+            statements.take(number, NOW)
+
+
+def test_it_ends_by_both_clocks(statements: Statements, time: Time) -> None:
+    statement = add(statements)
+    time.elapsed = 299.9
+    assert statements.take(statement.id, NOW + 300)
+    time.elapsed = 0.0
+    for at in (NOW - 1, NOW + 301):
+        statement = add(statements)
+        with pytest.raises(ApprovalOutdated, match="too late, or the clock was set"):
+            statements.take(statement.id, at)
+    statement = add(statements)
+    time.elapsed = 300.0
+    with pytest.raises(ApprovalOutdated, match="not waiting"):
+        statements.take(statement.id, NOW)
+
+
+def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) -> None:
+    other = add(statements, 1000, Kind.REVOKE_MASTER)
+    made = [add(statements, number) for number in range(MAX_OF_KIND + 1)]
+    with pytest.raises(ApprovalOutdated):
+        statements.take(made[0].id, NOW)
+    assert all(statements.take(each.id, NOW) for each in made[1:])
+    assert isinstance(statements.take(other.id, NOW).statement.what, RevokeMaster)
+
+
+def test_there_are_few_in_all(statements: Statements) -> None:
+    kinds = [kind for kind in Kind if kind is not Kind.FOREIGN_DOMAIN]
+    made = [
+        add(statements, 100 * place + number, kind)
+        for place, kind in enumerate(kinds)
+        for number in range(MAX_OF_KIND)
+    ]
+    left = 0
+    for each in made:
+        try:
+            statements.take(each.id, NOW)
+            left += 1
+        except ApprovalOutdated:
+            continue
+    assert left == MAX_STATEMENTS
