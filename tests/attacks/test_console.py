@@ -1,5 +1,6 @@
 """Attacks on the console that take a browser or whole processes: sites, users, thieves."""
 
+import re
 import subprocess
 import sys
 import threading
@@ -13,7 +14,7 @@ from playwright.sync_api import expect
 
 from tests.support.browser import Chromium, Window, running_chromium
 from tests.support.consolesite import ConsoleSite, console_site, with_robot
-from tests.support.person import code_of, log_in, only_look, press, set_up
+from tests.support.person import code_of, log_in, only_look, press, set_up, thief
 
 pytestmark = pytest.mark.browser
 
@@ -24,6 +25,14 @@ FORM: Final = """<!doctype html><title>A game</title>
 <form id=form method=post action="{origin}{path}" enctype="{kind}">
 <input name=reason value=gone></form><script>document.forms.form.submit()</script>"""
 FRAME: Final = """<!doctype html><title>A game</title><iframe src="{origin}/"></iframe>"""
+HOSTILE: Final = "<img src=x onerror=alert(1)>\u202etxt.</p><script>alert(2)</script>"
+ASKED: Final = """
+rossec: 1
+robot: the robot at home
+defaults: {decision: prompt, prompt_timeout: 10m}
+rules: []
+"""
+PAGES: Final = ("/", "/who", "/way", "/log", "/node/lamp", "/phones", "/privacy", "/policy")
 ASK: Final = """
 import http.client, sys
 connection = http.client.HTTPConnection("127.0.0.1", int(sys.argv[1]), timeout=10)
@@ -138,7 +147,7 @@ def test_another_user_of_the_host_has_no_console(site: ConsoleSite, tmp_path: Pa
     assert theirs.stdout == "403 False\n"
 
 
-@pytest.mark.attack("console-code")
+@pytest.mark.attack("console-codes")
 def test_a_code_that_was_used_sets_up_no_phone(
     chromium: Chromium, owner: Window, site: ConsoleSite
 ) -> None:
@@ -151,3 +160,50 @@ def test_a_code_that_was_used_sets_up_no_phone(
         expect(second.page.locator("[data-problem]:visible")).to_contain_text("code")
         assert second.cookies() == {}
     log_in(owner)
+
+
+@pytest.fixture(scope="module")
+def question(owner: Window, site: ConsoleSite) -> str:
+    """The address of a question whose node gives a hostile reason."""
+    policy = site.root / "ca" / "policy.yaml"
+    policy.touch(0o600)
+    policy.write_text(ASKED)
+    site.enroll("/lamp")
+    site.run("grant", "request", "/lamp", "--subscribe", "/robot/pose", "--why", HOSTILE)
+    owner.open("/")
+    owner.page.get_by_role("link", name="Look at it").click()
+    owner.page.wait_for_url(re.compile("/ask/"))
+    return owner.page.url.removeprefix(site.origin)
+
+
+@pytest.mark.attack("console-hostile-text")
+def test_a_nodes_words_are_text_on_every_page(owner: Window, question: str) -> None:
+    owner.faults.clear()
+    for path in (question, *PAGES):
+        owner.open(path)
+        assert owner.page.locator("img[src=x], main script:not([src])").count() == 0, path
+        assert "\u202e" not in owner.page.content(), path
+    assert not owner.faults, owner.faults
+    owner.open(question)
+    expect(owner.page.locator("blockquote")).to_contain_text("<img src=x onerror=alert(1)>")
+
+
+@pytest.mark.attack("stolen-console-session")
+def test_a_stolen_cookie_approves_and_adds_nothing_and_can_deny(
+    chromium: Chromium, owner: Window, site: ConsoleSite, question: str
+) -> None:
+    """In a browser with a passkey of its own, which nobody has approved."""
+    phones = site.run("console", "phones", "--json")
+    with thief(chromium, owner) as other:
+        other.open(question)
+        press(other, re.compile("^Today"))
+        expect(other.page.locator("[data-problem]:visible")).not_to_be_empty()
+        other.open("/invite")
+        other.page.get_by_label(re.compile("For which names")).fill("/**")
+        press(other, "Make it")
+        expect(other.page.locator("[data-problem]:visible")).not_to_be_empty()
+        assert "/lamp" not in site.run("grant", "list")
+        assert site.run("console", "phones", "--json") == phones
+        other.open(question)
+        press(other, "Deny")
+        expect(other.page.locator("h1")).to_have_text("This is answered")
