@@ -1,6 +1,6 @@
-"""The first picture of the README: the console's first page in Chromium, of `rossec console --demo`.
+"""The README's first picture: the console's first page in Chromium, of `rossec console --demo`.
 
-`.venv/bin/python tools/console_picture.py` writes docs/pictures/console.png.
+`.venv/bin/python tools/console_picture.py` writes docs/pictures/console-desktop.png.
 """
 
 import subprocess
@@ -46,12 +46,15 @@ def login_address(demo: subprocess.Popen[str]) -> str:
 def draw(address: str) -> None:
     """Log in by the code, to look, and draw the first page."""
     origin = address.partition("/login")[0]
-    with tempfile.TemporaryDirectory() as folder, running_chromium(Path(folder)) as chromium:
-        with chromium.window(origin, size=DESKTOP) as window:
-            window.page.goto(address)
-            press(window, "Only look")
-            expect(window.page.locator("table")).to_be_visible(timeout=WAIT_MS)
-            PageCheck(ROOT / "docs" / "pictures")(window, "console", "desktop")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        running_chromium(Path(folder)) as chromium,
+        chromium.window(origin, size=DESKTOP) as window,
+    ):
+        window.page.goto(address)
+        press(window, "Only look")
+        expect(window.page.locator("table")).to_be_visible(timeout=WAIT_MS)
+        PageCheck(ROOT / "docs" / "pictures")(window, "console", "desktop")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from playwright.sync_api import (
     BrowserContext,
     CDPSession,
     ConsoleMessage,
+    Error,
     Page,
     Request,
     Response,
@@ -30,6 +31,7 @@ NARROW: Final = 360  # CSS pixels of the narrowest phones in use
 WAIT_MS: Final = 15_000
 _SCENE: Final = (640, 480)
 _FRAMES: Final = 8
+_TRIES: Final = 4
 # A violation of the policy is an event of the document; not all of them reach the console.
 _TELL_VIOLATIONS: Final = """document.addEventListener("securitypolicyviolation", event =>
     console.error("CSP: " + event.violatedDirective + " " + event.blockedURI))"""
@@ -140,6 +142,12 @@ class Window:
 
     def evaluate_apart(self, *expressions: str) -> Any:
         """The value of the last expression, in a world of its own: scripts of the page see none."""
+        for _ in range(_TRIES):  # a live page loads itself again, and its worlds end
+            with contextlib.suppress(Error):
+                return self._evaluated(expressions)
+        return self._evaluated(expressions)
+
+    def _evaluated(self, expressions: tuple[str, ...]) -> Any:
         frame = self.devtools.send("Page.getFrameTree")["frameTree"]["frame"]["id"]
         world = self.devtools.send("Page.createIsolatedWorld", {"frameId": frame})
         number = world["executionContextId"]
