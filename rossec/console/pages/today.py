@@ -1,10 +1,12 @@
 """Today: what waits for an answer, who sees what, what it looks like, and what happened."""
 
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+from ca.errors import HintedError
 from grants.model import Permission, Right
 from rossec.authority.console.views import GrantQuestion
 from rossec.console import overview
@@ -61,7 +63,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
 
 
 async def _waiting(context: ConsoleContext) -> list[Waiting]:
-    """Requests for grants and identities, and new phones, the oldest first."""
+    """Requests for grants and identities, new phones, and a changed policy, the oldest first."""
     found = [
         Waiting(_asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why)
         for each in await context.service.questions()
@@ -79,6 +81,11 @@ async def _waiting(context: ConsoleContext) -> list[Waiting]:
         Waiting((Part(each.name), Part("wants to approve, too")), "/phones", context.clock())
         for each in await context.service.proposals()
     ]
+    with suppress(HintedError):  # a policy that cannot be read is told on its own page
+        policy = await context.service.policy()
+        if policy.mistakes or policy.gives or policy.takes:
+            said = "The policy has mistakes" if policy.mistakes else "The policy has changed"
+            found.append(Waiting((Part(said),), "/policy", context.clock()))
     return sorted(found, key=lambda each: each.at)
 
 
