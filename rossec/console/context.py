@@ -12,7 +12,7 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
 from rossec.console.made_codes import MadeCodes
-from rossec.console.news import News
+from rossec.console.news import NewsFeed
 from rossec.console.pending import PendingActs
 from rossec.console.samples import Preview
 from rossec.console.sessions import Sessions
@@ -49,7 +49,7 @@ class ConsoleContext:
     preview: Preview | None = None
     clock: Callable[[], int] = clock.now
     sessions: Sessions = field(init=False)
-    news: News = field(init=False)
+    news: NewsFeed = field(init=False)
     failures: FailureLimit = field(init=False)
     pending: PendingActs = field(init=False)
     enrollments: Enrollments = field(init=False)
@@ -57,7 +57,7 @@ class ConsoleContext:
 
     def __post_init__(self) -> None:
         self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
-        self.news = News(self.service.status)
+        self.news = NewsFeed(self.service.status)
         self.failures = FailureLimit()
         self.pending = PendingActs()
         self.made_codes = MadeCodes()

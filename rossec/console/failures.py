@@ -1,8 +1,8 @@
 """How often somebody may be wrong: five times a minute, then a minute's pause. Pure.
 
-Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and shows
-somebody who mistypes that it is no use to go on. Counted by address, so that one device does not
-lock out another; of IPv6 by the network, since a device has as many addresses as it likes.
+Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes
+whoever mistypes look again. Counted by address, so that one device does not lock out another; of
+IPv6 by the network, since a device has as many addresses as it likes.
 """
 
 import ipaddress

@@ -22,7 +22,7 @@ _COMMENT: Final = b":\n\n"  # ignored by browsers; a connection that is gone sho
 _log = logging.getLogger("rossec.console")
 
 
-class News:
+class NewsFeed:
     """The newest `Status.number`, and the streams that wait for it.
 
     Args:

@@ -1,134 +1,105 @@
-"""The console's service with real processes: service, network face, master, and a played phone."""
+"""`rossec ca serve` and its console: a phone from its first code to what it approves."""
 
 import asyncio
 import subprocess
 import sys
-import time
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from ca.approvals.statement import Statement
 from ca.errors import HintedError
 from rossec.authority.console.client import Assertion, ConsoleClient, Registration
 from rossec.authority.console.messages import SOCKET
-from rossec.authority.console.views import Outcome
+from rossec.errors import PhoneCodeRefused
 from tests.support.masterprocess import free_port
-from tests.support.passkeys import Passkey
+from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 from tests.support.serviceprocess import ServiceProcess
 
-DAY = 86_400
-ROUND = 60  # seconds: nothing here waits for the next one
+CODE = """
+import sys
+from pathlib import Path
+from rossec.authority.keyservice.client import KeyServiceClient
+print(KeyServiceClient.find(Path(sys.argv[1])).phone_code())
+"""
 
 
-class Home:
-    """A service, its master, and a console with one phone."""
-
-    def __init__(self, root: Path) -> None:
-        self.service, self.port = ServiceProcess(root), free_port()
-        self.service.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{self.port}/"
-        self.phone = Passkey()
-        self.client = ConsoleClient(self.service.directory / SOCKET)
-        self.master: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        self.master = subprocess.Popen(
-            [sys.executable, "-I", "-m", "rossec", "master", "--port", str(self.port)],
-            env=self.service.environ, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
-        self.service.start("--join-address", f"127.0.0.1:{free_port()}")
-
-    async def add_phone(self) -> None:
-        """As a person does with a code from the terminal."""
-        with_key = self.service.client()
-        code = with_key.phone_code()
-        with_key.close()
-        challenge = await self.client.new_passkey(self.phone.origin, self.phone.rp_id)
-        made = self.phone.register(challenge.challenge)
-        await self.client.add_passkey(Registration(challenge.id, code, "Ann's phone", *made))
-
-    async def approve(self, kind: str, *arguments: int | str | bytes) -> Outcome:
-        prepared = await self.client.prepare(kind, *arguments)
-        signed = self.phone.sign(prepared.challenge)
-        return await self.client.approve(prepared.id, Assertion(*signed))
-
-    async def enroll(self, name: str) -> Outcome:
-        await asyncio.to_thread(self.service.run, "node", "request", name)
-        csr = (self.service.root / "nodes" / name[1:] / "node.csr").read_bytes()
-        return await self.approve("enroll", csr, "a test", False, 30 * DAY, False)
-
-    async def close(self) -> None:
-        await self.client.close()
-        self.service.close()
-        if self.master is not None:
-            self.master.kill()
-            self.master.wait()
+def start(service: ServiceProcess) -> None:
+    assert service.start("--unlock-for", "0", "--join-address", f"127.0.0.1:{free_port()}")
 
 
 @pytest.fixture
-async def home(tmp_path: Path) -> AsyncIterator[Home]:
-    home = await asyncio.to_thread(Home, tmp_path / "home")
-    try:
-        await asyncio.to_thread(home.start)
-        await home.add_phone()
-        yield home
-    finally:
-        await home.close()
+def service(tmp_path: Path) -> Iterator[ServiceProcess]:
+    service = ServiceProcess(tmp_path / "home")
+    start(service)
+    yield service
+    service.close()
 
 
-async def until(holds: Callable[[], Coroutine[Any, Any, bool]], within: float = 30) -> None:
-    end = time.monotonic() + within
-    while not await holds():
-        assert time.monotonic() < end, "it does not come true"
-        await asyncio.sleep(0.2)
+def code_of(service: ServiceProcess) -> str:
+    """A code, asked for by a process of its own: this one is at the console's socket."""
+    program = [sys.executable, "-I", "-c", CODE, str(service.directory)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True, timeout=30)
+    return done.stdout.strip()
 
 
-@pytest.mark.timeout(240)
-async def test_what_was_done_while_locked_reaches_the_master_when_it_is_unlocked(
-    home: Home,
-) -> None:
-    service, client = home.service, home.client
-    assert (await home.enroll("/robot")).state == "done"
+async def add(client: ConsoleClient, phone: Passkey, code: str, name: str) -> None:
+    asked = await client.new_passkey(ORIGIN, RP_ID)
+    answer = phone.register(asked.challenge)
+    await client.add_passkey(Registration(asked.id, code, name, *answer))
 
-    async def has_answered() -> bool:
-        try:
-            return bool(await client.graph()) and await client.denials() == ()
-        except HintedError:  # the master is starting
-            return False
 
-    await until(has_answered)
-    await asyncio.to_thread(service.run, "ca", "lock")
-    assert await client.revoke_node("/robot", "lost") == (0, 0)
-    waits = await home.enroll("/late")
-    assert waits.state == "waiting"
-    standing = await client.standing(0, 0)
-    assert not standing.is_signed
-    unlocked = time.monotonic()
-    await asyncio.to_thread(service.run, "ca", "unlock", "--passphrase-file", str(service.secret))
-
-    async def has_come() -> bool:
-        found = await client.standing(0, 0)
-        return found.is_signed and found.is_at_master
-
-    await until(has_come)
-    outcome = await client.outcome(waits.id)
-    assert (outcome.state, outcome.data[:10]) == ("done", b"-----BEGIN")
-    assert time.monotonic() - unlocked < ROUND
+async def test_a_phone_comes_in_and_approves(service: ServiceProcess) -> None:
+    client, phone = ConsoleClient(service.directory / SOCKET), Passkey()
+    before = await client.status()
+    assert (before.domain, before.locked, before.phones) == ("home", False, 0)
+    code = await asyncio.to_thread(code_of, service)
+    await add(client, phone, code, "Ann's phone")
+    with pytest.raises(PhoneCodeRefused):
+        await client.redeem(code)
+    asked = await client.login_challenge(ORIGIN)
+    assert await client.login(asked.id, Assertion(*phone.sign(asked.challenge))) == "Ann's phone"
+    prepared = await client.prepare("invitation", "/lamp/*", 2, 3600, False)
+    assert Statement.from_bytes(prepared.statement).challenge == prepared.challenge
+    touch = Assertion(*phone.sign(prepared.challenge))
+    outcome = await client.approve(prepared.id, touch)
+    assert outcome.state == "done"
+    with pytest.raises(HintedError):
+        await client.approve(prepared.id, touch)
+    assert [each.pattern for each in await client.invitations()] == ["/lamp/*"]
+    (approval,) = await client.approvals(5)
+    assert (approval.phone, approval.sentence) == ("Ann's phone", "join code for 2 of /lamp/*")
+    after = await client.status()
+    assert (after.number != before.number, after.phones) == (True, 1)
+    await client.close()
     audit = service.audit()
-    assert "revoke-node /robot, asked by the console of user" in audit
-    assert f"for approval {waits.id.hex()} (enroll) by the phone" in audit
-    await asyncio.to_thread(service.run, "console", "approvals", "--verify")
+    for line in ("makes a code for a phone, for user", "adds the phone", "logged in"):
+        assert line in audit
+    assert code not in audit
+    service.run("ca", "log", "verify")
 
 
-@pytest.mark.timeout(240)
-async def test_a_kill_while_something_waits_loses_nothing(home: Home) -> None:
-    await asyncio.to_thread(home.service.run, "ca", "lock")
-    waits = await home.enroll("/late")
-    home.service.kill()
-    await asyncio.to_thread(home.service.start, "--no-network")
-
-    async def is_done() -> bool:
-        return (await home.client.outcome(waits.id)).state == "done"
-
-    await until(is_done)
+async def test_a_service_that_was_killed_knows_phones_and_no_codes(
+    service: ServiceProcess,
+) -> None:
+    client, phone = ConsoleClient(service.directory / SOCKET), Passkey()
+    await add(client, phone, await asyncio.to_thread(code_of, service), "Ann's phone")
+    code = await asyncio.to_thread(code_of, service)
+    asked = await client.login_challenge(ORIGIN)
+    prepared = await client.prepare("invitation", "/lamp/*", 2, 3600, False)
+    await asyncio.to_thread(service.kill)
+    await asyncio.to_thread(start, service)
+    for attempt in (
+        client.redeem(code),
+        client.login(asked.id, Assertion(*phone.sign(asked.challenge))),
+        client.approve(prepared.id, Assertion(*phone.sign(prepared.challenge))),
+    ):
+        with pytest.raises(HintedError):
+            await attempt
+    assert [each.name for each in await client.phones()] == ["Ann's phone"]
+    asked = await client.login_challenge(ORIGIN)
+    assert await client.login(asked.id, Assertion(*phone.sign(asked.challenge))) == "Ann's phone"
+    assert await client.invitations() == ()
+    await client.close()
+    await asyncio.to_thread(service.run, "ca", "log", "verify")

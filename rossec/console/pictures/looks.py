@@ -21,6 +21,7 @@ MAX_FIELDS: Final = 24
 MAX_MESSAGES: Final = 600
 _LAST: Final = 3
 _MAX_VALUE: Final = 60
+_REMOVING: Final = ("clear", "drop", "zero")
 
 
 class FieldLine(NamedTuple):
@@ -53,7 +54,10 @@ class Comparison(NamedTuple):
 
 
 def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
-    """The different ways in which the receivers of `cells` see `recorded`, the widest first."""
+    """The different ways in which the receivers of `cells` see `recorded`, the widest first.
+
+    There is none if the type of the messages is not known here.
+    """
     ways: dict[Any, list[Cell]] = {}
     for cell in cells:
         if cell.access in (Access.ALL, Access.COARSE):
@@ -62,6 +66,8 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     shown = groups[:MAX_LOOKS]
     recorded = recorded._replace(messages=recorded.messages[-_newest(recorded.type) :])
     exact = try_see(recorded, "", ())
+    if exact is None:
+        return Comparison(recorded.topic, recorded.type, (), 0, recorded.is_made_up)
     seen = [try_see(recorded, group[0].receiver, group[0].restrictions) for group in shown]
     drawer = _drawer(exact, [each for each in seen if each], [group[0] for group in shown])
     looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
@@ -78,23 +84,20 @@ def _newest(kind: str) -> int:
 class _Drawer(NamedTuple):
     """What the pictures of one topic share."""
 
-    exact: SeenTopic | None
     frame: place.Frame | None
     reach: float
     field: str
     span: series.Span | None
 
 
-def _drawer(exact: SeenTopic | None, seen: list[SeenTopic], cells: list[Cell]) -> _Drawer:
-    if exact is None:
-        return _Drawer(None, None, 0.0, "", None)
+def _drawer(exact: SeenTopic, seen: list[SeenTopic], cells: list[Cell]) -> _Drawer:
     restrictions = [each for cell in cells for each in cell.restrictions]
     frame = place.frame_of([exact], restrictions) if place.has_place(exact.type) else None
     is_scan = exact.type == laser.TYPE
     reach = max(map(laser.reach_of, [exact, *seen])) if is_scan else 0.0
     drawn = frame is not None or exact.type in (laser.TYPE, image.TYPE)
     field = "" if drawn else series.field_of(exact)
-    return _Drawer(exact, frame, reach, field, series.span_of([exact, *seen], field))
+    return _Drawer(frame, reach, field, series.span_of([exact, *seen], field))
 
 
 def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Look:
@@ -109,7 +112,7 @@ def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Loo
         return Look(receivers, "gets none of these", caption, cell.access, None, ())
     heading, detail, picture = _picture(drawer, cell, seen)
     caption = ": ".join(filter(None, (detail, cell.words)))
-    lines = () if picture is not None else _fields(drawer.exact, seen, cell)
+    lines = () if picture is not None else _fields(seen, cell)
     return Look(receivers, heading, printable(caption, 400), cell.access, picture, lines)
 
 
@@ -144,31 +147,23 @@ def _place(
     return "sees the exact place", f"{places} in {messages}", picture
 
 
-def _fields(exact: SeenTopic | None, seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
+def _fields(seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
     """The last message as text; what a filter removed has no value."""
     rules = [rule for each in cell.restrictions for rule in each.filters]
-    whole = exact.samples[-1].fields if exact is not None and exact.samples else {}
     found: list[FieldLine] = []
-    _walk(seen.samples[-1].fields, whole, "", rules, found)
+    _walk(seen.samples[-1].fields, "", rules, found)
     return tuple(found[:MAX_FIELDS])
 
 
 def _walk(
-    fields: Mapping[str, Any],
-    whole: Mapping[str, Any],
-    above: str,
-    rules: list[FilterRule],
-    found: list[FieldLine],
+    fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]
 ) -> None:
     for name, value in fields.items():
         path = f"{above}{name}"
         if isinstance(value, Mapping):
-            inside = whole.get(name, {})
-            _walk(value, inside if isinstance(inside, Mapping) else {}, f"{path}.", rules, found)
+            _walk(value, f"{path}.", rules, found)
             continue
-        removed = any(
-            rule.operator in ("clear", "drop", "zero") for rule in filters_of(rules, path)
-        )
+        removed = any(rule.operator in _REMOVING for rule in filters_of(rules, path))
         found.append(FieldLine(path, "" if removed else _text(value), removed))
 
 

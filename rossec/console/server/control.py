@@ -21,20 +21,20 @@ WORDS: Final[Mapping[str, tuple[type, ...]]] = {
 }
 
 
-class Word(NamedTuple):
+class ControlMessage(NamedTuple):
     """A word and its arguments, whose types are those of `WORDS`."""
 
     word: str
     arguments: tuple[Value, ...] = ()
 
 
-def write(word: Word) -> bytes:
+def write(word: ControlMessage) -> bytes:
     """The frame of a word."""
     body = encode([word.word, *word.arguments])
     return len(body).to_bytes(HEAD) + body
 
 
-def read(body: bytes) -> Word:
+def read(body: bytes) -> ControlMessage:
     """Read the body of a frame.
 
     Raises:
@@ -47,5 +47,5 @@ def read(body: bytes) -> Word:
     match value:
         case [str() as word, *arguments] if word in WORDS:
             if tuple(map(type, arguments)) == WORDS[word]:
-                return Word(word, tuple(arguments))
+                return ControlMessage(word, tuple(arguments))
     raise KeyMessageRefused("a word that is not in the table")

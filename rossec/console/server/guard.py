@@ -43,7 +43,7 @@ class Facts(NamedTuple):
     has_session: bool
 
 
-class Rule(NamedTuple):
+class GuardRule(NamedTuple):
     """What must hold, and the answer where it does not."""
 
     name: str
@@ -90,16 +90,16 @@ def _is_bounded(facts: Facts, _allowed: Allowed, match: Match | None) -> bool:
 
 
 RULES: Final = (
-    Rule("host", _is_own_host, 421, "this console has another address", "use the one it printed"),
-    Rule("path", _exists, 404, "there is no such page", "go to the first page"),
-    Rule("method", _has_method, 405, "this page is not used in this way", "load it again"),
-    Rule("origin", _is_own_origin, 403, "another site sent this", "load the page again"),
-    Rule("session", _may_see, SEE_OTHER, "you are not logged in", "log in"),
-    Rule("size", _is_bounded, 413, "this is too large", "send less"),
+    GuardRule("host", _is_own_host, 421, "this is not its address", "use the printed one"),
+    GuardRule("path", _exists, 404, "there is no such page", "go to the first page"),
+    GuardRule("method", _has_method, 405, "this page is not used in this way", "load it again"),
+    GuardRule("origin", _is_own_origin, 403, "another site sent this", "load the page again"),
+    GuardRule("session", _may_see, SEE_OTHER, "you are not logged in", "log in"),
+    GuardRule("size", _is_bounded, 413, "this is too large", "send less"),
 )  # fmt: skip
 
 
-def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> Rule | None:
+def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
     """The first rule that a request breaks; None: it may pass."""
     return next((rule for rule in RULES if not rule.holds(facts, allowed, match)), None)
 
@@ -172,7 +172,7 @@ class Guard:
         body = await _read_body(receive, limit)
         await self._app(scope, _replay(body, receive), send)
 
-    def _answer(self, rule: Rule, match: Match | None, request: Request) -> Response:
+    def _answer(self, rule: GuardRule, match: Match | None, request: Request) -> Response:
         """The answer to a request that breaks a rule."""
         response: Response
         if rule.status == SEE_OTHER and not wants_json(request.headers):

@@ -71,7 +71,7 @@ class WebProcess:
             await self._server.start(listening)
             if self._preview is not None:
                 self._preview.start()
-            writer.write(control.write(control.Word(control.READY)))
+            writer.write(control.write(control.ControlMessage(control.READY)))
             await writer.drain()
             while True:
                 await self._obey(reader)
@@ -85,7 +85,9 @@ class WebProcess:
         head = await reader.readexactly(messages.HEAD)
         size = messages.frame_size(head, control.MAX_FRAME)
         match control.read(await reader.readexactly(size)):
-            case control.Word(control.CERTIFICATE, (bytes() as bundle,)) if self._tls is not None:
+            case control.ControlMessage(control.CERTIFICATE, (bytes() as bundle,)) if (
+                self._tls is not None
+            ):
                 load(self._tls, bundle)
             case other:
                 raise ConfigurationError(f"the supervisor says {other.word}, which is not for here")

@@ -158,7 +158,7 @@ class WebProcess:
 
     async def _install(self, certificates: Certificates, writer: asyncio.StreamWriter) -> None:
         async def install(bundle: bytes) -> None:
-            writer.write(control.write(control.Word(control.CERTIFICATE, (bundle,))))
+            writer.write(control.write(control.ControlMessage(control.CERTIFICATE, (bundle,))))
             await writer.drain()
 
         await certificates(install)

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.authority.console.views import Status
-from rossec.console.news import MAX_STREAMS, News
+from rossec.console.news import MAX_STREAMS, NewsFeed
 from rossec.errors import HttpRefused, KeyServiceFailed
 
 PERIOD = 0.01
@@ -37,7 +37,7 @@ async def next_data(stream: AsyncIterator[bytes]) -> bytes:
 
 async def test_a_stream_tells_the_number_and_each_change_of_it() -> None:
     service = Service()
-    news = News(service.status, PERIOD)
+    news = NewsFeed(service.status, PERIOD)
     stream = news.open(lambda: True)
     assert await next_data(stream) == b"data: 1.0\n\n"
     service.number = 2
@@ -50,7 +50,7 @@ async def test_a_stream_tells_the_number_and_each_change_of_it() -> None:
 
 async def test_a_page_is_made_at_the_number_of_that_moment() -> None:
     service = Service()
-    news = News(service.status, 60)
+    news = NewsFeed(service.status, 60)
     stream = news.open(lambda: True)
     await next_data(stream)
     service.number = 7
@@ -62,7 +62,7 @@ async def test_a_page_is_made_at_the_number_of_that_moment() -> None:
 
 async def test_fifty_streams_ask_as_often_as_one() -> None:
     service = Service()
-    news = News(service.status, 60)
+    news = NewsFeed(service.status, 60)
     streams = [news.open(lambda: True) for _ in range(50)]
     for stream in streams:
         assert await next_data(stream) == b"data: 1.0\n\n"
@@ -72,7 +72,7 @@ async def test_fifty_streams_ask_as_often_as_one() -> None:
 
 async def test_a_stream_ends_with_its_session_and_the_questions_with_the_last() -> None:
     service, valid = Service(), [True]
-    news = News(service.status, PERIOD)
+    news = NewsFeed(service.status, PERIOD)
     stream = news.open(lambda: valid[0], beat=PERIOD)
     await next_data(stream)
     valid[0] = False
@@ -89,7 +89,7 @@ async def test_a_stream_ends_with_its_session_and_the_questions_with_the_last() 
 async def test_a_service_that_is_away_is_asked_again() -> None:
     service = Service()
     service.fails = True
-    news = News(service.status, PERIOD)
+    news = NewsFeed(service.status, PERIOD)
     stream = news.open(lambda: True, beat=PERIOD)
     assert [await anext(stream) for _ in range(5)] == [b":\n\n"] * 5
     service.fails = False
@@ -98,7 +98,7 @@ async def test_a_service_that_is_away_is_asked_again() -> None:
 
 
 async def test_streams_are_bounded() -> None:
-    news = News(Service().status, 60)
+    news = NewsFeed(Service().status, 60)
     streams = [news.open(lambda: True) for _ in range(MAX_STREAMS)]
     for stream in streams:
         await anext(stream)

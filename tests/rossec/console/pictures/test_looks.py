@@ -95,6 +95,21 @@ def test_a_grant_for_another_type_gets_nothing() -> None:
     assert look.heading.startswith("gets nothing")
 
 
+def test_messages_of_an_unknown_type_have_no_look() -> None:
+    recorded = Recorded("/t", "my_msgs/Own", ((0.0, b"x"),))
+    assert looks.compare(recorded, [Cell("/a", "/t", Access.ALL)]).looks == ()
+
+
+def test_messages_that_never_pass_are_said() -> None:
+    recorded = made_up.recorded("/t", POSE)
+    assert recorded is not None
+    never = Restriction(POSE, ('msg.header.frame_id == "elsewhere"',))
+    cell = Cell("/a", "/t", Access.COARSE, "only when", "", (b"g",), (never,))
+    (look,) = looks.compare(recorded._replace(is_made_up=False), [cell]).looks
+    assert look.heading == "gets none of these"
+    assert look.caption == "none of 240 messages passed: only when"
+
+
 def test_only_so_many_ways_are_drawn() -> None:
     ways = [Restriction(POSE, (), (), rate) for rate in range(1, 10)]
     found = compare(POSE, *ways)

@@ -3,12 +3,12 @@
 import pytest
 
 from ca.encoding import encode
-from rossec.console.server.control import CERTIFICATE, READY, Word, read, write
+from rossec.console.server.control import CERTIFICATE, READY, ControlMessage, read, write
 from rossec.errors import KeyMessageRefused
 
 
-@pytest.mark.parametrize("word", [Word(READY), Word(CERTIFICATE, (b"pem",))])
-def test_a_word_is_written_and_read(word: Word) -> None:
+@pytest.mark.parametrize("word", [ControlMessage(READY), ControlMessage(CERTIFICATE, (b"pem",))])
+def test_a_word_is_written_and_read(word: ControlMessage) -> None:
     frame = write(word)
     assert int.from_bytes(frame[:4]) == len(frame) - 4
     assert read(frame[4:]) == word

@@ -42,7 +42,7 @@ def web(tmp_path: Path, scanner: socket.socket) -> WebProcess:
     return WebProcess(SETTINGS, ConsoleClient(tmp_path / "no.sock"), scanner)
 
 
-def said(ours: socket.socket) -> control.Word:
+def said(ours: socket.socket) -> control.ControlMessage:
     size = int.from_bytes(ours.recv(4))
     return control.read(ours.recv(size))
 
@@ -53,7 +53,7 @@ async def test_it_says_that_it_serves_and_ends_with_its_supervisor(
     ours, theirs = pair
     with listening() as sock:
         running = asyncio.ensure_future(web.run(theirs, [sock]))
-        assert await asyncio.to_thread(said, ours) == control.Word(control.READY)
+        assert await asyncio.to_thread(said, ours) == control.ControlMessage(control.READY)
         reader, writer = await asyncio.open_connection(*sock.getsockname())
         writer.write(b"GET /login HTTP/1.1\r\nHost: localhost:7411\r\nConnection: close\r\n\r\n")
         assert b"200 OK" in await reader.read()
@@ -65,8 +65,8 @@ async def test_it_says_that_it_serves_and_ends_with_its_supervisor(
 @pytest.mark.parametrize(
     ("sent", "error"),
     [
-        (control.write(control.Word(control.READY)), ConfigurationError),
-        (control.write(control.Word(control.CERTIFICATE, (b"",))), ConfigurationError),
+        (control.write(control.ControlMessage(control.READY)), ConfigurationError),
+        (control.write(control.ControlMessage(control.CERTIFICATE, (b"",))), ConfigurationError),
         (b"\0\0\0\1\xff", KeyMessageRefused),
         (b"\xff\xff\xff\xff", KeyMessageRefused),
     ],
@@ -90,7 +90,7 @@ async def test_with_tls_it_waits_for_a_certificate(
     ours, theirs = pair
     client = ConsoleClient(tmp_path / "no.sock")
     process = WebProcess(SETTINGS, client, scanner, make_context())
-    ours.send(control.write(control.Word(control.CERTIFICATE, (b"no certificate",))))
+    ours.send(control.write(control.ControlMessage(control.CERTIFICATE, (b"no certificate",))))
     with listening() as sock, pytest.raises(ConfigurationError):
         await process.run(theirs, [sock])
 
@@ -117,7 +117,7 @@ async def test_it_is_confined_before_it_serves(
     running = asyncio.ensure_future(
         asyncio.to_thread(main, [",".join(map(str, given)), *arguments])
     )
-    assert await asyncio.to_thread(said, ours) == control.Word(control.READY)
+    assert await asyncio.to_thread(said, ours) == control.ControlMessage(control.READY)
     assert done == ["memory", "files []", "processes"]
     ours.close()
     await asyncio.wait_for(running, 20)
