@@ -21,6 +21,16 @@ class Part(NamedTuple):
     text: str
     is_name: bool = False
 
+    @property
+    def is_glued(self) -> bool:
+        """Whether it follows without a space."""
+        return not self.is_name and self.text[:1] in (",", ":")
+
+    @property
+    def spaced(self) -> str:
+        """The text as it follows another part."""
+        return self.text if self.is_glued else f" {self.text}"
+
 
 class Sentence(NamedTuple):
     """One thing that happened; `tone` is `joined`, `allowed`, `ended`, `refused`, `asked`, `note`.
@@ -38,7 +48,7 @@ class Sentence(NamedTuple):
     @property
     def text(self) -> str:
         """The whole of it, as plain text."""
-        return " ".join((self.verb, *(part.text for part in self.parts))).replace(" ,", ",")
+        return self.verb + "".join(part.spaced for part in self.parts)
 
 
 class Known(NamedTuple):
@@ -140,7 +150,7 @@ def _name(text: str) -> Part:
 
 
 def _because(reason: str) -> tuple[Part, ...]:
-    return (Part(f"because: {printable(reason, 200)}"),) if reason else ()
+    return (Part(f": {printable(reason, 200)}"),) if reason else ()
 
 
 def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:

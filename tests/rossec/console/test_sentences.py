@@ -11,6 +11,7 @@ from rossec.console.sentences import (
     APPROVED,
     KINDS,
     Known,
+    Part,
     Sentence,
     permission,
     refusals,
@@ -36,7 +37,7 @@ def test_the_story_of_the_demo() -> None:
     found = story(home.events, home.denials, home.known)
     assert texts(found)[:2] == [
         "Refused /heating asked to see /robot/scan without being allowed to",
-        "Ended /doctor may no longer see /robot/camera because: the visit is over",
+        "Ended /doctor may no longer see /robot/camera: the visit is over",
     ]
     assert "Allowed /heating may see /robot/pose (coarse)" in texts(found)
     assert "Allowed /robot may send /robot/pose, /robot/scan, /robot/camera" in texts(found)
@@ -50,14 +51,14 @@ def test_the_story_of_the_demo() -> None:
     [
         ("pending", "code", "Asked /lamp asked to join from code"),
         ("approved", "", "Approved /lamp may join"),
-        ("denied", "unknown", "Denied /lamp may not join because: unknown"),
+        ("denied", "unknown", "Denied /lamp may not join: unknown"),
         ("collected", "pending", "Expired /lamp asked to join and got no answer"),
         ("collected", "issued", ""),
         ("issued", "", ""),
         ("policy grant", "r1", ""),
         ("certificate", "aa", "Joined /lamp has a name here now"),
         ("grant", "aa", "Allowed /lamp got a right that has ended"),
-        ("revocation", "lost", "Ended what has the number /lamp because: lost"),
+        ("revocation", "lost", "Ended what has the number /lamp: lost"),
         ("list", "", "Signed the list of what has ended, number /lamp"),
         ("grant request", "aa", "Asked /lamp asked to be allowed something"),
         ("decision", "granted /x", ""),
@@ -69,7 +70,7 @@ def test_the_story_of_the_demo() -> None:
         ("imported", "1f", "Imported from an intermediate: /lamp"),
         ("restored", "from 12 entries", "Restored the record was put back from 12 entries"),
         ("passkey", "aa", "Phone /lamp can approve now"),
-        ("passkey ended", "lost", "Removed /lamp can no longer approve because: lost"),
+        ("passkey ended", "lost", "Removed /lamp can no longer approve: lost"),
         ("approval", "grant 01ab", "Approved a right with /lamp"),
         ("approval", "new_kind 01ab", "Approved new_kind with /lamp"),
         ("approval ended", "done: signed", ""),
@@ -103,7 +104,7 @@ def test_ids_are_told_as_what_they_are() -> None:
     home = demo()
     key = home.nodes[1].key.hex()
     assert told("revocation", key, "sold", home.known) == (
-        "Removed /doctor has no name here any more because: sold"
+        "Removed /doctor has no name here any more: sold"
     )
     asked = AskedRight(int(Right.SUBSCRIBE), "/robot/pose", "", "", "", b"")
     question = GrantQuestion(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,))
@@ -111,6 +112,11 @@ def test_ids_are_told_as_what_they_are() -> None:
     assert told("grant request", detail=b"q".hex(), known=known) == (
         "Asked /lamp asked to see /robot/pose"
     )
+
+
+def test_a_name_is_never_glued() -> None:
+    parts = (Part("a"), Part(",", is_name=True), Part(", b"), Part("c"))
+    assert Sentence(0, "note", "Said", parts, 1, "").text == "Said a ,, b c"
 
 
 def test_equal_denials_are_one_sentence() -> None:
