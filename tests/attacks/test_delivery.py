@@ -40,6 +40,23 @@ async def fetched(who: Caller, known: bytes = b"") -> list[bytes]:
     return grants
 
 
+@pytest.mark.attack("console-disclosure")
+async def test_only_the_authoritys_own_node_learns_who_was_denied_and_who_lags(
+    site: Site, witness: Witness
+) -> None:
+    """Names of other nodes, and what they tried: each right of the domain is not enough."""
+    below(site, AUTHORITY)
+    async with caller(site, EVE, {"/**": Right(255)}) as eve, authority(site) as false:
+        for method in ("rossec.recentDenials", "rossec.revocationStanding"):
+            assert ONLY in await eve.refused(method)
+            assert "cannot act as another" in refusal(await eve.lie(method, AUTHORITY))
+            assert ONLY in await false.refused(method)
+            calls = [{"methodName": method, "params": [EVE]}]
+            answers: Any = await eve.client.call("system.multicall", calls)
+            assert ONLY in refusal(answers[0][0])
+    await witness.goes_on()
+
+
 @pytest.mark.attack("deposit-by-another")
 async def test_only_the_authoritys_own_node_deposits_grants(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture

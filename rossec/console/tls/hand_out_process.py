@@ -78,7 +78,7 @@ async def serve(
     server = ConsoleServer(create_hand_out(data, origin, lambda: time.monotonic() > end))
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), until)
+    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), until)
     await server.start(listening)
     try:
         async with asyncio.timeout(seconds):
@@ -86,6 +86,7 @@ async def serve(
     except TimeoutError:
         pass
     finally:
+        transport.close()
         await server.close()
 
 

@@ -266,3 +266,13 @@ async def test_without_a_delegation_an_expired_grant_stays_expired(site: Site) -
     async with site.node("/robot") as robot:
         with pytest.raises(RossecError, match="publish"):
             await robot.publisher("/robot/pose", POSE)
+
+
+async def test_a_node_is_told_the_types_of_topics_that_it_may_see(site: Site) -> None:
+    site.publish("/robot", "/**")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        await robot.publisher("/robot/pose", POSE)
+        await robot.publisher("/robot/scan", "sensor_msgs/LaserScan")
+        assert await viewer.topic_types() == {"/robot/pose": POSE}
+        assert len(await robot.topic_types()) == 2

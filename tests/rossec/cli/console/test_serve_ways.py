@@ -1,17 +1,13 @@
 """Each way to get to a console, with real processes: `rossec ca serve` and `rossec console`."""
 
 import http.client
-import json
-import signal
 import socket
 import ssl
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode, urlsplit
 
 import pytest
@@ -21,6 +17,7 @@ from rossec.console.tls import fingerprint, store
 from rossec.console.tls.store import key_pem, open_authority
 from tests.support.commands import Shell, refused
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
+from tests.support.consolecommand import console
 from tests.support.serviceprocess import ServiceProcess
 
 
@@ -36,38 +33,6 @@ def free_port() -> int:
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
-
-
-@dataclass
-class Console:
-    """A console that runs, and what it said."""
-
-    process: subprocess.Popen[str]
-    said: dict[str, Any]
-
-    @property
-    def code(self) -> str:
-        return urlsplit(str(self.said["login"])).fragment
-
-
-@contextmanager
-def console(service: ServiceProcess, *options: str) -> Iterator[Console]:
-    """`rossec console OPTIONS`, ended afterwards; it ends well."""
-    process = subprocess.Popen(
-        [sys.executable, "-I", "-m", "rossec", "console", "--json", *options],
-        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-    )  # fmt: skip
-    assert process.stdout is not None
-    try:
-        line = process.stdout.readline()
-        assert line, process.wait(30)
-        yield Console(process, json.loads(line))
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def ask(

@@ -4,7 +4,8 @@ import ssl
 import subprocess
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,25 @@ def shake_hands(server: ssl.SSLContext, authority: TlsAuthority, name: str) -> i
     finally:
         ours.close()
         thread.join()
+
+
+@contextmanager
+def serving_once(server: ssl.SSLContext) -> Iterator[int]:
+    """The port of a server that shakes hands with one browser after another."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def serve() -> None:
+            with suppress(OSError):
+                while True:
+                    sock, _ = listening.accept()
+                    with suppress(OSError), server.wrap_socket(sock, server_side=True) as stream:
+                        stream.recv(1)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield int(listening.getsockname()[1])
+        listening.shutdown(socket.SHUT_RDWR)
+        thread.join(10)
 
 
 def test_a_renewed_bundle_is_shown_from_then_on() -> None:
