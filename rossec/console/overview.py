@@ -8,12 +8,12 @@ from typing import Final, NamedTuple
 from ca.errors import HintedError
 from grants.errors import PatternRefused
 from grants.names import check_pattern
-from rossec.authority.console.views import DenialView, FactView, NodeView
+from rossec.authority.console.views import DenialView, FactView, GrantQuestion, NodeView
 from rossec.console import made_up
 from rossec.console.context import ConsoleContext
 from rossec.console.matrix import HeldGrant, Matrix, TopicRow, build, held_grants
 from rossec.console.pictures import looks
-from rossec.errors import HttpRefused
+from rossec.errors import HttpRefused, KeyServiceFailed
 
 MAX_REFUSED: Final = 12
 
@@ -58,6 +58,16 @@ async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:
         return await context.service.denials()
     except HintedError:
         return ()
+
+
+async def questions(context: ConsoleContext) -> tuple[tuple[GrantQuestion, ...], str]:
+    """What nodes ask for, and why that is not known: the policy cannot be used; empty: it is."""
+    try:
+        return await context.service.questions(), ""
+    except KeyServiceFailed:
+        raise
+    except HintedError as error:
+        return (), str(error)
 
 
 def refused_names(found: tuple[DenialView, ...]) -> dict[str, list[str]]:

@@ -4,9 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.browser import Chromium, running_chromium
+from tests.support.browser import Chromium, Window, running_chromium
 from tests.support.consolesite import ConsoleSite, console_site, with_robot
 from tests.support.pagecheck import PageCheck
+from tests.support.person import set_up
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +25,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ConsoleSite]:
         with_robot(site)
         site.start_console()
         yield site
+
+
+@pytest.fixture(scope="module")
+def phone(chromium: Chromium, site: ConsoleSite) -> Iterator[Window]:
+    """A phone that is set up and logged in; nothing may go wrong in it in the whole module."""
+    with chromium.window(site.origin) as window:
+        set_up(window, site)
+        yield window
 
 
 @pytest.fixture(scope="session")

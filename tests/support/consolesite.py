@@ -76,9 +76,10 @@ class ConsoleSite:
         self.secret.write_text(PASSPHRASE + "\n")
         self.key = ("--passphrase-file", str(self.secret))
         self.join_address = f"127.0.0.1:{free_port()}"
-        self.port = free_port()
+        self.port, self.master_port = free_port(), free_port()
         base = {k: v for k, v in os.environ.items() if not k.startswith("ROS")}
         self.environ = {**base, "ROSSEC_HOME": str(root), "ROS_IP": "127.0.0.1"}
+        self.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{self.master_port}/"
         self.programs: list[Program] = []
         # A thread of their own: playwright's loop runs in the thread of the tests.
         self._commands = ThreadPoolExecutor(1)
@@ -137,9 +138,10 @@ class ConsoleSite:
         return self.authority
 
     def start_master(self) -> Program:
-        """Run `rossec master`; what is started afterwards finds it."""
-        self.master = self.begin("rossec", "master", "--port", "0", "--json", log="master")
-        self.environ["ROS_MASTER_URI"] = self.master.said(r'"ready": "([^"]+)"')[1]
+        """Run `rossec master`, where the others look for it."""
+        port = str(self.master_port)
+        self.master = self.begin("rossec", "master", "--port", port, "--json", log="master")
+        self.master.said(r'"ready"')
         return self.master
 
     def start_robot(self) -> Program:

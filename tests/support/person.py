@@ -1,6 +1,7 @@
 """What a person does at the console, in a window of a browser."""
 
 import contextlib
+import json
 import re
 from collections.abc import Iterator
 
@@ -12,9 +13,8 @@ from tests.support.consolesite import ConsoleSite
 
 def code_of(site: ConsoleSite) -> str:
     """A new one-time code, as `rossec console phone` prints it in its link."""
-    found = re.search(r"/login#(\S+)", site.run("console", "phone"))
-    assert found is not None
-    return found[1]
+    address: str = json.loads(site.run("console", "phone", "--json"))["login"]
+    return address.removeprefix(f"{site.origin}/login#")
 
 
 def set_up(window: Window, site: ConsoleSite, name: str = "my phone") -> None:

@@ -26,7 +26,7 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     text = request.query_params.get("node", "")
     node = overview.name_of(text[1:]) if text else ""
     home = await overview.load(context)
-    known = Known.of(home.held, home.nodes, await context.service.questions())
+    known = Known.of(home.held, home.nodes, (await overview.questions(context))[0])
     events, following = await _events(context, before, node, known)
     denied = _between(await overview.denials(context), events, before, following)
     told, refused = _bounded(

@@ -1,10 +1,13 @@
 """Today: what waits for an answer, who sees what, what it looks like, and what happened."""
 
+from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+from ca.errors import HintedError
 from grants.model import Permission, Right
 from rossec.authority.console.views import GrantQuestion
 from rossec.console import overview
@@ -44,7 +47,8 @@ class Counts(NamedTuple):
 async def show(request: Request, context: ConsoleContext) -> Response:
     """The first page."""
     home = await overview.load(context)
-    questions, denied = await context.service.questions(), await overview.denials(context)
+    questions, without_policy = await overview.questions(context)
+    denied = await overview.denials(context)
     events = await context.service.events(0, _ENTRIES)
     known = Known.of(home.held, home.nodes, questions)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
@@ -52,19 +56,20 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     part = busy.window(slice(ROWS), slice(RECEIVERS))
     return render(
         context, request, "today.html", live=True,
-        authority=await context.service.status(), waiting=await _waiting(context),
+        authority=await context.service.status(), waiting=await _waiting(context, questions),
         counts=counts(home.matrix), matrix=part, rows=len(busy.rows),
         receivers=len(busy.receivers), silent=silent(home), **_looks(context, busy),
         flow=flow.draw(part, overview.refused_names(denied)), sentences=told[:THINGS],
         new=_new(request, [each.number for each in told]), without_master=home.without_master,
+        without_policy=without_policy,
     )  # fmt: skip
 
 
-async def _waiting(context: ConsoleContext) -> list[Waiting]:
-    """Requests for grants and identities, and new phones, the oldest first."""
+async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[Waiting]:
+    """Requests for grants and identities, new phones, and a changed policy, the oldest first."""
     found = [
         Waiting(_asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why)
-        for each in await context.service.questions()
+        for each in questions
     ]
     found += [
         Waiting(
@@ -79,6 +84,11 @@ async def _waiting(context: ConsoleContext) -> list[Waiting]:
         Waiting((Part(each.name), Part("wants to approve, too")), "/phones", context.clock())
         for each in await context.service.proposals()
     ]
+    with suppress(HintedError):  # a policy that cannot be read is told on its own page
+        policy = await context.service.policy()
+        if policy.mistakes or policy.gives or policy.takes:
+            said = "The policy has mistakes" if policy.mistakes else "The policy has changed"
+            found.append(Waiting((Part(said),), "/policy", context.clock()))
     return sorted(found, key=lambda each: each.at)
 
 

@@ -64,8 +64,8 @@ async function registration(asked, name) {
   };
 }
 
-async function approve(form, submitter) {
-  const asked = await post(form.action, new URLSearchParams(new FormData(form, submitter)));
+async function approve(form, fields) {
+  const asked = await post(form.action, fields);
   return post(`/approve/${asked.id}`, await assertion(asked));
 }
 
@@ -136,7 +136,8 @@ document.addEventListener("submit", (event) => {
   const submitter = event.submitter;
   if (form.matches("[data-approve]")) {
     event.preventDefault();
-    run(form, () => approve(form, submitter));
+    const fields = new URLSearchParams(new FormData(form, submitter)); // before buttons are disabled
+    run(form, () => approve(form, fields));
   } else if (form.matches("[data-passkey]")) {
     event.preventDefault();
     run(form, logIn);

@@ -22,6 +22,7 @@ if (main) {
     if (news || document.hidden) return;
     news = new EventSource("/news");
     news.addEventListener("message", ({ data }) => {
+      if (!news) return;
       if (known === null) known = data;
       else if (known !== data) { known = data; changed(); }
     });
@@ -29,6 +30,8 @@ if (main) {
   // A browser has six connections for all pages of a site (HTTP/1.1): pages behind others give
   // theirs back, and hear what they missed when they are seen again.
   document.addEventListener("visibilitychange", () => (document.hidden ? stop() : start()));
+  // A person who has left for another page must not be brought back by a reload of this one.
+  addEventListener("beforeunload", stop);
   addEventListener("pagehide", stop);
   addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
   start();
