@@ -4,9 +4,11 @@ What a bomb costs is bounded here by the kernel, in seconds of the processor and
 not by a clock: a loaded machine is slow, not wrong.
 """
 
+import asyncio
 import io
 import os
 import resource
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +16,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from rossec.errors import ConfigurationError
+from ca.enrollment import qr
+from rossec.console.scanning import supervisor as scanning
+from rossec.console.scanning.client import ScannerClient
+from rossec.console.scanning.frames import MAX_PICTURE
+from rossec.console.scanning.supervisor import ScannerSupervisor
+from rossec.errors import ConfigurationError, PictureRefused
 from rossec.inprocess.options import read
 from tests.support.commands import PASSPHRASE
 from tests.support.site import Site
@@ -199,3 +206,20 @@ def test_a_picture_of_finder_patterns(tmp_path: Path) -> None:
     said = refused(home, "ca", "enroll", "--image", str(picture), "--passphrase-file", str(secret))
     assert "reading the picture took too long, or failed" in said
     assert "paste the text" in said
+
+
+async def test_a_frame_of_finder_patterns_costs_the_console_one_worker(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The next frame is read by the next process."""
+    monkeypatch.setattr(scanning, "START", 2.0)
+    ours, theirs = socket.socketpair()
+    client, text = ScannerClient(theirs), qr.label_code(b"a request")
+    bomb = finder_patterns(420)
+    assert len(bomb) < MAX_PICTURE
+    async with asyncio.TaskGroup() as group:
+        group.create_task(ScannerSupervisor(ours, deadline=6.0).run())
+        with pytest.raises(PictureRefused, match="took too long, or failed"):
+            await client.read(bomb)
+        assert await client.read(qr.png(text)) == text
+        await client.close()

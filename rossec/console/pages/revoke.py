@@ -123,7 +123,6 @@ def _follow(epoch: int, seq: int, **subject: str) -> Response:
 PAGES: Final = (
     Page("/revoke/grant/{id}", ("GET",), ask_grant),
     Page("/revoke/grant/{id}", ("POST",), revoke_grant),
-    Page("/grant/{id}/revoke", ("POST",), revoke_grant),  # the form on the grant's own page
     Page("/revoke/node/{name:path}", ("GET",), ask_node),
     Page("/revoke/node/{name:path}", ("POST",), revoke_node),
     Page("/revoked/{epoch}/{seq}", ("GET",), show),

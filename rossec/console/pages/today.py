@@ -1,11 +1,13 @@
 """Today: what waits for an answer, who sees what, what it looks like, and what happened."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+from ca.errors import HintedError
 from grants.model import Permission, Right
 from rossec.authority.console.views import GrantQuestion
 from rossec.console import overview
@@ -64,7 +66,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
 
 
 async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[Waiting]:
-    """Requests for grants and identities, and new phones, the oldest first."""
+    """Requests for grants and identities, new phones, and a changed policy, the oldest first."""
     found = [
         Waiting(_asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why)
         for each in questions
@@ -82,6 +84,11 @@ async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) 
         Waiting((Part(each.name), Part("wants to approve, too")), "/phones", context.clock())
         for each in await context.service.proposals()
     ]
+    with suppress(HintedError):  # a policy that cannot be read is told on its own page
+        policy = await context.service.policy()
+        if policy.mistakes or policy.gives or policy.takes:
+            said = "The policy has mistakes" if policy.mistakes else "The policy has changed"
+            found.append(Waiting((Part(said),), "/policy", context.clock()))
     return sorted(found, key=lambda each: each.at)
 
 

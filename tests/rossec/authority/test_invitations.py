@@ -129,3 +129,13 @@ def test_every_key_of_who_joined_is_revoked_in_one_list(home: JoinSite) -> None:
 
 def status_of(home: JoinSite, code_id: bytes) -> InvitationStatus:
     return find(home.store, code_id.hex())
+
+
+def test_the_end_denies_also_what_was_approved_and_not_issued(home: JoinSite) -> None:
+    code = home.invite(uses=5)
+    issued(home.join(code, "/fleet/a"))
+    home.join(code, "/fleet/a")
+    [waits] = home.store.requests.open()
+    home.store.requests.approve(waits.digest, NOW, replace_key="/fleet/a")
+    assert end(home.store, find(home.store, code.id.hex()), "lost", NOW) == 1
+    assert home.store.requests.get(waits.digest).reason == "its invitation was ended: lost"

@@ -143,3 +143,15 @@ def test_what_is_due_is_renewed_when_asked(site: Site) -> None:
     moment = Moment(NOW + DAY * 3 // 4, SKEW, renew_due=True)
     made = make_plan(site.authority.store, policy(site), PlanOptions(), moment)
     assert (made.signs, made.revoke) == (2, ())
+
+
+def test_plans_that_do_the_same_have_the_same_effect(site: Site) -> None:
+    made = plan(site)
+    effect = made.effect("home")
+    assert len(effect) == 32
+    assert plan(site, later=100).effect("home") == effect, "whenever it is made"
+    assert made.effect("other") != effect
+    sign(site, made)
+    assert plan(site).effect("home") != effect
+    goes = plan(site, POLICY.replace("/pose", "/scan"))
+    assert goes.effect("home") != replace(goes, nodes=goes.nodes[:1]).effect("home")

@@ -223,3 +223,17 @@ def test_many_revocations_are_one_list(opened: SigningAuthority) -> None:
     before = opened.store.next_number()
     assert opened.revoke_all(gone, "policy", NOW).entries >= gone
     assert opened.store.next_number() == (before[0], before[1] + 1)
+
+
+def test_a_delegation_with_a_given_serial_is_the_same_when_it_is_signed_again(
+    opened: SigningAuthority,
+) -> None:
+    key = opened.signer.public_key
+    first, again = (
+        open_delegation(opened.issue_delegation(bytes(32), DAY, 600, NOW, serial=b"s" * 16), key)
+        for _ in range(2)
+    )
+    assert first.id == again.id
+    assert len(signing.delegations(opened.path, key)) == 1
+    other = open_delegation(opened.issue_delegation(bytes(32), DAY, 600, NOW), key)
+    assert other.id != first.id

@@ -6,7 +6,7 @@ from starlette.responses import Response
 
 from rossec.console import pages
 from rossec.console.routes import ROUTES
-from rossec.console.routing import MAX_BODY, SESSION, Page, PageTable
+from rossec.console.routing import MAX_BODY, SESSION, Page, PageTable, for_looking
 
 
 async def nothing(*_: object) -> Response:
@@ -40,3 +40,11 @@ def test_every_module_of_pages_is_in_the_table() -> None:
     modules = {page.handler.__module__ for page in ROUTES}
     for found in pkgutil.iter_modules(pages.__path__):
         assert f"{pages.__name__}.{found.name}" in modules
+
+
+def test_a_console_that_only_shows_has_no_form_that_acts() -> None:
+    look = Page("/login", ("POST",), nothing, looks=True)
+    assert for_looking((GET, POST, FIXED, look)) == (FIXED, look)
+    kept = {page.path for page in for_looking(ROUTES) if "POST" in page.methods}
+    assert kept == {"/login", "/login/challenge", "/login/passkey", "/logout"}
+    assert "/who" in {page.path for page in for_looking(ROUTES)}

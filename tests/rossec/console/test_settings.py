@@ -15,5 +15,6 @@ def test_what_follows_from_the_origin() -> None:
 
 def test_they_are_written_and_read() -> None:
     others = Settings("home", ("https://a", "https://b"), None, True, True, 1, 2)
-    for settings in (OWN, others):
+    proxy = Settings("home", ("https://a",), proxy_users=frozenset({0, 33}))
+    for settings in (OWN, others, proxy):
         assert read_settings(write_settings(settings)) == settings

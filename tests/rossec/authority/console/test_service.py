@@ -59,3 +59,32 @@ def test_an_operation_has_one_handler_and_is_in_the_table(operation: str) -> Non
     parts = [Part(**{operation: lambda: None}) for _ in range(2)]
     with pytest.raises(ValueError, match="not an operation"):
         ConsoleService(*parts)
+
+
+async def test_what_changes_something_is_audited_with_who_asked_before_it_is_done() -> None:
+    lines: list[str] = []
+    handlers: dict[str, Callable[..., Value]] = {
+        "revoke-node": lambda *_: len(lines), "deny-request": lambda *_: len(lines),
+        "status": lambda: len(lines),
+    }  # fmt: skip
+    service = ConsoleService(Part(**handlers), audit=lines.append)
+    assert await service.carry_out(Request("status"), CALLER) == 0
+    assert await service.carry_out(Request("revoke-node", ("/a\n/b", "why")), CALLER) == 1
+    assert await service.carry_out(Request("deny-request", (b"\1\2", "why")), CALLER) == 2
+    assert "\n" not in lines[0]
+    assert lines[1] == f"deny-request 0102, asked by the console of {CALLER}"
+    await service.close()
+
+
+async def test_what_cannot_be_audited_is_not_done() -> None:
+    done: list[str] = []
+
+    def full(_: str) -> None:
+        raise KeyServiceRefused("the disk is full")
+
+    handlers: dict[str, Callable[..., Value]] = {"remove-phone": lambda *_: done.append("x")}
+    service = ConsoleService(Part(**handlers), audit=full)
+    with pytest.raises(KeyServiceRefused, match="full"):
+        await service.carry_out(Request("remove-phone", (b"id", "")), CALLER)
+    assert not done
+    await service.close()

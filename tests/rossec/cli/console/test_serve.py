@@ -88,3 +88,11 @@ def test_without_its_libraries_it_says_how_to_get_them(
 ) -> None:
     monkeypatch.setattr(module, "find_spec", lambda _: None)
     refused(shell("console"), "libraries that are not installed", "pip install 'rossec[console]'")
+
+
+def test_for_phones_on_the_network_it_shows_its_authority(shell: Shell, service: None) -> None:
+    port = free_port()
+    said = console(shell, "--lan", "--name", "robot.local", "--port", str(port))
+    assert said.code == 0, said.err
+    assert f"https://robot.local:{port}/login#CODE" in said.out
+    assert "start with --hand-out" in said.out

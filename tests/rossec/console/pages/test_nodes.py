@@ -55,7 +55,7 @@ def test_a_grant_says_what_it_gives_and_how_it_ends() -> None:
     text = page(home).get(f"/grant/{to_base64url(coarse.id)}").text
     assert "position to 2 m" in text
     assert "pose.position: round step 2.0" in text
-    assert f'action="/grant/{to_base64url(coarse.id)}/revoke"' in text
+    assert f'action="/revoke/grant/{to_base64url(coarse.id)}"' in text
     ended = page(home).get(f"/grant/{to_base64url(home.grants[2].id)}").text
     assert "the visit is over" in ended
     assert "/revoke" not in ended

@@ -28,12 +28,6 @@ def test_a_grant_is_ended_with_a_reason() -> None:
     assert browser.asked("revoke-grant") == [(browser.home.grants[1].id, "the visit is over")]
 
 
-def test_the_form_on_the_grants_own_page_does_the_same() -> None:
-    browser = Browser().log_in("")
-    answer = browser.post(f"/grant/{grant_of(browser)}/revoke", data={"reason": ""})
-    assert answer.headers["location"].startswith("/revoked/1/")
-
-
 def test_a_whole_node_asks_for_its_name() -> None:
     browser = Browser().log_in("")
     assert 'name="name"' in browser.get("/revoke/node/robot").text

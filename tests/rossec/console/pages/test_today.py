@@ -17,6 +17,7 @@ from tests.support.consolepages import Browser
 def page(home: FakeHome | None = None) -> Browser:
     made = Browser(as_service(home or demo()))
     made.now = NOW
+    made.home.policy = made.home.policy._replace(gives=())  # all is as it says
     return made.log_in()
 
 
@@ -68,6 +69,17 @@ def test_a_locked_key_no_phone_and_no_master_are_said() -> None:
     assert "No phone can approve yet" in text
     assert "The master does not answer" in text
     assert "Nothing waits for you" in text
+
+
+def test_a_policy_that_has_changed_waits_for_an_answer() -> None:
+    made = page()
+    made.home.policy = made.home.policy._replace(mistakes=("line 3: no such filter",))
+    text = made.get("/").text
+    assert "One thing waits for you" in text
+    assert "The policy has mistakes" in text
+    assert 'href="/policy"' in text
+    made.home.refusals["policy"] = KeyServiceRefused("it cannot be read")
+    assert "Nothing waits for you" in made.get("/").text
 
 
 def test_a_new_home_has_a_page() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import pwd
 import signal
 from pathlib import Path
 
@@ -22,6 +23,19 @@ def test_on_localhost_only_this_user_may_connect() -> None:
     assert local.origins == ("http://localhost:7411",)
     lan = settings_for(read_options(Options(lan=True, name="a.local", read_only=True), "h"), "home")
     assert (lan.users, lan.hsts, lan.read_only) == (None, False, True)
+
+
+def test_a_proxy_is_of_this_user_or_of_the_one_named() -> None:
+    own, origin = os.geteuid(), "https://a.example"
+    path = Path("/run/c.sock")
+    alone = settings_for(read_options(Options(unix_path=path, origin=origin), "h"), "home")
+    assert (alone.users, alone.proxy_users) == (None, frozenset({own}))
+    named = Options(unix_path=path, origin=origin, proxy_user="nobody")
+    nobody = pwd.getpwnam("nobody").pw_uid
+    assert settings_for(read_options(named, "h"), "home").proxy_users == {own, nobody}
+    missing = Options(unix_path=path, origin=origin, proxy_user="no-such-user")
+    with pytest.raises(ConfigurationError, match="there is no user 'no-such-user'"):
+        settings_for(read_options(missing, "h"), "home")
 
 
 async def run(endpoint: Endpoint, directory: Path) -> list[str]:

@@ -127,6 +127,7 @@ def test_a_leaf_ends_after_90_days_and_with_its_authority() -> None:
 @pytest.mark.parametrize(
     ("now", "reason"),
     [(NOW + LIFETIME + 1, "has expired"), (NOW - DAY, "is not valid yet")],
+    ids=["late", "early"],
 )
 def test_an_authority_out_of_its_time_issues_nothing(now: int, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):

@@ -249,3 +249,12 @@ def test_what_only_the_authority_may_call_needs_no_right_and_is_given_by_none() 
                 control.check(method, who, (who.name, []))
         own = replace(caller("/ca"), is_authority=True)
         control.check(method, own, ("/ca", []))
+
+
+def test_the_authority_sees_the_graph_without_a_grant_and_changes_nothing() -> None:
+    own = replace(caller("/ca"), is_authority=True)
+    for who, sees in ((own, True), (caller("/ca"), False)):
+        assert who.may(Right.GRAPH, "/master") is sees
+        assert who.may_see("/anything") is sees
+    for right in set(Right) - {Right.GRAPH}:
+        assert not own.may(right, "/anything"), right

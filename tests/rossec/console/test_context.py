@@ -1,0 +1,28 @@
+"""What every page gets."""
+
+from rossec.console.context import ConsoleContext
+from rossec.console.settings import Settings
+from tests.support.consolepages import ORIGIN, Browser, MemoryClient
+from tests.support.consoleservice import FakeHome
+
+
+def test_a_console_begins_with_nobody_and_nothing() -> None:
+    context = ConsoleContext(MemoryClient(FakeHome()), Settings("home", (ORIGIN,)))
+    assert (len(context.sessions), context.news.streams, len(context.enrollments)) == (0, 0, 0)
+    assert context.scanner is None
+
+
+def test_its_sessions_last_as_long_as_its_settings_say() -> None:
+    browser = Browser(settings=Settings("home", (ORIGIN,), lifetime=100, idle=50)).log_in()
+    browser.now += 49
+    assert browser.get("/phones").status_code == 200
+    browser.now += 49
+    assert browser.get("/phones").status_code == 200
+    browser.now += 2
+    assert browser.get("/phones").status_code == 303
+
+
+def test_an_enrollment_that_changes_is_news() -> None:
+    context = Browser().context
+    context.news.changed()
+    assert context.news.number is None  # nobody waits
