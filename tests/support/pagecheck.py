@@ -89,7 +89,7 @@ def _shrink(path: Path) -> None:
     half = full.resize((full.width // 2, full.height // 2), Image.Resampling.LANCZOS)
     for each, colours, most in ((full, 128, _ENOUGH), (half, 128, MAX_PICTURE), (half, 64, 0)):
         # By coverage: a rare colour is one that says something, as the green of what is whole.
-        few = each.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        few = each.quantize(colours, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)
         few.save(path, optimize=True)
         if path.stat().st_size < most:
             return
