@@ -26,7 +26,7 @@ from rossec.operation.shutdown import until_first_ends
 MODULE: Final = "rossec.console.server.web"
 START: Final = 30.0  # seconds until it serves
 MAX_DELAY: Final = 60.0
-_END: Final = 5.0  # seconds between the end of the connection and SIGKILL
+END: Final = 5.0  # seconds between the end of the connection and SIGKILL
 _log = logging.getLogger("rossec.console")
 
 Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Awaitable[None]]
@@ -174,7 +174,7 @@ class WebProcess:
         if process is None:
             return
         try:
-            await asyncio.to_thread(process.wait, _END)
+            await asyncio.to_thread(process.wait, END)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
