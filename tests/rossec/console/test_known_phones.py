@@ -68,7 +68,7 @@ async def test_a_session_by_a_code_has_no_phone(service: Service) -> None:
     assert service.asked == 0
 
 
-async def test_nobody_is_believed_while_the_service_does_not_answer(
+async def test_no_session_counts_while_the_service_does_not_answer(
     service: Service,
 ) -> None:
     assert await service.known.counts(session())
