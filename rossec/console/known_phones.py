@@ -2,7 +2,7 @@
 
 A session outlives what began it by at most `KEPT`. A phone that is registered again under the name
 of one that was removed does not bring its sessions back. Where the service does not answer nobody
-is believed.
+is let in.
 """
 
 from collections.abc import Awaitable, Callable
