@@ -1,8 +1,8 @@
 """Whether the phone that began a session still counts: it may be removed at the terminal.
 
 A session outlives what began it by at most `KEPT`. A phone that is registered again under the name
-of one that was removed does not bring its sessions back. While the service does not answer no
-session counts.
+of one that was removed does not bring its sessions back. Where the service does not answer nobody
+is let in.
 """
 
 from collections.abc import Awaitable, Callable
