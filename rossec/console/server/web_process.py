@@ -21,6 +21,7 @@ from rossec.console.scanning.supervisor import ScannerSupervisor
 from rossec.console.server import control
 from rossec.console.settings import Settings, write_settings
 from rossec.errors import ConfigurationError, KeyMessageRefused
+from rossec.operation.reaping import reap
 from rossec.operation.shutdown import until_first_ends
 
 MODULE: Final = "rossec.console.server.web"
@@ -174,14 +175,7 @@ class WebProcess:
         if process is None:
             return
         try:
-            await asyncio.to_thread(process.wait, END)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        except asyncio.CancelledError:
-            process.kill()
-            process.wait()
-            raise
+            await reap(process, END)
         finally:
             self._process = None
 
