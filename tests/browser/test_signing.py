@@ -84,7 +84,7 @@ def test_the_master_may_renew_what_a_phone_approved(
     check(phone, "delegated")
     phone.open("/log")
     expect(phone.page.locator("main")).to_contain_text("that the master renews")
-    assert "revoked" in site.run("master", "delegate", "--withdraw", *site.key)
+    assert "withdrew 1 delegation" in site.run("master", "delegate", "--withdraw", *site.key)
 
 
 def test_what_is_no_request_of_a_host_is_refused(phone: Window, check: PageCheck) -> None:
@@ -159,6 +159,8 @@ def test_without_a_master_pages_say_what_works_and_what_does_not(
     phone: Window, site: ConsoleSite, check: PageCheck
 ) -> None:
     site.master.stop()
+    phone.open("/")
+    expect(phone.page.locator("p.notice")).to_be_visible(timeout=SOON)  # by itself
     for path in ("/", "/who", "/way", "/log", f"/see{TOPIC}", "/node/lamp", "/privacy"):
         phone.open(path)
         notice = phone.page.locator("p.notice", has_text="The master does not answer.")
