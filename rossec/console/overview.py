@@ -22,7 +22,7 @@ _log = logging.getLogger("rossec.console")
 
 
 class Overview(NamedTuple):
-    """The home at one moment; `without_master`: the master does not answer, so there is no graph."""
+    """The home at one moment; `without_master`: it does not answer, so there is no graph."""
 
     nodes: tuple[NodeView, ...]
     held: tuple[HeldGrant, ...]

@@ -1,4 +1,4 @@
-"""Who else may sign: the master renews, another host signs; what waits for the key or the master."""
+"""Who else may sign: the master, another host; what waits for the key, or for the master."""
 
 import base64
 import re
