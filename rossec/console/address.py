@@ -1,19 +1,44 @@
 """Where the console of an authority is: written when it begins, for the commands that show codes.
 
+There is one at a time: phones belong to one address, and codes lead to it.
+
 A console that was killed leaves the file behind. That harms nobody: the address of a console that
 does not run answers nothing, and a code is worth nothing there.
 """
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from rossec import files
 from rossec.errors import ConfigurationError
+from rossec.operation.process_lock import process_lock
 
 NAME: Final = "console/address"  # in the authority's directory
+_LOCK: Final = "console/lock"
 _MAX: Final = 512
 _NONE: Final = ConfigurationError("no console runs", "start it in another terminal: rossec console")
+
+
+@contextmanager
+def only_console(directory: Path) -> Iterator[None]:
+    """Be the console of this authority; its address is removed in the end.
+
+    Raises:
+        ConfigurationError: another one runs.
+    """
+    (directory / _LOCK).parent.mkdir(mode=0o700, exist_ok=True)
+    busy = ConfigurationError(
+        "another console of this authority runs",
+        "end that one; to show the pages only: --read-only, and another --port",
+    )
+    with process_lock(directory / _LOCK, busy):
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                (directory / NAME).unlink()
 
 
 def write_address(directory: Path, origin: str) -> None:
@@ -34,9 +59,3 @@ def read_address(directory: Path) -> str:
         ConfigurationError: no console runs.
     """
     return files.read_own(directory / NAME, _MAX, _NONE).decode(errors="replace")
-
-
-def remove_address(directory: Path) -> None:
-    """Remove it: the console ended."""
-    with suppress(OSError):
-        (directory / NAME).unlink()

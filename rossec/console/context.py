@@ -11,6 +11,7 @@ from rossec import clock
 from rossec.authority.console.client import ConsoleClient
 from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
+from rossec.console.known_phones import KnownPhones
 from rossec.console.made_codes import MadeCodes
 from rossec.console.news import NewsFeed
 from rossec.console.pending import PendingActs
@@ -49,6 +50,7 @@ class ConsoleContext:
     preview: Preview | None = None
     clock: Callable[[], int] = clock.now
     sessions: Sessions = field(init=False)
+    phones: KnownPhones = field(init=False)
     news: NewsFeed = field(init=False)
     failures: FailureLimit = field(init=False)
     pending: PendingActs = field(init=False)
@@ -57,6 +59,7 @@ class ConsoleContext:
 
     def __post_init__(self) -> None:
         self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
+        self.phones = KnownPhones(self.service.phones)
         self.news = NewsFeed(self.service.status)
         self.failures = FailureLimit()
         self.pending = PendingActs()

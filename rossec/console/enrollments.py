@@ -62,6 +62,8 @@ class Enrollments:
         code, now = qr.parse(text), self._clock()
         code.check_time(now)
         destination = _destination(code, given_address)
+        for each in self._all.values():
+            each.check_time()  # nobody may look at the page of one that was left
         if len(self) >= MAX_RUNNING:
             raise TooManyEnrollments(
                 f"{MAX_RUNNING} nodes are being added already", "finish or reject one of them"

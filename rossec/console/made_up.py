@@ -26,13 +26,14 @@ _PER_SECOND: Final = 4
 def recorded(topic: str, type_name: str) -> Recorded | None:
     """A minute of the topic; None for a type that is not known here."""
     try:
-        return Recorded(topic, type_name, _messages(type_name), is_made_up=True)
+        return Recorded(topic, type_name, messages(type_name), is_made_up=True)
     except MessageError:
         return None
 
 
 @cache
-def _messages(type_name: str) -> tuple[tuple[float, bytes], ...]:
+def messages(type_name: str) -> tuple[tuple[float, bytes], ...]:
+    """Messages of the type with their seconds from the beginning; made once."""
     kind = message_type(type_name)
     make = _MAKERS.get(type_name, _anything)
     rare = type_name in _RARE

@@ -50,7 +50,7 @@ def render(
     loaded again when anything changes (`live.js`).
     """
     session = getattr(request.state, "session", None)
-    text = _environment().get_template(template).render(
+    text = environment().get_template(template).render(
         domain=context.settings.domain,
         session=session,
         places=_places(context) if session is not None else (),
@@ -71,24 +71,25 @@ def _places(context: ConsoleContext) -> tuple[Place, ...]:
 
 def render_text(template: str, **values: Any) -> str:
     """What a template makes of `values` alone: for a file instead of a page."""
-    return _environment().get_template(template).render(**values)
+    return environment().get_template(template).render(**values)
 
 
 @cache
-def _environment() -> Environment:
-    environment = Environment(
+def environment() -> Environment:
+    """The templates, with what they can use; made once."""
+    made = Environment(
         loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals["asset"] = asset_path
-    environment.filters["printable"] = printable
-    environment.filters["hex"] = bytes.hex
-    environment.filters["base64url"] = to_base64url
-    environment.filters["day"] = _day
-    environment.filters["ago"] = ago
-    environment.filters["address"] = quote  # of a name of ROS: its slashes stay
-    environment.filters["topic"] = topic
-    return environment
+    made.globals["asset"] = asset_path
+    made.filters["printable"] = printable
+    made.filters["hex"] = bytes.hex
+    made.filters["base64url"] = to_base64url
+    made.filters["day"] = _day
+    made.filters["ago"] = ago
+    made.filters["address"] = quote  # of a name of ROS: its slashes stay
+    made.filters["topic"] = topic
+    return made
 
 
 def _day(time: int) -> str:

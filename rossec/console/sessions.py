@@ -21,7 +21,8 @@ _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 class Session:
     """A login. `phone`: the passkey's name; empty: by a code, to look.
 
-    `seen` is the number of the last log entry that it was shown; None: none yet.
+    `passkey` is its credential id, as soon as that is known (`known_phones`). `seen` is the number
+    of the last log entry that it was shown; None: none yet.
     """
 
     id: bytes
@@ -29,6 +30,7 @@ class Session:
     began: int
     used: int
     seen: int | None = None
+    passkey: bytes = b""
 
 
 class Sessions:

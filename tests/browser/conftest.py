@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.browser import Chromium, Window, running_chromium
 from tests.support.consolesite import ConsoleSite, console_site, with_robot
-from tests.support.pagecheck import PageCheck
+from tests.support.pagecheck import PageCheck, from_environment
 from tests.support.person import set_up
 
 
@@ -36,5 +36,5 @@ def phone(chromium: Chromium, site: ConsoleSite) -> Iterator[Window]:
 
 
 @pytest.fixture(scope="session")
-def check(tmp_path_factory: pytest.TempPathFactory) -> PageCheck:
-    return PageCheck(tmp_path_factory.mktemp("pictures"))
+def check() -> PageCheck:
+    return from_environment()

@@ -1,6 +1,7 @@
 """Adding a node: its code by the camera, as a picture, as text; the card, the digits, the end."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,11 +9,21 @@ from PIL import Image
 from playwright.sync_api import expect
 
 from tests.support.browser import Chromium, Window
-from tests.support.consolesite import ConsoleSite, Program
+from tests.support.consolesite import ConsoleSite, Program, console_site
 from tests.support.pagecheck import PageCheck
 from tests.support.person import heading, press
 
 pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ConsoleSite]:
+    """An authority that knows the heating, and a console; no master is needed to enroll."""
+    with console_site(tmp_path_factory.mktemp("site")) as site:
+        site.start_authority()
+        site.enroll("/heating")
+        site.start_console()
+        yield site
 
 
 class NewNode:
@@ -49,6 +60,13 @@ def approve(phone: Window, label: str = "Approve") -> str:
     digits = phone.page.locator("p.digits")
     expect(digits).to_be_visible()
     return digits.inner_text()
+
+
+def test_a_camera_that_sees_no_code_goes_on(phone: Window, check: PageCheck) -> None:
+    phone.open("/add")
+    press(phone, "Scan with the camera")
+    expect(phone.page.locator("video")).to_be_visible()
+    check(phone, "add-camera")
 
 
 def test_by_the_camera(

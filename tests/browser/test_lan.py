@@ -3,19 +3,25 @@
 import shutil
 import socket
 import subprocess
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import uvicorn
 from cryptography import x509
 from playwright.sync_api import Error
+from starlette.types import ASGIApp
 
+from rossec.console.tls.hand_out import create_hand_out
 from rossec.console.tls.server_context import load, make_context
 from rossec.console.tls.store import DIRECTORY, open_authority
 from tests.rossec.console.tls.test_server_context import serving_once
-from tests.support.browser import running_chromium
-from tests.support.console_tls import NAME, bundle, foreign_leaf, new_key, pem
+from tests.support.browser import Chromium, running_chromium
+from tests.support.console_tls import NAME, bundle, foreign_leaf, new_authority, new_key, pem
 from tests.support.consolecommand import console
+from tests.support.pagecheck import PageCheck
 from tests.support.serviceprocess import ServiceProcess
 
 pytestmark = pytest.mark.browser
@@ -82,3 +88,30 @@ def test_a_browser_that_trusts_it_opens_the_console_and_no_other_site(
                 pytest.raises(Error, match="ERR_CERT_INVALID"),
             ):
                 window.open("/")
+
+
+@contextmanager
+def serving(app: ASGIApp) -> Iterator[str]:
+    """The application at a port of localhost; its origin."""
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+def test_the_page_that_hands_the_certificate_out_is_sound(
+    chromium: Chromium, check: PageCheck
+) -> None:
+    authority = new_authority()
+    app = create_hand_out(authority.data, f"https://{NAME}:7411", lambda: False)
+    with serving(app) as origin, chromium.window(origin) as window:
+        window.open("/")
+        check(window, "lan-hand-out", "phone", "phone-dark")
+        with window.page.expect_download() as download:
+            window.page.locator("a[href$='.crt']").first.click()
+        assert download.value.path().read_bytes() == authority.data

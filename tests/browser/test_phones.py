@@ -7,12 +7,21 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.support.browser import Chromium, Window
-from tests.support.consolesite import ConsoleSite
+from tests.support.consolesite import ConsoleSite, console_site
 from tests.support.pagecheck import PageCheck
 from tests.support.person import code_of, heading, log_in, press, set_up
 
 pytestmark = pytest.mark.browser
 DIGITS = re.compile(r"^\d{3}\s?\d{3}$")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ConsoleSite]:
+    """An authority and a console: no node is needed to log in."""
+    with console_site(tmp_path_factory.mktemp("site")) as site:
+        site.start_authority()
+        site.start_console()
+        yield site
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,14 @@ CAMERA: Final = "/robot/camera"
 _TYPES: Final = {
     POSE: "geometry_msgs/PoseStamped", SCAN: "sensor_msgs/LaserScan", CAMERA: "sensor_msgs/Image",
 }  # fmt: skip
+# Everything is asked; a coarser answer is possible, since the types are known.
+ASKED: Final = """
+rossec: 1
+robot: the robot at home
+defaults: {decision: prompt, prompt_timeout: 10m, lifetime: 7d}
+types: {/robot/pose: geometry_msgs/PoseStamped, /robot/scan: sensor_msgs/LaserScan}
+rules: []
+"""
 _WAIT_S: Final = 40.0
 _SHORT_CODES: Final = """import sys
 from rossec.authority.console import codes
@@ -136,6 +144,12 @@ class ConsoleSite:
     def grant(self, node: str, *permissions: str) -> None:
         """Sign a grant for a day, without a person."""
         self.run("grant", "sign", node, *permissions, "--for", "1d", *self.key)
+
+    def write_policy(self, text: str) -> None:
+        """Have the authority's policy say this."""
+        path = self.root / "ca" / "policy.yaml"
+        path.touch(0o600)
+        path.write_text(text)
 
     def start_authority(self, *options: str, code_lifetime: float = 0) -> Program:
         """Run `rossec ca serve`; its codes last `code_lifetime` seconds (0: as always)."""

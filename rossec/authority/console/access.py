@@ -131,7 +131,7 @@ class Access:
         check_page(origin, rp_id)
         with self._store() as store:
             found = store.passkeys.active()
-        _check_bound(found, origin, rp_id)
+        check_bound(found, origin, rp_id)
         challenge = self._make(Purpose.PASSKEY, origin, rp_id)
         return _shown(challenge, tuple(each.id for each in found))
 
@@ -145,7 +145,7 @@ class Access:
         """
         passkey = self._register(number, code, CodeUse.TERMINAL, name, registration)
         with self._store() as store, store.transaction():
-            _check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
+            check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
             store.passkeys.add(passkey)
             self._audit(f"adds the phone {name!a}, by a code from the terminal")
             self._codes.use(code, CodeUse.TERMINAL)
@@ -193,7 +193,12 @@ class Access:
         return contextlib.closing(self._work.home().store())
 
 
-def _check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
+def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
+    """Return if a page at `origin` is that of the passkeys that are known.
+
+    Raises:
+        OtherOrigin: it is another.
+    """
     for each in known:
         if (each.origin, each.rp_id) != (origin, rp_id):
             raise OtherOrigin(

@@ -102,7 +102,8 @@ class Approving:
                 phones = store.passkeys.active()
                 if not phones:
                     raise PasskeyUnknown(
-                        "there is no phone that could approve this", "rossec console phone"
+                        "there is no phone that could approve this",
+                        "set one up with a code from the terminal: rossec console phone",
                     )
                 statement = _state(store, kind, service.home.domain, at, wanted.what)
         statement.check_payload(wanted.payload)

@@ -1,9 +1,10 @@
 """One-time codes: what a person reads at the terminal, or at a phone that is there already.
 
 Only their SHA-256 is kept, in memory, and compared in constant time. A code is used once, for one
-purpose, within `LIFETIME`. After `MAX_FAILURES` wrong ones within a minute none is taken for a
-minute, right or wrong: a code has 128 bits, so this is against noise rather than guessing. Time is
-that of a clock that cannot be set.
+purpose, within `LIFETIME`. A code has 128 bits, so nobody guesses one: after `MAX_FAILURES` wrong
+ones within a minute those who send more are told to wait, but a right one is always taken. Else any
+stranger on the network could keep people out by being wrong. Time is that of a clock that cannot be
+set.
 """
 
 import base64
@@ -76,15 +77,14 @@ class Codes:
             self._codes.remove(self._find(text, use))
 
     def _find(self, text: str, use: CodeUse) -> _Code:
-        now = self._elapsed()
+        now, given = self._elapsed(), _digest(text)
+        found = [code for code in self._codes if hmac.compare_digest(code.digest, given)]
+        if found and found[0].use is use and now < found[0].end:
+            return found[0]
         if now < self._locked_until:
             raise PhoneCodeRefused(
                 "too many codes were wrong", f"wait {self._locked_until - now:.0f} seconds"
             )
-        given = _digest(text)
-        found = [code for code in self._codes if hmac.compare_digest(code.digest, given)]
-        if found and found[0].use is use and now < found[0].end:
-            return found[0]
         self._failures.append(now)
         if len(self._failures) == MAX_FAILURES and now - self._failures[0] < PERIOD:
             self._locked_until = now + PERIOD

@@ -179,7 +179,10 @@ def _put_in_force(
         check_record(authority, plan)
         for entry in revoked:
             authority.store.revoke(entry, f"policy, {approved.reason}", now)
-        conclude(authority.store, f"{plan.signs} grants signed, {len(revoked)} revoked")
+        conclude(
+            authority.store,
+            f"{plan.signs} grant{'' if plan.signs == 1 else 's'} signed, {len(revoked)} revoked",
+        )
 
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     return authority.issue_grants(drafts, now, check)

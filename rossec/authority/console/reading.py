@@ -35,6 +35,7 @@ from rossec.authority.keyservice.work import AuthorityWork
 KEPT: Final = 30 * 86400  # seconds for which ended grants are shown
 MAX_EVENTS: Final = 500  # of one answer
 MAX_APPROVALS: Final = 100
+_MAX_NUMBER: Final = (1 << 63) - 1  # of SQLite
 _MAX_ROWS: Final = 20_000  # grants that are looked at
 ROOM: Final = MAX_ANSWER - 64 * 1024
 _log = logging.getLogger("rossec.authority.service")
@@ -187,7 +188,8 @@ class Reading:
     def events(self, before: int, count: int) -> Value:
         """Entries of the log, newest first, before the number `before`; 0: the newest."""
         with self._store() as store:
-            found = store.log.newest(_count(count, MAX_EVENTS), before if before > 0 else None)
+            last = min(before, _MAX_NUMBER) if before > 0 else None
+            found = store.log.newest(_count(count, MAX_EVENTS), last)
         return bounded("entries", [EventView(*each[:5]) for each in found])
 
     def _store(self) -> contextlib.closing[Store]:

@@ -16,6 +16,7 @@ from ca.approvals.statement import Invitation, NewPasskey, RevokeMaster
 from ca.errors import PasskeyUnknown
 from ca.store.record import Store
 from rossec import clock
+from rossec.authority.console.access import check_bound
 from rossec.authority.console.acts import Approved, Arguments, Immediate, ToApprove, tried
 from rossec.authority.console.proposals import Proposals
 from rossec.authority.console.removals import checked_reason, keys_of
@@ -52,6 +53,7 @@ class PasskeyAct(Immediate):
     def admit(self, store: Store, approved: Approved, /) -> str | None:
         """Add it."""
         number, passkey = self._find(approved)
+        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
         store.passkeys.add(passkey._replace(approval=approved.id, at=approved.approval.at))
         self._proposals.drop(number)
         return f"{passkey.name} can approve"

@@ -19,6 +19,7 @@ from rossec.authority.keyservice import inner_messages
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
 from rossec.net.host.peeruid import UnixPeer
+from rossec.operation.reaping import reap
 from rossec.ros.text import printable
 
 CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
@@ -149,14 +150,7 @@ class FaceProcess:
         if process is None:
             return
         try:
-            await asyncio.to_thread(process.wait, _END)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        except asyncio.CancelledError:
-            process.kill()
-            process.wait()
-            raise
+            await reap(process, _END)
         finally:
             self._process = None
 

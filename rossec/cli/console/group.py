@@ -63,11 +63,11 @@ def console(
     is_demo: bool,
     **options: object,
 ) -> None:
-    """Show who sees what, and decide: pages for a browser. Ends with Ctrl-C.
+    """Show who sees what, and decide: pages for a browser, and the phones that approve.
 
-    They are at http://localhost:7411, for this user's programs alone. The authority's service has
-    to run: rossec ca serve. A phone that is set up approves with its lock; without one the pages
-    show, refuse and revoke. Other ways to get there are in docs/howto/the-console.md.
+    Ends with Ctrl-C. The pages are at http://localhost:7411, for this user's programs alone. The
+    authority's service has to run: rossec ca serve. A phone that is set up approves with its lock;
+    without one they show, refuse and revoke. Other ways: docs/howto/the-console.md.
     """
     if context.invoked_subcommand is not None:
         return

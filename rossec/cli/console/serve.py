@@ -4,7 +4,7 @@ import asyncio
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -13,7 +13,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.console.service import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
-from rossec.console.address import remove_address, write_address
+from rossec.console.address import only_console, write_address
 from rossec.console.options import (
     HAND_OUT_PORT,
     Endpoint,
@@ -111,12 +111,11 @@ def _preview(environment: Environment) -> "PreviewProcess":
 
 @contextmanager
 def _ending(home: AuthorityHome, environment: Environment, endpoint: Endpoint) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        notify(STOPPING, environment.variables)
-        if not endpoint.read_only:
-            remove_address(home.path)
+    with nullcontext() if endpoint.read_only else only_console(home.path):
+        try:
+            yield
+        finally:
+            notify(STOPPING, environment.variables)
 
 
 def _origins_of_phones(home: AuthorityHome) -> set[str]:

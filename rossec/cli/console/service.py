@@ -1,10 +1,11 @@
 """The authority's service as the console's commands ask it, and the code that they show."""
 
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from ca.enrollment import qr
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.console.options import LOCALHOST
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
@@ -33,4 +34,6 @@ def show_code(address: str) -> None:
     """Print an address with a code, and as a QR code."""
     say(qr.terminal(address))
     say(address)
+    if urlsplit(address).hostname == LOCALHOST:
+        say("for a browser of this computer; for a phone see: rossec console --help, --lan")
     say("works once, within 2 minutes; another one: rossec console phone")

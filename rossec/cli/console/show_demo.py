@@ -10,7 +10,8 @@ import click
 
 from rossec.cli.console.serve import check_libraries
 from rossec.cli.shared import invocation
-from rossec.console.options import PORT, Options
+from rossec.console.listening import listen
+from rossec.console.options import PORT, Options, read_options
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
 from rossec.demo.story import begin_story
 from rossec.errors import ConfigurationError
@@ -28,9 +29,20 @@ def show_demo(context: click.Context, options: Options) -> None:
     check_libraries()
     if options != Options(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
+    _check_port(options)
     run = partial(invocation.run, context.find_root().command)
     with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
         asyncio.run(_play(Path(directory), run, options.port or PORT))
+
+
+def _check_port(options: Options) -> None:
+    """Return if nobody listens there: before the story, which takes a while.
+
+    Raises:
+        ConfigurationError: another program does.
+    """
+    for sock in listen(read_options(options, "localhost")):
+        sock.close()
 
 
 async def _play(directory: Path, run: Run, port: int) -> None:

@@ -28,7 +28,9 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
     act = await approving.read(context, request.path_params["kind"], await read_form(request))
     made = await context.service.prepare(act.kind, *act.arguments)
     if not made.credentials:
-        raise HttpRefused("no phone is set up", "rossec console phone", status=409)
+        raise HttpRefused(
+            "no phone is set up", "get a code at the terminal: rossec console phone", status=409
+        )
     context.pending.add(made.id, request.state.session.id, act)
     return JSONResponse({
         "id": to_base64url(made.id),

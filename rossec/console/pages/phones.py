@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from ca.enrollment import qr
+from ca.enrollment.transcript import group_digits
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url, read_form, read_json
 from rossec.console.pages.login import check_pause, counted, read_registration
@@ -59,7 +60,7 @@ async def propose(request: Request, context: ConsoleContext) -> Response:
     check_pause(request, context)
     proposing = context.service.propose_passkey(read_registration(await read_json(request)))
     proposal = await counted(request, context, proposing)
-    return JSONResponse({"digits": proposal.digits})
+    return JSONResponse({"digits": group_digits(proposal.digits)})
 
 
 PAGES: Final = (

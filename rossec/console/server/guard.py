@@ -29,6 +29,7 @@ BODY: Final = 20.0  # seconds for a body to arrive
 WRITE: Final = 30.0  # seconds for a piece of an answer to be taken
 SAFE: Final = ("GET", "HEAD")
 SEE_OTHER: Final = 303
+LOG_OUT: Final = "/logout"  # also when the service does not answer
 _log = logging.getLogger("rossec.console")
 
 
@@ -97,6 +98,7 @@ RULES: Final = (
     GuardRule("session", _may_see, SEE_OTHER, "you are not logged in", "log in"),
     GuardRule("size", _is_bounded, 413, "this is too large", "send less"),
 )  # fmt: skip
+_NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 
 def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
@@ -170,7 +172,24 @@ class Guard:
         scope["state"]["session"] = session
         limit = 0 if match is None or match.page is None else match.page.max_body
         body = await _read_body(receive, limit)
+        if not await self._counts(session, match):
+            await self._answer(_NOT_LOGGED_IN, match, request)(scope, receive, send)
+            return
         await self._app(scope, _replay(body, receive), send)
+
+    async def _counts(self, session: Session | None, match: Match | None) -> bool:
+        """Whether the phone that began a session was not removed; if it was, the session ends.
+
+        Raises:
+            HintedError: the service does not say.
+        """
+        page = None if match is None else match.page
+        if session is None or page is None or page.access is Access.PUBLIC or page.path == LOG_OUT:
+            return True
+        counts = await self._context.phones.counts(session)
+        if not counts:
+            self._context.sessions.end(session)
+        return counts
 
     def _answer(self, rule: GuardRule, match: Match | None, request: Request) -> Response:
         """The answer to a request that breaks a rule."""

@@ -18,6 +18,7 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
+from rossec.console.server.peer import check_peer
 from rossec.errors import PeerUserRefused
 from rossec.net.host.peeruid import require_user
 from rossec.operation.unix_socket import raw_socket
@@ -26,6 +27,7 @@ HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or 
 MAX_HEAD: Final = 16 * 1024
 MAX_CONNECTIONS: Final = 256
 MAX_FOR_ONE: Final = 128  # connections of one address; a browser has six, and a page one for news
+MAX_STRANGERS: Final = 8  # connections of other users of this host; they are told, and no more
 KEEP_ALIVE: Final = 10  # seconds between two requests
 
 _log = logging.getLogger("rossec.console")
@@ -36,10 +38,13 @@ class BoundedProtocol(H11Protocol):
 
     _deadline: asyncio.TimerHandle | None = None
     proxy_users: frozenset[int] = frozenset()  # who may connect at a unix socket
+    users: frozenset[int] | None = None  # of localhost; None: anybody's programs may connect
+    is_strange = False  # of another user, who gets no page and takes no place
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
         super().connection_made(transport)
+        self.is_strange = self._is_of_a_stranger()
         if self._is_one_too_many() or not self._is_of_a_user(transport):
             transport.abort()
             return
@@ -71,13 +76,22 @@ class BoundedProtocol(H11Protocol):
         self.transport.abort()
 
     def _is_one_too_many(self) -> bool:
-        if len(self.connections) > MAX_CONNECTIONS:
+        known = [each for each in self.connections if isinstance(each, BoundedProtocol)]
+        open_now = [each for each in known if each.is_strange == self.is_strange]
+        if len(open_now) > (MAX_STRANGERS if self.is_strange else MAX_CONNECTIONS):
             return True
         if not self.client:  # a unix socket, that is a proxy
             return False
-        open_now = [each for each in self.connections if isinstance(each, BoundedProtocol)]
         addresses = [each.client[0] for each in open_now if each.client]
         return addresses.count(self.client[0]) > MAX_FOR_ONE
+
+    def _is_of_a_stranger(self) -> bool:
+        """Whether another user of this host connected; for counting, as the guard decides."""
+        try:
+            check_peer({"client": self.client, "server": self.server}, self.users)
+        except PeerUserRefused:
+            return True
+        return False
 
     def _is_of_a_user(self, transport: asyncio.Transport) -> bool:
         """Whether a proxy at a unix socket is of a user who may be one; TCP has its own check."""
@@ -113,6 +127,7 @@ class ConsoleServer:
         app: the application.
         context: for TLS; None: plain HTTP.
         proxy_users: user ids whose programs may connect at a unix socket.
+        users: user ids whose programs may connect on localhost; None: it is not there.
     """
 
     def __init__(
@@ -120,6 +135,7 @@ class ConsoleServer:
         app: ASGIApp,
         context: ssl.SSLContext | None = None,
         proxy_users: frozenset[int] = frozenset(),
+        users: frozenset[int] | None = None,
     ) -> None:
         self._config = Config(
             app, http=BoundedProtocol, ws="none", lifespan="off", interface="asgi3",
@@ -129,7 +145,7 @@ class ConsoleServer:
         self._config.load()
         self._state = ServerState()
         self._context = context
-        self._proxy_users = proxy_users
+        self._proxy_users, self._users = proxy_users, users
         self._servers: list[asyncio.Server] = []
 
     async def start(self, sockets: Iterable[socket.socket]) -> None:
@@ -145,7 +161,7 @@ class ConsoleServer:
 
     def _make(self, loop: asyncio.AbstractEventLoop) -> BoundedProtocol:
         made = BoundedProtocol(self._config, self._state, {}, loop)
-        made.proxy_users = self._proxy_users
+        made.proxy_users, made.users = self._proxy_users, self._users
         return made
 
     async def close(self) -> None:

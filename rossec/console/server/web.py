@@ -56,7 +56,9 @@ class WebProcess:
         self._scanner = ScannerClient(scanner)
         self._preview = None if preview is None else PreviewClient(preview)
         self._context = ConsoleContext(client, settings, self._scanner, self._preview)
-        self._server = ConsoleServer(create_app(self._context), context, settings.proxy_users)
+        self._server = ConsoleServer(
+            create_app(self._context), context, settings.proxy_users, settings.users
+        )
 
     async def run(self, supervisor: socket.socket, listening: Sequence[socket.socket]) -> None:
         """Serve until the supervisor ends its end of the socketpair.

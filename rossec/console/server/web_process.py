@@ -21,12 +21,13 @@ from rossec.console.scanning.supervisor import ScannerSupervisor
 from rossec.console.server import control
 from rossec.console.settings import Settings, write_settings
 from rossec.errors import ConfigurationError, KeyMessageRefused
+from rossec.operation.reaping import reap
 from rossec.operation.shutdown import until_first_ends
 
 MODULE: Final = "rossec.console.server.web"
 START: Final = 30.0  # seconds until it serves
 MAX_DELAY: Final = 60.0
-_END: Final = 5.0  # seconds between the end of the connection and SIGKILL
+END: Final = 5.0  # seconds between the end of the connection and SIGKILL
 _log = logging.getLogger("rossec.console")
 
 Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Awaitable[None]]
@@ -174,14 +175,7 @@ class WebProcess:
         if process is None:
             return
         try:
-            await asyncio.to_thread(process.wait, _END)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        except asyncio.CancelledError:
-            process.kill()
-            process.wait()
-            raise
+            await reap(process, END)
         finally:
             self._process = None
 

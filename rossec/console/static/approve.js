@@ -10,6 +10,9 @@ const base64url = (buffer) =>
 
 class Refused extends Error {}
 
+// What the authority says is as in a terminal: it begins small and has no full stop.
+const sentence = (text) => text[0].toUpperCase() + text.slice(1) + (/[.?!]$/.test(text) ? "" : ".");
+
 async function post(path, body) {
   const isForm = body instanceof URLSearchParams;
   const answer = await fetch(path, {
@@ -21,7 +24,7 @@ async function post(path, body) {
   }).catch(() => { throw new Refused("The console does not answer. Is it still running?"); });
   const value = await answer.json().catch(() => ({}));
   if (answer.status === 401) throw new Refused("You are no longer logged in. Load the page again.");
-  if (!answer.ok) throw new Refused([value.error, value.hint].filter(Boolean).join(". ") || "That did not work.");
+  if (!answer.ok) throw new Refused([value.error, value.hint].filter(Boolean).map(sentence).join(" ") || "That did not work.");
   return value;
 }
 
@@ -106,7 +109,7 @@ async function run(form, action) {
   document.body.dataset.busy = "";
   for (const button of buttons) button.disabled = true;
   try {
-    if (!window.PublicKeyCredential) throw new Refused("This browser has no passkeys here.");
+    if (!window.PublicKeyCredential) throw new Refused("This browser cannot have passkeys here, which approving needs. Use another browser, or only look.");
     const { next, digits } = await action();
     if (digits) return showDigits(digits);
     const target = new URL(next, location.origin);

@@ -8,6 +8,7 @@ import pytest
 from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
 from ca.store.record import CertificateRow, GrantRow, Store
+from tests.support import approving
 from tests.support.pki import Site, new_signer
 
 NOW, DAY = 1_800_000_000, 86_400
@@ -276,3 +277,27 @@ def test_the_grants_that_are_not_revoked(store: Store) -> None:
     assert [row.id[0] for row in store.unrevoked_grants(["/b"])] == [3]
     assert [row.id[0] for row in store.unrevoked_grants(["/b", "/a"])] == [2, 3]
     assert store.unrevoked_grants([]) == []
+
+
+def test_when_grants_were_signed_and_which_were_revoked(store: Store) -> None:
+    store.add_grant(grant(1), NOW)
+    store.add_grant(grant(2), NOW + 1)
+    store.revoke(grant(1).id, "no", NOW + 2)
+    assert store.signed_at() == {grant(1).id: NOW, grant(2).id: NOW + 1}
+    assert [row.id for row in store.revoked_grants()] == [grant(1).id]
+
+
+def test_an_event_without_a_table_is_logged(store: Store) -> None:
+    store.log_event("restored", "record", "from a backup", NOW)
+    last = store.log.entries()[-1]
+    assert (last.what, last.subject, last.detail) == ("restored", "record", "from a backup")
+
+
+def test_a_phone_that_is_removed_takes_what_waits_with_it(store: Store) -> None:
+    store.passkeys.add(approving.PASSKEY)
+    store.approvals.add(approving.approve(store))
+    store.remove_passkey(approving.PASSKEY.id, "lost", approving.NOW)
+    assert store.passkeys.active() == []
+    assert store.approvals.waiting() == []
+    (end,) = store.approvals.ends().values()
+    assert (end.state, end.result) == ("failed", "its phone was removed: lost")

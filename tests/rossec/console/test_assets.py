@@ -7,6 +7,11 @@ from rossec.console.headers import IMMUTABLE
 from tests.support.consolepages import Browser
 
 
+@pytest.fixture(autouse=True)
+def _read_anew() -> None:
+    assets.cache_clear()
+
+
 @pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.iterdir()))
 def test_a_file_is_served_under_its_digest(name: str) -> None:
     answer = Browser().get(asset_path(name))

@@ -90,6 +90,21 @@ async def test_the_number_of_enrollments_is_bounded(table: Table) -> None:
             enrollments.begin(robot.code)
 
 
+async def test_those_that_were_left_do_not_keep_others_out() -> None:
+    """Nobody looks at their pages any more, so nothing but the next one notices."""
+    now, changes = clock(), Changes()
+    enrollments = Enrollments(Service(), "home", lambda: now, changes)
+    with WaitingRobot(Robot()) as robot:
+        left = [enrollments.get(enrollments.begin(robot.code)) for _ in range(MAX_RUNNING)]
+        for found in left:
+            await changes.until(found, Stage.COMPARED, Stage.FAILED)
+        now = max(found.deadline for found in left) + 1
+        number = enrollments.begin(qr.label_code(b"a request"), "127.0.0.1:9")
+        assert all(found.is_over for found in left)
+        await changes.until(enrollments.get(number), Stage.FAILED)
+    await enrollments.close()
+
+
 async def test_the_oldest_that_ended_are_forgotten(table: Table) -> None:
     enrollments, changes = table
     text = qr.label_code(b"a request")

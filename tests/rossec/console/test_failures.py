@@ -32,8 +32,8 @@ def test_a_mapped_address_is_the_ipv4_one() -> None:
     assert failed("::ffff:192.0.2.1").is_blocked("192.0.2.1", 100)
 
 
-def test_a_proxys_socket_has_no_address() -> None:
-    assert failed("").is_blocked("", 100)
+def test_behind_a_proxy_which_hides_addresses_nobody_locks_out_all() -> None:
+    assert not failed("").is_blocked("", 100)
 
 
 def test_addresses_are_bounded() -> None:

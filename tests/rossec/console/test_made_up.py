@@ -7,6 +7,11 @@ from rossec.console.samples import see
 from rossec.participant.message_types import type_names
 
 
+@pytest.fixture(autouse=True)
+def _made_anew() -> None:
+    made_up.messages.cache_clear()
+
+
 def test_it_is_always_the_same() -> None:
     one = made_up.recorded("/a", "geometry_msgs/PoseStamped")
     assert one == made_up.recorded("/a", "geometry_msgs/PoseStamped")

@@ -4,6 +4,7 @@ import pytest
 from jinja2 import UndefinedError
 from starlette.requests import Request
 
+from rossec.console import rendering
 from rossec.console.context import ConsoleContext
 from rossec.console.rendering import NAVIGATION, render
 from rossec.console.routes import ROUTES
@@ -19,6 +20,7 @@ def request() -> Request:
 
 @pytest.fixture
 def context() -> ConsoleContext:
+    rendering.environment.cache_clear()
     return Browser().context
 
 

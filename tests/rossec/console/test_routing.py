@@ -16,20 +16,20 @@ async def nothing(*_: object) -> Response:
 GET = Page("/a/{id}", ("GET",), nothing)
 POST = Page("/a/{id}", ("POST",), nothing)
 FIXED = Page("/a/b", ("GET",), nothing)
-TABLE = PageTable((FIXED, GET, POST))
 
 
 def test_a_page_is_found_by_its_path_and_method() -> None:
+    table = PageTable((FIXED, GET, POST))
     for path, method, page in (
         ("/a/c", "GET", GET), ("/a/c", "HEAD", GET), ("/a/c", "POST", POST), ("/a/b", "GET", FIXED),
         ("/a/c", "PUT", None),
     ):  # fmt: skip
-        found = TABLE.find(path, method)
+        found = table.find(path, method)
         assert found is not None
         assert found.page is page
         assert found.methods == {"GET", "HEAD", "POST"}
     for path in ("/", "/a", "/a/", "/a/b/c", "/a/b/"):
-        assert TABLE.find(path, "GET") is None
+        assert table.find(path, "GET") is None
 
 
 def test_a_page_needs_a_session_unless_it_says_otherwise() -> None:

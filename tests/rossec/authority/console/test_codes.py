@@ -84,7 +84,7 @@ def test_codes_are_bounded(codes: Codes) -> None:
         codes.use(made[0], TERMINAL)
 
 
-def test_after_wrong_ones_none_is_taken_for_a_minute(codes: Codes, time: Time) -> None:
+def test_after_wrong_ones_only_a_right_one_is_taken(codes: Codes, time: Time) -> None:
     for wrong in ("", "x", "\udcff", "é" * 100):
         with pytest.raises(PhoneCodeRefused, match="not valid"):
             codes.use(wrong, TERMINAL)
@@ -93,10 +93,14 @@ def test_after_wrong_ones_none_is_taken_for_a_minute(codes: Codes, time: Time) -
     with pytest.raises(PhoneCodeRefused, match="not valid"):
         codes.check("fifth", PHONE)
     with pytest.raises(PhoneCodeRefused, match="too many codes were wrong") as caught:
-        codes.use(right, TERMINAL)
+        codes.use("sixth", TERMINAL)
     assert caught.value.hint == "wait 60 seconds"
-    time.now += PERIOD
     codes.use(right, TERMINAL)
+    with pytest.raises(PhoneCodeRefused, match="too many codes were wrong"):
+        codes.use(right, TERMINAL)
+    time.now += PERIOD
+    with pytest.raises(PhoneCodeRefused, match="not valid"):
+        codes.use(right, TERMINAL)
 
 
 def test_wrong_ones_now_and_then_do_not_add_up(codes: Codes, time: Time) -> None:

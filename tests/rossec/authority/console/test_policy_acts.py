@@ -40,7 +40,7 @@ def test_a_policy_is_put_in_force_in_the_right_order(acts: Acts) -> None:
     assert prepared.payload == LESS.encode()
     acts.pass_time(100)
     outcome = acts.touch(prepared)
-    assert (outcome.state, outcome.result) == ("done", "1 grants signed, 1 revoked")
+    assert (outcome.state, outcome.result) == ("done", "1 grant signed, 1 revoked")
     methods = [call.method for call in acts.calls]
     assert methods == ["rossec.depositGrants", "rossec.updateRevocations"]
     with acts.store() as store:

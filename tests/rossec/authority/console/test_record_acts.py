@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import parse
-from ca.errors import HintedError, PasskeyUnknown
+from ca.errors import HintedError, OtherOrigin, PasskeyUnknown
 from grants.errors import PatternRefused
 from rossec.authority.console.proposals import LIFETIME
 from rossec.authority.console.record_acts import CODES_KEPT, MAX_CODES
@@ -61,6 +61,16 @@ def test_a_proposal_that_ended_before_its_touch_is_not_added(acts: Acts) -> None
     acts.access.proposals.drop(proposal.id)
     with pytest.raises(PasskeyUnknown, match="does not wait any more"):
         acts.touch(prepared)
+
+
+def test_a_phone_of_another_page_than_the_others_is_not_added(acts: Acts) -> None:
+    """It was proposed before all phones were removed and the console got another name."""
+    other = registered(Passkey(), "Eve's phone", acts.now)._replace(origin="https://eve.example")
+    proposal = acts.access.proposals.add(other, acts.now)
+    with pytest.raises(OtherOrigin):
+        acts.approve("passkey", proposal.id)
+    with acts.store() as store:
+        assert [each.name for each in store.passkeys.all()] == ["Ann's phone"]
 
 
 def test_a_name_that_is_taken_is_refused_when_it_is_shown(acts: Acts) -> None:

@@ -13,6 +13,8 @@ def test_its_verbs_are_listed(empty: Shell) -> None:
 def test_without_a_verb_it_runs(empty: Shell) -> None:
     refused(empty("console"), "there is no authority")
     refused(empty("console", "phones"), "there is no authority")
+    refused(empty("console", "phones", "remove", "mine"), "there is no authority")
+    refused(empty("console", "--demo", "--lan"), "--demo is for localhost")
 
 
 def test_a_port_is_a_number(empty: Shell) -> None:

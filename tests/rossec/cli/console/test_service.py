@@ -30,3 +30,6 @@ def test_a_code_is_printed_as_text_and_picture(capsys: pytest.CaptureFixture[str
     out = capsys.readouterr().out
     assert out.startswith(qr.terminal("https://a/login#C"))
     assert "https://a/login#C\n" in out
+    assert "of this computer" not in out
+    show_code("http://localhost:7411/login#C")
+    assert "of this computer" in capsys.readouterr().out

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,13 @@ def test_a_part_that_ends_is_said(empty: Shell, monkeypatch: pytest.MonkeyPatch)
 
 def test_it_takes_a_port_and_nothing_else(empty: Shell) -> None:
     refused(empty("console", "--demo", "--read-only"), "--demo is for localhost", "--port")
+
+
+def test_a_port_in_use_is_said_before_the_story_begins(
+    empty: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roots = play(monkeypatch, ends=False)
+    with socket.create_server(("127.0.0.1", 0)) as used:
+        port = str(used.getsockname()[1])
+        refused(empty("console", "--demo", "--port", port), "already in use", "--port N")
+    assert roots == []

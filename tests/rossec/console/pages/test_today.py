@@ -63,6 +63,7 @@ def test_what_waits_comes_first_the_oldest_before_the_others() -> None:
 def test_a_locked_key_no_phone_and_no_master_are_said() -> None:
     made = page()
     made.home.remaining, made.home.phones = None, []
+    made.log_in("")  # by a code: no phone is set up
     made.home.refusals["graph"] = KeyServiceRefused("no master answers")
     text = made.get("/").text
     assert "key is locked" in text

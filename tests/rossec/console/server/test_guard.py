@@ -9,6 +9,7 @@ import pytest
 from starlette.responses import PlainTextResponse, Response
 
 from rossec.console.headers import HEADERS, HSTS, IMMUTABLE
+from rossec.console.known_phones import KnownPhones
 from rossec.console.routes import ROUTES
 from rossec.console.routing import PUBLIC, SESSION, Access, Match, Page, PageTable
 from rossec.console.server import guard as module
@@ -319,3 +320,14 @@ def test_another_user_of_the_host_is_refused(
 
 def test_the_session_cookie_is_for_this_host_alone() -> None:
     assert COOKIE.startswith("__Host-")
+
+
+def test_a_phone_that_was_removed_at_the_terminal_is_logged_out(browser: Browser) -> None:
+    browser.log_in()
+    assert browser.get("/phones").status_code == 200
+    browser.home.phones[0] = browser.home.phones[0]._replace(ended="it was stolen")
+    browser.context.phones = KnownPhones(browser.context.service.phones)  # some seconds later
+    for _ in range(2):
+        answer = browser.get("/phones")
+        assert (answer.status_code, answer.headers["location"]) == (303, "/login")
+    assert len(browser.context.sessions) == 0

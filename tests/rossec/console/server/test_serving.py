@@ -11,6 +11,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rossec.console.server import serving as module
 from rossec.console.server.serving import MAX_HEAD, ConsoleServer
+from rossec.errors import PeerUserRefused
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
 
@@ -111,6 +112,32 @@ async def test_connections_are_bounded_for_one_address_and_for_all(
                     assert b"200 OK" in await reader.read()
                     writer.transport.abort()
                 assert b"200 OK" in await ask(port, CLOSING)
+
+
+async def test_other_users_of_the_host_take_no_place_from_its_owner(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def check(scope: Scope, _users: object) -> None:
+        if scope["client"][0] == "127.0.0.2":
+            raise PeerUserRefused("another user")
+
+    monkeypatch.setattr(module, "check_peer", check)
+    monkeypatch.setattr(module, "MAX_CONNECTIONS", 2)
+    monkeypatch.setattr(module, "MAX_STRANGERS", 3)
+    async with serving() as port:
+        address = ("127.0.0.2", 0)
+        many = [
+            await asyncio.open_connection("127.0.0.1", port, local_addr=address) for _ in range(9)
+        ]
+        assert (await ask(port, CLOSING)).endswith(b"127.0.0.1")
+        for reader, writer in many[3:]:
+            with pytest.raises((ConnectionError, asyncio.IncompleteReadError)):
+                await reader.readexactly(1)
+            writer.transport.abort()
+        many[0][1].write(CLOSING)
+        assert (await many[0][0].read()).endswith(b"127.0.0.2"), "a few are told by the guard"
+        for _, writer in many:
+            writer.transport.abort()
 
 
 async def test_no_websocket() -> None:

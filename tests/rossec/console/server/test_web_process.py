@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
@@ -93,3 +94,27 @@ async def test_one_that_does_not_start_is_an_error(
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         assert web.pid is None
+
+
+async def test_one_that_breaks_the_protocol_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(module, "END", 0.1)
+    given: list[bytes] = []
+
+    async def certificates(install: Callable[[bytes], Awaitable[None]]) -> None:
+        await install(b"bundle")
+        given.append(b"bundle")
+        await asyncio.Event().wait()
+
+    options = WebOptions(Settings("home", ("https://localhost:1",)), tmp_path / "no")
+    with listening() as sock:
+        web = WebProcess(options, [sock], UNMEASURED, certificates, "tests.support.takenweb")
+        task = asyncio.ensure_future(web.run())
+        async with asyncio.timeout(30):
+            while "it is started again" not in caplog.text:  # noqa: ASYNC110 - a log has no event
+                await asyncio.sleep(0.05)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert "breaks the protocol: the web process says what is not for it to say" in caplog.text
+    assert given == [b"bundle"]
