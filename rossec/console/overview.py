@@ -3,6 +3,7 @@
 Without a master there is no graph and there are no denials: pages show the rest and say so.
 """
 
+import logging
 from typing import Final, NamedTuple
 
 from ca.errors import HintedError
@@ -14,18 +15,20 @@ from rossec.console.context import ConsoleContext
 from rossec.console.matrix import HeldGrant, Matrix, TopicRow, build, held_grants
 from rossec.console.pictures import looks
 from rossec.errors import HttpRefused, KeyServiceFailed
+from rossec.ros.text import printable
 
 MAX_REFUSED: Final = 12
+_log = logging.getLogger("rossec.console")
 
 
 class Overview(NamedTuple):
-    """The home at one moment; `without_master` is why there is no graph, empty if there is one."""
+    """The home at one moment; `without_master`: it does not answer, so there is no graph."""
 
     nodes: tuple[NodeView, ...]
     held: tuple[HeldGrant, ...]
     facts: tuple[FactView, ...]
     matrix: Matrix
-    without_master: str
+    without_master: bool
 
     def named(self, name: str) -> list[NodeView]:
         """The identities of a name: its newest first."""
@@ -44,12 +47,13 @@ async def load(context: ConsoleContext) -> Overview:
     nodes, grants = await context.service.nodes(), await context.service.grants()
     held = held_grants(nodes, grants, now)
     facts: tuple[FactView, ...] = ()
-    problem = ""
+    without_master = False
     try:
         facts = await context.service.graph()
     except HintedError as error:
-        problem = str(error)
-    return Overview(nodes, held, facts, build(held, facts, now), problem)
+        _log.info("there is no graph: %s", printable(error))
+        without_master = True
+    return Overview(nodes, held, facts, build(held, facts, now), without_master)
 
 
 async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:

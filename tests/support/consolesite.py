@@ -32,6 +32,12 @@ types: {/robot/pose: geometry_msgs/PoseStamped, /robot/scan: sensor_msgs/LaserSc
 rules: []
 """
 _WAIT_S: Final = 40.0
+_SHORT_CODES: Final = """import sys
+from rossec.authority.console import codes
+from rossec.cli.main import main
+codes.LIFETIME = {}
+main()
+"""
 
 
 class Program:
@@ -42,7 +48,7 @@ class Program:
         self._seen = 0
         with log.open("ab") as out:
             self.process = subprocess.Popen(
-                [sys.executable, "-I", "-m", *arguments], env=dict(environ),
+                [sys.executable, "-I", *arguments], env=dict(environ),
                 stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True,
             )  # fmt: skip
 
@@ -112,10 +118,13 @@ class ConsoleSite:
 
     def begin(self, module: str, *arguments: str, log: str, **variables: str) -> Program:
         """Start `python -m MODULE ARGUMENTS`."""
+        return self._start("-m", module, *arguments, log=log, **variables)
+
+    def _start(self, *arguments: str, log: str, **variables: str) -> Program:
         logs = self.root / "logs"
         logs.mkdir(mode=0o700, exist_ok=True)
         environ = {**self.environ, **variables}
-        program = Program(logs / f"{log}.log", environ, module, *arguments)
+        program = Program(logs / f"{log}.log", environ, *arguments)
         self.programs.append(program)
         return program
 
@@ -142,11 +151,12 @@ class ConsoleSite:
         path.touch(0o600)
         path.write_text(text)
 
-    def start_authority(self, *options: str) -> Program:
-        """Run `rossec ca serve`."""
+    def start_authority(self, *options: str, code_lifetime: float = 0) -> Program:
+        """Run `rossec ca serve`; its codes last `code_lifetime` seconds (0: as always)."""
         given = ("--join-address", self.join_address, *(options or ("--unlock-for", "0")))
-        self.authority = self.begin(
-            "rossec", "ca", "serve", "--json", *self.key, *given, log="authority"
+        how = ("-c", _SHORT_CODES.format(code_lifetime)) if code_lifetime else ("-m", "rossec")
+        self.authority = self._start(
+            *how, "ca", "serve", "--json", *self.key, *given, log="authority"
         )
         self.authority.said(r"^\{.*\}$")
         return self.authority

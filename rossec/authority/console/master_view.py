@@ -41,6 +41,7 @@ class MasterView:
         deliver: calls the master. Raises `NotDelivered`.
         elapsed: seconds of a clock that cannot be set.
         begin: calls a function in another thread.
+        came_back: called when the master answers again: something may wait for it.
     """
 
     def __init__(
@@ -49,11 +50,14 @@ class MasterView:
         deliver: Callable[[MasterCall], object],
         elapsed: clock.Seconds | None = None,
         begin: Callable[[Callable[[], None]], None] | None = None,
+        came_back: Callable[[], None] = lambda: None,
     ) -> None:
         self._work = work
         self._deliver = deliver
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._begin = begin or _in_thread
+        self._came_back = came_back
+        self._is_away = False
         self._asking = threading.Lock()  # held by the thread that asks
         self._begun = self._heard = self._standing_asked = float("-inf")
         self._view = GraphView()
@@ -103,8 +107,14 @@ class MasterView:
 
     def _ask_and_release(self) -> None:
         try:
-            with contextlib.suppress(NotDelivered, ConfigurationError, AnswerMalformed):
+            with contextlib.suppress(ConfigurationError, AnswerMalformed):
                 self._ask()
+            if self._is_away:
+                self._is_away = False
+                self._came_back()
+        except NotDelivered:  # what was heard is old: whoever looks is told now
+            self._changes += not self._is_away
+            self._is_away, self._heard = True, float("-inf")
         finally:
             self._asking.release()
 

@@ -74,7 +74,9 @@ class Console:
         of = Of(work, operations.audit, self.rounds.wake, self.access.counter)
         self.approving = Approving(of, acts_of(work, self.access, join_address))
         self.rounds.add(self.approving.carry_out_waiting, first=True)
-        self.master = MasterView(work, network.deliver if network else _fail)
+        self.master = MasterView(
+            work, network.deliver if network else _fail, came_back=self.rounds.wake
+        )
         self.service = ConsoleService(
             self.access,
             StatusLook(work, operations.held, self._has_master, self._seen),

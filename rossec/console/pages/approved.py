@@ -1,4 +1,4 @@
-"""What came of an approval: done, waiting for the key, or why not."""
+"""What came of an approval: done, waiting for the key or the master, or why not."""
 
 from typing import Final
 
@@ -26,8 +26,10 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     approval = next((each for each in approvals if each.id == number), None)
     # Of what was made, a bundle for another host is carried there; a join code is for `/invited`.
     is_carried = approval is not None and approval.kind == Kind.INTERMEDIATE
+    is_waiting = outcome.state == "waiting"
+    locked = is_waiting and (await context.service.status()).locked
     return render(
-        context, request, "approved.html", live=outcome.state == "waiting", outcome=outcome,
+        context, request, "approved.html", live=is_waiting, outcome=outcome, locked=locked,
         approval=approval, carried=outcome.data.decode(errors="replace") if is_carried else "",
     )  # fmt: skip
 

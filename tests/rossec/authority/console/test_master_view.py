@@ -59,7 +59,13 @@ class Looking:
     def __init__(self, root: Path) -> None:
         self.acts, self.master, self.elapsed = Acts(root), Master(), 100.0
         self.begun: list[Callable[[], None]] = []
-        self.view = MasterView(self.acts.work, self.master, lambda: self.elapsed, self.begun.append)
+        self.returns = 0
+        self.view = MasterView(
+            self.acts.work, self.master, lambda: self.elapsed, self.begun.append, self.returned
+        )
+
+    def returned(self) -> None:
+        self.returns += 1
 
     def look(self) -> int:
         """Ask, if that is due, and look again."""
@@ -138,6 +144,28 @@ def test_a_master_out_of_reach_or_malformed_ends_nothing(looking: Looking) -> No
         looking.elapsed += FRESH + 1
         with pytest.raises(NotDelivered, match="malformed"):
             looking.view.denials()
+
+
+def test_a_master_that_goes_is_told_at_once_and_one_that_comes_back_too(looking: Looking) -> None:
+    """What waits for it, an approval or a list, need not wait for the next round."""
+    before = looking.look()
+    looking.wait()
+    looking.master.reachable = False
+    away = looking.look()
+    assert away != before
+    with pytest.raises(NotDelivered):
+        looking.view.graph()
+    looking.wait()
+    assert looking.look() == away, "it is still away"
+    assert looking.returns == 0
+    looking.wait()
+    looking.master.reachable = True
+    looking.look()
+    assert looking.returns == 1
+    assert many(FactView, looking.view.graph()) == (FactView(*POSE),)
+    looking.wait()
+    looking.look()
+    assert looking.returns == 1
 
 
 def test_a_graph_without_end_is_refused(looking: Looking, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,11 +30,21 @@ def approved(state: str, kind: int = 2, data: bytes = b"", result: str = "") -> 
     ],
 )
 def test_each_state_is_told(state: str, says: str, is_live: bool) -> None:
-    text = approved(state, result="why it is so").get(PATH).text
+    browser = approved(state, result="why it is so")
+    browser.home.remaining = None
+    text = browser.get(PATH).text
     assert says in text
     assert "the doctor may see where the robot is" in text
     assert "why it is so" in text
     assert ("data-live" in text) is is_live
+
+
+def test_what_waits_for_the_master_is_not_said_to_wait_for_the_key() -> None:
+    text = approved("waiting").get(PATH).text
+    assert "It is not done yet" in text
+    assert "the master has to answer" in text
+    assert "locked" not in text
+    assert "data-live" in text
 
 
 def test_what_a_person_carries_to_a_host_is_shown() -> None:

@@ -69,6 +69,8 @@ def test_a_locked_key_no_phone_and_no_master_are_said() -> None:
     assert "key is locked" in text
     assert "No phone can approve yet" in text
     assert "The master does not answer" in text
+    assert "you can approve, refuse and end as always" in text
+    assert "no master answers" not in text, "an error is for the log"
     assert "Nothing waits for you" in text
 
 
