@@ -275,9 +275,9 @@ def _approval_ended(event: EventView, _: Known) -> _Told:
 APPROVED: Final[Mapping[str, str]] = {
     "enroll": "that a node joins",
     "grant": "a right",
-    "policy": "the policy",
+    "policy": "what the policy changes",
     "delegate": "that the master renews",
-    "intermediate": "an intermediate authority",
+    "intermediate": "that an intermediate authority signs",
     "passkey": "another phone",
     "invitation": "a join code",
     "foreign_domain": "another domain",

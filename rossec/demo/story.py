@@ -27,9 +27,11 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
     with demo.printer.step("master, robot and two receivers are enrolled by their QR codes"):
         await steps.enroll(demo)
     with demo.printer.step("the person who lives there decides who may see what"):
-        await steps.sign_grants(demo)
+        camera = await steps.sign_grants(demo)
     with demo.printer.step("they start, each its own process"):
-        await steps.start(demo)
+        _, doctor, _, _ = await steps.start(demo)
+    with demo.printer.step("the doctor's view of the camera is revoked"):
+        await steps.revoke(demo, doctor, camera)
     with demo.printer.step("the authority's service starts, then the console"):
         return await _start_console(demo, port)
 

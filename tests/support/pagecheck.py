@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import axe_playwright_python
+import numpy as np
 from PIL import Image
 
 from tests.support.browser import DESKTOP, PHONE, Scheme, Window
@@ -81,6 +82,15 @@ def accessibility(window: Window, *rules: str) -> list[str]:
     ]
 
 
+def _true_colours(few: Image.Image, full: Image.Image) -> None:
+    """Give each colour of `few` the usual one of what it stands for: a background keeps its own."""
+    palette, colours, which = few.getpalette() or [], np.asarray(full), np.asarray(few)
+    for number in np.unique(which):
+        usual = np.median(colours[which == number], axis=0)
+        palette[3 * number : 3 * number + 3] = map(int, usual)
+    few.putpalette(palette)
+
+
 def _shrink(path: Path) -> None:
     """The upper part, in fewer colours, then in fewer pixels, until the file is small enough."""
     with Image.open(path) as picture:
@@ -90,6 +100,7 @@ def _shrink(path: Path) -> None:
     for each, colours, most in ((full, 128, _ENOUGH), (half, 128, MAX_PICTURE), (half, 64, 0)):
         # By coverage: a rare colour is one that says something, as the green of what is whole.
         few = each.quantize(colours, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)
+        _true_colours(few, each)
         few.save(path, optimize=True)
         if path.stat().st_size < most:
             return

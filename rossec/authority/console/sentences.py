@@ -19,11 +19,12 @@ def sentence(statement: Statement, payload: bytes) -> str:
         case kinds.Grant():
             text = f"what {_holder(payload)} asked for"
         case kinds.PolicyChange():
-            text = "policy"
+            text = "the changed policy is in force"
         case kinds.Delegate(lifetime=lifetime):
             text = f"the master may renew grants for {format_duration(lifetime)}"
         case kinds.Intermediate(enrolls=enrolls):
-            text = "intermediate authority" + ", which enrolls nodes" * enrolls
+            new = "and enroll nodes" if enrolls else "for nodes known here"
+            text = f"an intermediate authority may renew identities {new}"
         case kinds.NewPasskey(name=name):
             text = f"phone {name}"
         case kinds.Invitation(pattern=pattern, uses=uses):

@@ -33,12 +33,24 @@ async def begin(
     async def step(_: DemoEnvironment) -> None:
         started.setdefault("steps", ())
 
+    async def sign(_: DemoEnvironment) -> str:
+        return "camera"
+
+    async def processes(_: DemoEnvironment) -> tuple[str, ...]:
+        return "robot", "doctor", "heating", "port"
+
+    async def revoke(_: DemoEnvironment, *what: str) -> None:
+        started["revoked"] = what
+
     async def start(_: DemoEnvironment, module: str, *arguments: str, name: str) -> Started:
         started[name] = (module, *arguments)
         return Started(reports[name])
 
-    for name in ("found_authority", "enroll", "sign_grants", "start"):
-        monkeypatch.setattr(steps, name, step)
+    for name, done in (
+        ("found_authority", step), ("enroll", step), ("sign_grants", sign), ("start", processes),
+        ("revoke", revoke),
+    ):  # fmt: skip
+        monkeypatch.setattr(steps, name, done)
     monkeypatch.setattr(DemoEnvironment, "start", start)
     demo = DemoEnvironment(root, StepPrinter(io.StringIO().write), {}, lambda *_: 0)
     return await begin_story(demo, 7499), started
@@ -52,7 +64,8 @@ async def test_the_service_is_unlocked_and_the_console_says_its_link(
 ) -> None:
     link, started = await begin(tmp_path, monkeypatch, READY)
     assert link == "link"
-    assert list(started) == ["steps", "authority", "console"]
+    assert list(started) == ["steps", "revoked", "authority", "console"]
+    assert started["revoked"] == ("doctor", "camera")
     assert started["console"] == ("rossec", "console", "--json", "--port", "7499")
     arguments = " ".join(started["authority"])
     assert "ca serve" in arguments
