@@ -85,7 +85,7 @@ def accessibility(window: Window, *rules: str) -> list[str]:
 def _true_colours(few: Image.Image, full: Image.Image) -> None:
     """Give each colour of `few` the usual one of what it stands for: a background keeps its own."""
     palette, colours, which = few.getpalette() or [], np.asarray(full), np.asarray(few)
-    for number in np.unique(which):
+    for number in map(int, np.unique(which)):
         usual = np.median(colours[which == number], axis=0)
         palette[3 * number : 3 * number + 3] = map(int, usual)
     few.putpalette(palette)
