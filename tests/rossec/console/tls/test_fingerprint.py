@@ -10,6 +10,7 @@ BIP39 = "2f5eed53a4727b4bf8880d8f3f199efc90e58503646d9ff8eff3a2ed3b24dbda"
 
 
 def test_the_words_are_those_of_bip_39() -> None:
+    fingerprint.words.cache_clear()
     listed = fingerprint.words()
     assert len(set(listed)) == 2048
     assert sha256("".join(f"{word}\n" for word in listed).encode()).hexdigest() == BIP39
