@@ -100,7 +100,7 @@ def test_of_two_browsers_at_one_question_one_wins_and_the_other_is_told(
         (lost,) = [each for each in (owner, other) if each not in won]
         assert len(won) == 1
         problem = lost.page.locator("[data-problem]:visible")
-        expect(problem).to_contain_text("this question was answered")
+        expect(problem).to_contain_text("This question was answered")
         lost.open(path)
         expect(lost.page.locator("h1")).to_have_text("This is answered")
     owner.page.unroute("**/approve/*")

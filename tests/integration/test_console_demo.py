@@ -78,15 +78,20 @@ def processes_in(directory: Path) -> list[str]:
 
 
 @pytest.fixture
-def demo(tmp_path: Path) -> Iterator[Demo]:
+def demo() -> Iterator[Demo]:
+    with tempfile.TemporaryDirectory() as directory:  # a short path, for sockets
+        yield from started(Path(directory))
+
+
+def started(directory: Path) -> Iterator[Demo]:
     environ = {key: text for key, text in os.environ.items() if not key.startswith("ROS")}
     process = subprocess.Popen(
         [ROSSEC, "console", "--demo", "--port", str(free_port())],
-        env={**environ, "TMPDIR": str(tmp_path)}, stdout=subprocess.PIPE,
+        env={**environ, "TMPDIR": str(directory)}, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
     try:
-        yield Demo(process, tmp_path, read_link(process))
+        yield Demo(process, directory, read_link(process))
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
