@@ -16,17 +16,23 @@ from tests.support.site import Site
 from tests.support.victim import STATE, attacked
 
 ASKER = """
-import rospy, rossec
+import sys, rospy, rossec
 rossec.secure()
 from std_msgs.msg import String
+
+def say(*words):
+    # One write: two threads must not share a line.
+    sys.stdout.write(" ".join(map(str, words)) + "\\n")
+    sys.stdout.flush()
+
 rospy.init_node("asker", anonymous=True)
-words = rospy.Subscriber("/robot/state", String, lambda m: print("HEARD", flush=True))
-print("HAS", rossec.ask("subscribe", "/robot/state", why="to look", wait=0.2), flush=True)
-print("HAS", rossec.ask("subscribe", "/robot/state", why="to look", wait=20), flush=True)
+words = rospy.Subscriber("/robot/state", String, lambda m: say("HEARD"))
+say("HAS", rossec.ask("subscribe", "/robot/state", why="to look", wait=0.2))
+say("HAS", rossec.ask("subscribe", "/robot/state", why="to look", wait=20))
 try:
     rossec.ask("dance", "/x", why="")
 except Exception as error:
-    print("NO", error, flush=True)
+    say("NO", error)
 rospy.spin()
 """
 
