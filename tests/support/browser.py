@@ -31,7 +31,7 @@ NARROW: Final = 360  # CSS pixels of the narrowest phones in use
 WAIT_MS: Final = 15_000
 _SCENE: Final = (640, 480)
 _FRAMES: Final = 8
-_TRIES: Final = 4
+_TRIES: Final = 10
 # A violation of the policy is an event of the document; not all of them reach the console.
 _TELL_VIOLATIONS: Final = """document.addEventListener("securitypolicyviolation", event =>
     console.error("CSP: " + event.violatedDirective + " " + event.blockedURI))"""
@@ -145,6 +145,7 @@ class Window:
         for _ in range(_TRIES):  # a live page loads itself again, and its worlds end
             with contextlib.suppress(Error):
                 return self._evaluated(expressions)
+            self.page.wait_for_timeout(300)
         return self._evaluated(expressions)
 
     def _evaluated(self, expressions: tuple[str, ...]) -> Any:
