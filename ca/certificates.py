@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import svid
+from ca.domains.aliases import refuse_alias
 from ca.errors import (
     CertificateExpired,
     CertificateNotYetValid,
@@ -46,6 +47,9 @@ class Identity:
     are the thumbprints of the intermediates in the chain: when one is revoked, so is this identity.
     `not_after` is the earliest one of the chain below the anchor.
     Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
+    For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
+    comparison of names can take it for a node of the own domain; `certified` is then the name in
+    its certificate (`ca.domains.anchors` sets both).
     """
 
     domain: str
@@ -58,10 +62,21 @@ class Identity:
     certificate: bytes
     wildcard: bool = False
     issuers: tuple[bytes, ...] = ()
+    certified: str = ""
+
+    @property
+    def certified_name(self) -> str:
+        """The name in the certificate, by which the node calls itself."""
+        return self.certified or self.name
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it is a node of a foreign domain."""
+        return self.certified != ""
 
     def covers(self, name: str) -> bool:
-        """Whether the holder may use `name`: the certified one, or one with a certified tail."""
-        return covers(self.name, name, wildcard=self.wildcard)
+        """Whether the holder may call itself `name`: as certified, or with a certified tail."""
+        return covers(self.certified_name, name, wildcard=self.wildcard)
 
     @property
     def keys(self) -> tuple[bytes, ...]:
@@ -204,6 +219,7 @@ def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
 def _name(expected: str, uri: str, *, wildcard: bool) -> str:
     try:
         domain, name = parse_spiffe_id(uri)
+        refuse_alias(name)
         if wildcard:
             check_wildcard(name)
     except NameRefused as error:

@@ -34,6 +34,10 @@ class NameRefused(CAError):
     """A text that is not an absolute ROS name, a trust domain or a SPIFFE ID."""
 
 
+class PatternRefused(NameRefused):
+    """A pattern that is not a name in which whole segments may be wildcards."""
+
+
 class KeyRefused(CAError):
     """A key, or a key file, that may not be used."""
 
@@ -80,6 +84,14 @@ class ClocksDisagree(RevocationRefused):
 
 class RollbackRefused(RevocationRefused):
     """A revocation list older than one already seen, or a second one under the same number."""
+
+
+class DomainsRefused(CAError):
+    """A list of foreign domains that is malformed, forged, or older than one already seen."""
+
+
+class NotAdmitted(CertificateRefused):
+    """A node of a foreign domain that is not listed, not any more, or not with this name."""
 
 
 class Revoked(CAError):

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ca.encoding import Value, decode, encode, head, parse
 from ca.errors import EncodingError, NameRefused
-from grants.errors import FilterRefused, GrantMalformed, PatternRefused
+from grants.errors import FilterRefused, GrantMalformed
 from grants.model import (
     ALL_RIGHTS,
     KEY_SIZE,
@@ -94,7 +94,7 @@ def read(body: bytes, grant_id: bytes) -> Grant:
     """
     try:
         return _read_grant(_closed_map(_decode_claims(body), _CLAIMS, _CLAIMS, "claim"), grant_id)
-    except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
+    except (FilterRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a grant: {error}", error.hint) from None
 
 
@@ -169,7 +169,7 @@ def read_scope(scope: bytes) -> tuple[Permission, ...]:
     """
     try:
         return _permissions(scope)
-    except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
+    except (FilterRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a scope: {error}", error.hint) from None
 
 

@@ -11,10 +11,6 @@ class GrantError(HintedError):
     """Base class of the errors of `grants`."""
 
 
-class PatternRefused(GrantError):
-    """A name pattern that is not exactly in its syntax."""
-
-
 class GrantMalformed(GrantError):
     """A grant outside the closed schema: unknown, missing or impossible content."""
 

@@ -12,8 +12,8 @@ from enum import IntFlag
 from typing import Any, Final, Self, TypeAlias
 
 from ca.names import check_name
+from ca.patterns import check_pattern, covers, covers_tree
 from grants.errors import FilterRefused, GrantMalformed
-from grants.names import check_pattern, covers, covers_tree
 
 Scalar: TypeAlias = bool | int | float | str
 

@@ -8,9 +8,9 @@ For parameters a whole namespace can be checked, without a list of the names in 
 from bisect import bisect_left
 from collections.abc import Iterable
 
+from ca import patterns
 from ca.errors import NameRefused
 from ca.names import check_name
-from grants import names
 from grants.model import TREE_RIGHTS, Permission, Right
 
 
@@ -49,7 +49,9 @@ class Reach:
         sets = self._parameter_sets(right)
         return sets is not None and (
             _prefix(namespace).startswith(sets[1])
-            or any(names.covers_below(permission.pattern, namespace) for _, permission in sets[2])
+            or any(
+                patterns.covers_below(permission.pattern, namespace) for _, permission in sets[2]
+            )
         )
 
     def touches(self, right: Right, namespace: str) -> bool:
@@ -61,7 +63,7 @@ class Reach:
         sets = self._parameter_sets(right)
         return sets is not None and (
             _touches(_prefix(namespace), sets[1])
-            or any(names.touches(permission.pattern, namespace) for _, permission in sets[2])
+            or any(patterns.touches(permission.pattern, namespace) for _, permission in sets[2])
         )
 
     def patterns(self, right: Right) -> int:

@@ -17,9 +17,9 @@ from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, NameRefused, SignatureError
 from ca.keys.signer import Signer
 from ca.names import check_name
-from grants.errors import GrantForged, GrantMalformed, PatternRefused
+from ca.patterns import check_pattern
+from grants.errors import GrantForged, GrantMalformed
 from grants.model import ALL_RIGHTS, Right
-from grants.names import check_pattern
 
 REQUEST: Final = Profile("rossec-request+cwt")
 MAX_RIGHTS: Final = 64
@@ -86,7 +86,7 @@ def peek_request(data: bytes) -> GrantRequest:
     """
     try:
         return _read(REQUEST.peek(data))
-    except (SignatureError, EncodingError, PatternRefused, NameRefused) as error:
+    except (SignatureError, EncodingError, NameRefused) as error:
         raise GrantMalformed(f"not a request for a grant: {error}") from None
 
 

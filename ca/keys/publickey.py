@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from ca.errors import KeyRefused
 
 THUMBPRINT_SIZE: Final = 32
+_COORDINATE: Final = 32
 
 # The deterministic COSE_Key {1: 2 (EC2), -1: 1 (P-256), -2: x, -3: y} has a fixed shape.
 _HEAD: Final = bytes.fromhex("a40102200121 5820")
@@ -38,3 +39,26 @@ def thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
     """
     point = require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
     return hashlib.sha256(_HEAD + point[1:33] + _BETWEEN + point[33:]).digest()
+
+
+def to_coordinates(key: ec.EllipticCurvePublicKey) -> bytes:
+    """Return x and y of a P-256 key, 64 octets.
+
+    Raises:
+        KeyRefused: not a P-256 key.
+    """
+    return require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)[1:]
+
+
+def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
+    """Return the P-256 key with the coordinates x and y, 64 octets.
+
+    Raises:
+        KeyRefused: not a point of the curve.
+    """
+    if len(data) != 2 * _COORDINATE:
+        raise KeyRefused("a key of a wrong length where x and y are expected")
+    try:
+        return ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x04" + data)
+    except ValueError:
+        raise KeyRefused("the key is not a point of P-256") from None

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ca.names import check_name
+from ca.patterns import check_pattern
 from grants.errors import PolicyRefused
 from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge
-from grants.names import check_pattern
 from grants.policy.index import Hit, Index, applied, hits
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.patterns import gives, overlaps

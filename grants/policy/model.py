@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
+from ca.patterns import covers
 from grants.model import FilterRule, Restriction, Right
-from grants.names import covers
 
 EVERYONE: Final = "*"
 MINUTE, HOUR, DAY = 60, 3600, 86400

@@ -8,9 +8,9 @@ import re
 from collections.abc import Collection
 from typing import Final, Literal, TypeAlias
 
-from grants.errors import GrantError
+from ca.errors import NameRefused
+from ca.patterns import check_pattern
 from grants.model import MAX_RATE
-from grants.names import check_pattern
 from grants.policy.mistakes import Mistakes, suggest
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
@@ -92,7 +92,7 @@ def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
         return None
     try:
         return check_pattern(value)
-    except GrantError as error:
+    except NameRefused as error:
         mistakes.add(part, f"{what}: {error}", error.hint)
         return None
 

@@ -14,8 +14,9 @@ from xml.etree.ElementTree import ParseError
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
-from grants.errors import PatternRefused, PolicyRefused
-from grants.names import check_pattern
+from ca.errors import PatternRefused
+from ca.patterns import check_pattern
+from grants.errors import PolicyRefused
 from grants.policy.editing import NewRule, add_rules, empty, free_id
 
 MAX_SIZE: Final = 4 * 1024 * 1024

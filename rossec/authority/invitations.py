@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 
 from ca.enrollment.invitation import SECRET_SIZE, InvitationCode
 from ca.names import RESERVED, check_name, check_wildcard
+from ca.patterns import check_pattern
 from ca.revocation.state import RevocationList
 from ca.store.invitations import InvitationRow, InvitationUse
 from ca.store.record import Store
-from grants.names import check_pattern
 from rossec.authority.home import AuthorityHome
 from rossec.authority.joining import source
 from rossec.authority.signing import SigningAuthority

@@ -30,12 +30,12 @@ from ca.errors import (
     TooManyRequests,
 )
 from ca.names import RESERVED
+from ca.patterns import covers
 from ca.requests import IdentityRequest, check_request
 from ca.store.invitations import InvitationRow, InvitationUse
 from ca.store.lifecycle import RequestRow, RequestState
 from ca.store.record import Store
 from ca.store.rows import CertificateRow
-from grants.names import covers
 from rossec.authority.signing import SigningAuthority
 
 MAX_WAITING: Final = 16  # requests of one invitation that wait for a person

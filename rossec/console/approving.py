@@ -13,8 +13,8 @@ from typing import Final, NamedTuple, Protocol
 
 from ca.encoding import Value
 from ca.names import check_name, check_wildcard
+from ca.patterns import check_pattern
 from ca.requests import MAX_REQUEST
-from grants.names import check_pattern
 from rossec import clock
 from rossec.authority.console.views import IdentityRequestView, Outcome
 from rossec.console.enrollment import Enrollment

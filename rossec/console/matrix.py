@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import Final, NamedTuple
 
+from ca.patterns import covers
 from grants.document import peek
 from grants.model import Grant, Permission, Restriction, Right, merge
-from grants.names import covers
 from rossec.authority.console.views import FactView, GrantView, NodeView
 from rossec.console import words
 from rossec.ros.text import printable

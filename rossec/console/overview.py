@@ -6,9 +6,8 @@ Without a master there is no graph and there are no denials: pages show the rest
 import logging
 from typing import Final, NamedTuple
 
-from ca.errors import HintedError
-from grants.errors import PatternRefused
-from grants.names import check_pattern
+from ca.errors import HintedError, PatternRefused
+from ca.patterns import check_pattern
 from rossec.authority.console.views import DenialView, FactView, GrantQuestion, NodeView
 from rossec.console import made_up
 from rossec.console.context import ConsoleContext

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from grants.errors import FilterRefused, GrantMalformed, PatternRefused
+from ca.errors import PatternRefused
+from grants.errors import FilterRefused, GrantMalformed
 from grants.model import (
     Draft,
     FilterRule,

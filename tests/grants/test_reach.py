@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ca.patterns import check_pattern
 from grants.model import ALL_RIGHTS, Permission, Right
-from grants.names import check_pattern
 from grants.reach import Reach
-from tests.grants.test_names import COVERED, NOT_COVERED
+from tests.ca.test_patterns import COVERED, NOT_COVERED
 
 segments = st.sampled_from(["a", "ab", "b"])
 names = st.lists(segments, min_size=1, max_size=4).map(lambda parts: "/" + "/".join(parts))

@@ -6,10 +6,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
-from ca.errors import NameRefused
+from ca.errors import NameRefused, PatternRefused
 from ca.keys.signer import KeySigner
 from grants.document import GRANT
-from grants.errors import GrantForged, GrantMalformed, PatternRefused
+from grants.errors import GrantForged, GrantMalformed
 from grants.model import Right
 from grants.request import (
     MAX_AGE,

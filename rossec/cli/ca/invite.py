@@ -9,7 +9,7 @@ import click
 
 from ca.enrollment import ndef, qr
 from ca.enrollment.invitation import InvitationCode
-from grants.names import check_pattern
+from ca.patterns import check_pattern
 from grants.policy.projected_grants import projected_for_names
 from rossec import files
 from rossec.authority.home import AuthorityHome

@@ -14,7 +14,7 @@ from ca.enrollment import invitation, ndef
 from ca.enrollment.invitation import InvitationCode
 from ca.errors import CertificateRefused, CodeRefused
 from ca.names import RESERVED
-from grants.names import covers
+from ca.patterns import covers
 from rossec import files
 from rossec.authority.home import fingerprint
 from rossec.cli.shared.context import Environment, now, pass_environment, reraise_interrupt

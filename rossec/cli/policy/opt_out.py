@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
+from ca.patterns import check_pattern
 from grants import document
-from grants.names import check_pattern
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options

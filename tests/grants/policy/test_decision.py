@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.errors import NameRefused
-from grants.errors import GrantError, PatternRefused, PolicyRefused
+from ca.errors import NameRefused, PatternRefused
+from ca.patterns import covers
+from grants.errors import GrantError, PolicyRefused
 from grants.model import ALL_RIGHTS, Right
-from grants.names import covers
 from grants.policy.decision import Decider, restriction_lines, span
 from grants.policy.model import Effect, Policy, Subject
 from tests.grants.policy.policies import HEADER, HEATING, decide, node, policy, rules

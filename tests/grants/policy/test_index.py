@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ca.patterns import covers
 from grants.model import ALL_RIGHTS, Right
-from grants.names import covers
 from grants.policy.index import Index, hits
 from grants.policy.model import (
     Clause,

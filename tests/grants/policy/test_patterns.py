@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ca.patterns import covers, covers_tree
 from grants.model import Right
-from grants.names import covers, covers_tree
 from grants.policy.patterns import gives, includes, intersects, intersects_tree, overlaps
 
 patterns = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=3).map(

@@ -3,9 +3,8 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.join_messages import RefuseReason
-from ca.errors import NameRefused
+from ca.errors import NameRefused, PatternRefused
 from ca.revocation.state import open_list
-from grants.errors import PatternRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import (
     InvitationStatus,

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from ca.errors import EnrollmentOver, HintedError, NameRefused
-from grants.errors import PatternRefused
+from ca.errors import EnrollmentOver, HintedError, NameRefused, PatternRefused
 from rossec.authority.console.messages import PREPARED
 from rossec.authority.console.views import IdentityRequestView, Outcome
 from rossec.console import approving

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import NameRefused
-from grants.errors import PatternRefused
+from ca.errors import NameRefused, PatternRefused
 from grants.model import Right
 from grants.request import open_request
 from rossec.errors import ConfigurationError

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import parse
-from ca.errors import HintedError, OtherOrigin, PasskeyUnknown
-from grants.errors import PatternRefused
+from ca.errors import HintedError, OtherOrigin, PasskeyUnknown, PatternRefused
 from rossec.authority.console.proposals import LIFETIME
 from rossec.authority.console.record_acts import CODES_KEPT, MAX_CODES
 from rossec.authority.console.views import Proposal

@@ -8,9 +8,8 @@ names must be resolved by the caller, or they are refused. Names are ASCII: homo
 from collections.abc import Sequence
 from functools import lru_cache
 
-from ca.errors import NameRefused
+from ca.errors import NameRefused, PatternRefused
 from ca.names import check_name
-from grants.errors import PatternRefused
 
 _WILDCARDS = ("*", "**")
 

@@ -4,10 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.errors import NameRefused
+from ca.errors import NameRefused, PatternRefused
 from ca.names import MAX_NAME, check_name
-from grants.errors import PatternRefused
-from grants.names import check_pattern, covers, covers_below, covers_tree, touches
+from ca.patterns import check_pattern, covers, covers_below, covers_tree, touches
 
 COVERED = [
     ("/a", "/a"),
