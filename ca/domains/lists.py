@@ -30,7 +30,7 @@ ALL_RIGHTS: Final = 255  # bits, docs/spec/grant.md section 2
 _EXP, _IAT, _EPOCH, _SEQ, _DOMAINS, _MASTERS = 4, 6, -70001, -70002, -70031, -70036
 _INT_LIMIT: Final = 1 << 53
 
-Rule = tuple[str, int]
+NameRights = tuple[str, int]
 """A pattern of names, and the bits of the rights on them."""
 
 
@@ -55,8 +55,8 @@ class ForeignDomain:
     admitted: tuple[str, ...]
     fresh: int
     until: int
-    exported: tuple[Rule, ...] | None = None
-    imported: tuple[Rule, ...] | None = None
+    exported: tuple[NameRights, ...] | None = None
+    imported: tuple[NameRights, ...] | None = None
 
     def __post_init__(self) -> None:
         check_domain(self.domain)
@@ -214,8 +214,8 @@ def _domain(item: Value) -> ForeignDomain:
             raise DomainsRefused("a domain of the list has missing or unknown fields")
 
 
-def _rules(value: Any) -> tuple[Rule, ...]:
-    rules: list[Rule] = []
+def _rules(value: Any) -> tuple[NameRights, ...]:
+    rules: list[NameRights] = []
     for item in value if isinstance(value, list) else [value]:
         match item:
             case [str() as pattern, int() as rights]:
@@ -225,7 +225,7 @@ def _rules(value: Any) -> tuple[Rule, ...]:
     return tuple(rules)
 
 
-def _check_rules(rules: tuple[Rule, ...]) -> None:
+def _check_rules(rules: tuple[NameRights, ...]) -> None:
     if len(rules) > MAX_RULES:
         raise DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
     for pattern, rights in rules:
