@@ -11,6 +11,8 @@ from ca.names import (
     check_name,
     check_wildcard,
     covers,
+    is_master,
+    is_reserved,
     parse_spiffe_id,
     spiffe_id,
 )
@@ -139,6 +141,25 @@ def test_the_master_and_the_authority_are_covered_by_nobody_else(name: str) -> N
         assert covers(name, reserved, wildcard=True) == (name == reserved)
     for end in range(2, len("/master")):
         assert not covers("/master"[:end], "/master", wildcard=True)
+
+
+MASTERS = ["/master", "/master/kitchen", "/master/a_1"]
+NO_MASTERS = ["/masters", "/master/a/b", "/a/master", "/master_1", "/ca", "/mast", "/master/1", ""]
+
+
+@pytest.mark.parametrize("name", MASTERS)
+def test_the_names_of_masters_are_reserved(name: str) -> None:
+    assert is_master(name)
+    assert is_reserved(name)
+    assert not covers("/master/a", "/master/a_1", wildcard=True)
+    with pytest.raises(NameRefused, match="is a single node"):
+        check_wildcard(name)
+
+
+@pytest.mark.parametrize("name", NO_MASTERS)
+def test_other_names_are_not_those_of_masters(name: str) -> None:
+    assert not is_master(name)
+    assert is_reserved(name) == (name == "/ca")
 
 
 def test_reserved_names_have_no_tail() -> None:
