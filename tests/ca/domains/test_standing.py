@@ -15,7 +15,7 @@ from ca.errors import (
 )
 from ca.keys.publickey import thumbprint, to_coordinates
 from ca.revocation.state import SKEW, Revocations
-from tests.support.domains import SomeNode, Pair, domains, foreign, revoked, revoked_tree
+from tests.support.domains import Pair, SomeNode, domains, foreign, revoked, revoked_tree
 from tests.support.pki import DAY, NOW, Site
 
 A, B = b"a" * 16, b"b" * 16
