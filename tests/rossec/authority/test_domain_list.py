@@ -7,7 +7,7 @@ from ca.domains.anchors import Anchors
 from ca.domains.lists import open_domains
 from ca.keys.publickey import to_coordinates
 from rossec.authority import domain_list
-from tests.support import domains
+from tests.support import trust
 from tests.support.site import DAY, Site
 
 
@@ -89,7 +89,7 @@ def test_the_keys_of_masters_that_are_revoked_or_over_leave_the_list(
 def test_an_accepted_domain_is_listed_until_its_time_is_over(
     home: Site, hospital: Site, clock: Clock
 ) -> None:
-    data = domains.accept(home, hospital, "clinic", lifetime=DAY)
+    data = trust.accept(home, hospital, "clinic", lifetime=DAY)
     (entry,) = open_domains(data, home.anchor).domains
     assert (entry.domain, entry.label, entry.until) == ("hospital", "clinic", home.now() + DAY)
     assert domain_list.required_domains(home.authority.store, home.now()) == (entry,)
@@ -103,16 +103,16 @@ def test_an_accepted_domain_is_listed_until_its_time_is_over(
 
 def test_a_removed_domain_is_cut_by_the_next_list(home: Site, hospital: Site) -> None:
     anchors = Anchors(home.anchor)
-    assert anchors.update(domains.accept(home, hospital)) == frozenset()
+    assert anchors.update(trust.accept(home, hospital)) == frozenset()
     chain = [hospital.identity("/robot").certificate]
     assert anchors.verify(chain, home.now()).name == "/remote/hospital/robot"
-    assert anchors.update(domains.remove(home, "hospital")) == {"hospital"}
+    assert anchors.update(trust.remove(home, "hospital")) == {"hospital"}
     assert not is_due(home)
     home.authority.store.log.audit(home.anchor.public_key)
 
 
 def test_an_old_list_is_signed_anew(home: Site, hospital: Site, clock: Clock) -> None:
-    domains.accept(home, hospital, lifetime=100 * DAY)
+    trust.accept(home, hospital, lifetime=100 * DAY)
     clock.at += domain_list.REFRESH
     assert not is_due(home)
     clock.at += 1
@@ -123,7 +123,7 @@ def test_an_old_list_is_signed_anew(home: Site, hospital: Site, clock: Clock) ->
 
 
 def test_a_new_epoch_beats_every_list_before(home: Site, hospital: Site) -> None:
-    before = open_domains(domains.accept(home, hospital), home.anchor)
+    before = open_domains(trust.accept(home, hospital), home.anchor)
     listed = domain_list.sign(
         home.authority.authority, home.authority.store, home.now(), new_epoch=True
     )
