@@ -51,7 +51,7 @@ class ListedDomain:
             raise NotAdmitted(f"a foreign node has no alias here: {error}") from error
         return replace(
             identity, name=alias, certified=identity.name, wildcard=False,
-            not_after=min(identity.not_after, entry.until - 1),
+            not_after=min(identity.not_after, entry.until - 1), root=self.anchor.thumbprint,
         )  # fmt: skip
 
 
