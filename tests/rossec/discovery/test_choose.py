@@ -90,6 +90,6 @@ async def test_the_best_master_that_answers_is_chosen(
     far.name = "/master/kitchen"
     other = await choose.discover_master({**environ, "ROSSEC_MASTER": far.name}, "/robot")
     assert other["ROS_MASTER_URI"] == "http://192.0.2.7:11311"
-    with pytest.raises(MasterNotFound, match="/master/hall does not .*, but /master, /master/kit"):
+    with pytest.raises(MasterNotFound, match=r"/master/hall does not .*, but /master, /master/kit"):
         await choose.discover_master({**environ, "ROSSEC_MASTER": "/master/hall"}, "/robot")
     assert choose.uri_of(far) == "http://192.0.2.7:11311"
