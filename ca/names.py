@@ -16,11 +16,9 @@ from ca.errors import NameRefused
 
 MAX_NAME: Final = 255
 AUTHORITY: Final = "/ca"  # the authority's own node
-MASTER: Final = "/master"  # a master; others of the domain are /master/<segment>
-# Nodes trust the holders of these names, and of masters' (`is_reserved`); no wildcard covers them.
-RESERVED: Final = frozenset({MASTER, AUTHORITY})
+MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
-_OTHER_MASTER: Final = re.compile(rf"{MASTER}/[A-Za-z][A-Za-z0-9_]*")
+_OTHER_MASTER: Final = re.compile(r"/master/[A-Za-z][A-Za-z0-9_]*")
 _TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
 _DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
 _SCHEME: Final = "spiffe://"
@@ -64,16 +62,6 @@ def check_domain(text: str) -> str:
     return text
 
 
-def is_master(name: str) -> bool:
-    """Whether `name` is one that a master is certified for: `/master` or `/master/<segment>`."""
-    return name == MASTER or _OTHER_MASTER.fullmatch(name) is not None
-
-
-def is_reserved(name: str) -> bool:
-    """Whether nodes trust the holder of `name` for the name's sake: masters, the authority."""
-    return name == AUTHORITY or is_master(name)
-
-
 def covers(name: str, asked: str, *, wildcard: bool) -> bool:
     """Whether an identity for `name`, with or without a wildcard tail, may use the name `asked`.
 
@@ -85,6 +73,16 @@ def covers(name: str, asked: str, *, wildcard: bool) -> bool:
     if not wildcard or len(asked) > MAX_NAME or is_reserved(asked) or not asked.startswith(name):
         return False
     return _TAIL.fullmatch(asked, len(name)) is not None
+
+
+def is_master_name(name: str) -> bool:
+    """Whether a master is certified for `name`: `/master`, or `/master` and one segment."""
+    return name == MASTER or _OTHER_MASTER.fullmatch(name) is not None
+
+
+def is_reserved(name: str) -> bool:
+    """Whether nodes trust the holder of `name`, so that no wildcard covers it."""
+    return name == AUTHORITY or is_master_name(name)
 
 
 def check_wildcard(name: str) -> str:

@@ -10,7 +10,7 @@ import sqlite3
 from collections.abc import Callable
 
 from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
-from ca.names import MASTER, is_master
+from ca.names import MASTER, is_master_name
 from ca.store.database import Database
 from ca.store.log_entries import digest_of
 from ca.store.rows import INTERMEDIATE, CertificateRow
@@ -50,7 +50,7 @@ class IdentityTable:
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
             MASTER, *_beginning(f"{MASTER}/"), now,
         )  # fmt: skip
-        return self.with_valid_issuer([row for row in found if is_master(row.name)])
+        return self.with_valid_issuer([row for row in found if is_master_name(row.name)])
 
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
         """Those not expired whose own key is not revoked: the ones that can still be revoked."""
