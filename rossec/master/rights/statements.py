@@ -326,7 +326,7 @@ class TrustState:
     def _verifier(self) -> Verifier:
         anchor = self._anchor
         return Verifier(
-            anchor.public_key, anchor.domain, self._signer.public_key, self.number,
+            anchor.public_key, anchor.domain, (self._signer.public_key,), self.number,
             self._revocations.check,
         )  # fmt: skip
 
