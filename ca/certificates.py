@@ -49,7 +49,7 @@ class Identity:
     Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
     comparison of names can take it for a node of the own domain; `certified` is then the name in
-    its certificate (`ca.domains.anchors` sets both).
+    its certificate, `root` the thumbprint of the foreign root (`ca.domains.anchors` sets them).
     """
 
     domain: str
@@ -63,6 +63,7 @@ class Identity:
     wildcard: bool = False
     issuers: tuple[bytes, ...] = ()
     certified: str = ""
+    root: bytes = b""
 
     @property
     def certified_name(self) -> str:

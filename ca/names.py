@@ -16,9 +16,9 @@ from ca.errors import NameRefused
 
 MAX_NAME: Final = 255
 AUTHORITY: Final = "/ca"  # the authority's own node
-# Nodes trust the holders of these names; no wildcard covers them.
-RESERVED: Final = frozenset({"/master", AUTHORITY})
+MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
+_OTHER_MASTER: Final = re.compile(r"/master/[A-Za-z][A-Za-z0-9_]*")
 _TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
 _DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
 _SCHEME: Final = "spiffe://"
@@ -70,18 +70,28 @@ def covers(name: str, asked: str, *, wildcard: bool) -> bool:
     """
     if asked == name:
         return True
-    if not wildcard or len(asked) > MAX_NAME or asked in RESERVED or not asked.startswith(name):
+    if not wildcard or len(asked) > MAX_NAME or is_reserved(asked) or not asked.startswith(name):
         return False
     return _TAIL.fullmatch(asked, len(name)) is not None
+
+
+def is_master_name(name: str) -> bool:
+    """Whether a master is certified for `name`: `/master`, or `/master` and one segment."""
+    return name == MASTER or _OTHER_MASTER.fullmatch(name) is not None
+
+
+def is_reserved(name: str) -> bool:
+    """Whether nodes trust the holder of `name`, so that no wildcard covers it."""
+    return name == AUTHORITY or is_master_name(name)
 
 
 def check_wildcard(name: str) -> str:
     """Return `name` if an identity for it may have a wildcard tail.
 
     Raises:
-        NameRefused: it is the name of the master or of the authority.
+        NameRefused: it is the name of a master or of the authority.
     """
-    if name in RESERVED:
+    if is_reserved(name):
         raise NameRefused(
             f"{name} is a single node and cannot have a wildcard tail",
             "anonymous nodes need a name of their own",

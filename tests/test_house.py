@@ -180,7 +180,6 @@ RETIRED: Final = {
     "Spare": "BufferPool",
     "spared": "exceptions",
     "Stand": "ModuleProxy",
-    "Standing": "NodeContext",
     "State": "RequestState",
     "Step": "NegotiationStep",
     "SubscriberLink": "SubscriberConnection",

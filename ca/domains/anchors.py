@@ -51,7 +51,7 @@ class ListedDomain:
             raise NotAdmitted(f"a foreign node has no alias here: {error}") from error
         return replace(
             identity, name=alias, certified=identity.name, wildcard=False,
-            not_after=min(identity.not_after, entry.until - 1),
+            not_after=min(identity.not_after, entry.until - 1), root=self.anchor.thumbprint,
         )  # fmt: skip
 
 
@@ -115,7 +115,7 @@ class Anchors:
             )
         if data == held.data:
             return frozenset()
-        listed = [ListedDomain(each, TrustAnchor.load(each.root)) for each in new.domains]
+        listed = [ListedDomain(each, each.anchor) for each in new.domains]
         masters = tuple(from_coordinates(key) for key in new.masters)
         if persist is not None:
             persist(data)

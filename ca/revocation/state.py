@@ -44,14 +44,23 @@ _HINT_STALE: Final = "check that the master is running and reachable, and both c
 
 
 class Revocations:
-    """The newest list of one authority, and the last confirmation that it is the newest."""
+    """The newest list of one authority, and the last confirmation that it is the newest.
+
+    Attributes:
+        fresh: how old a confirmation may be, seconds; None: what each one says (`max_age`). Another
+            value is for foreign domains: 30 s would end visits with every outage of the line.
+    """
 
     def __init__(
-        self, anchor_key: ec.EllipticCurvePublicKey, floor: tuple[int, int] = NO_FLOOR
+        self,
+        anchor_key: ec.EllipticCurvePublicKey,
+        floor: tuple[int, int] = NO_FLOOR,
+        fresh: int | None = None,
     ) -> None:
         """Start without a list; lists below `floor` = (epoch, seq) are refused."""
         self._key = anchor_key
         self._floor = floor
+        self.fresh = fresh
         self._list: RevocationList | RevocationTree | None = None
         self._data = b""
         self._entries: frozenset[bytes] = frozenset()
@@ -87,13 +96,17 @@ class Revocations:
         """The last second at which `check` may succeed; 0 if there is none."""
         if self._list is None or self._confirmed is None:
             return self._relied_until
-        return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
+        return min(self._end(self._confirmed), self._list.expires - 1)
 
     def status_valid_until(self, entry: bytes) -> int:
         """As `fresh_until`, for one entry: a proof may take as long as a confirmation."""
         if self._complete or entry in self._absent:
             return self.fresh_until
         return min(self.fresh_until, self._received + MAX_AGE)
+
+    def is_proved(self, entry: bytes) -> bool:
+        """Whether it is known if `entry` is revoked, confirmed or not."""
+        return self._complete or entry in self._absent or entry in self._entries
 
     @property
     def unproved(self) -> list[bytes]:
@@ -175,7 +188,7 @@ class Revocations:
             raise RevocationRefused("the timestamp claims to be valid for too long")
         if timestamp.issued > now + SKEW:
             raise ClocksDisagree("the timestamp is from the future", "check both clocks")
-        if timestamp.issued + timestamp.max_age < now:
+        if self._end(timestamp) < now:
             raise ClocksDisagree("the timestamp is too old", "check both clocks")
         if self._confirmed is None or not self._is_replay(self._confirmed, timestamp, now):
             self._confirmed = timestamp
@@ -229,6 +242,10 @@ class Revocations:
             )
         if now < max(self._list.issued, self._confirmed.issued) - SKEW:
             raise RevocationsStale("the clock is behind the revocation list", "set the clock")
+
+    def _end(self, timestamp: Timestamp) -> int:
+        """The last second of a confirmation."""
+        return timestamp.issued + (timestamp.max_age if self.fresh is None else self.fresh)
 
     def _check_number(self, new: RevocationList | RevocationTree) -> None:
         if new.number < self._floor:

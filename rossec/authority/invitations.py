@@ -9,7 +9,7 @@ from hashlib import sha256
 from typing import Final, NamedTuple
 
 from ca.enrollment.invitation import SECRET_SIZE, InvitationCode
-from ca.names import RESERVED, check_name, check_wildcard
+from ca.names import check_name, check_wildcard, is_reserved
 from ca.patterns import check_pattern
 from ca.revocation.state import RevocationList
 from ca.store.invitations import InvitationRow, InvitationUse
@@ -80,7 +80,7 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
-    if pattern in RESERVED:
+    if is_reserved(pattern):
         raise ConfigurationError(
             f"{pattern} is reserved: no invitation is for it",
             f"enroll it in person: rossec node enroll {pattern}",

@@ -29,7 +29,7 @@ from ca.errors import (
     StoreError,
     TooManyRequests,
 )
-from ca.names import RESERVED
+from ca.names import is_reserved
 from ca.patterns import covers
 from ca.requests import IdentityRequest, check_request
 from ca.store.invitations import InvitationRow, InvitationUse
@@ -114,7 +114,7 @@ def _asked(
     found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
     if found.name != request.name or found.wildcard != invitation.wildcard:
         raise RequestRefused("the request is not the one that was proved")
-    if found.name in RESERVED or not covers(invitation.pattern, found.name):
+    if is_reserved(found.name) or not covers(invitation.pattern, found.name):
         raise NameRefused(f"the invitation is not for {found.name}")
     return found
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.encoding import Value, encode
 from ca.errors import RevocationRefused
-from ca.names import RESERVED
+from ca.names import is_reserved
 from ca.revocation.lists import MAX_ENTRIES
 from ca.revocation.tree import MAX_LEAVES
 from ca.store.record import Store
@@ -159,7 +159,7 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> set[Subj
         else [row for name in names for row in store.identities.valid(name, now)]
     )
     newest = {row.name: row.thumbprint for row in found if row.name.startswith("/")}
-    return {Subject(name, key) for name, key in newest.items() if name not in RESERVED}
+    return {Subject(name, key) for name, key in newest.items() if not is_reserved(name)}
 
 
 def _recorded(

@@ -13,8 +13,8 @@ from ca.cose import Profile
 from ca.encoding import Value
 from ca.errors import CAError
 from ca.keys.signer import Signer
+from ca.names import is_master_name
 from rossec.errors import AnnouncementRefused
-from rossec.ros.names import MASTER
 from rossec.ros.text import printable
 
 PROFILE: Final = Profile("rossec-announcement+cwt")
@@ -24,13 +24,15 @@ SKEW: Final = 5
 INSTANCE_SIZE: Final = 8
 _MAX_HOST: Final = 255
 _MAX_CHAIN: Final = 2
-_IAT, _MAX_AGE, _HOST, _PORT, _INSTANCE, _SEQ, _CHAIN = (
+_VERSION_LIMIT: Final = 1 << 31  # as XML-RPC's integers
+_IAT, _MAX_AGE, _HOST, _PORT, _INSTANCE, _SEQ, _VERSION, _CHAIN = (
     6,
     -70005,
     -70011,
     -70012,
     -70013,
     -70014,
+    -70015,
     33,
 )
 
@@ -45,6 +47,8 @@ class Announcement:
         instance: 8 random bytes, new at every start.
         seq: counts the announcements of one instance.
         issued, max_age: seconds; it is valid until `issued + max_age`.
+        version: of its graph, a hint to ask it now; None: it does not say, as masters before
+            rossec knew several of them, whose nodes refuse an announcement that has one.
     """
 
     host: str
@@ -53,6 +57,7 @@ class Announcement:
     seq: int
     issued: int
     max_age: int = MAX_AGE
+    version: int | None = None
 
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
@@ -63,9 +68,13 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
     """
     _check(announcement)
     certificates: list[Value] = [*chain]
+    version: dict[int | str, Value] = (
+        {} if announcement.version is None else {_VERSION: announcement.version}
+    )
     data = PROFILE.sign(
         signer,
         {
+            **version,
             _IAT: announcement.issued,
             _MAX_AGE: announcement.max_age,
             _HOST: announcement.host,
@@ -92,7 +101,7 @@ class Claim:
     chain: tuple[bytes, ...]
 
     def verify_chain(self, anchor: TrustAnchor, revoked: frozenset[bytes], now: int) -> Identity:
-        """The identity it claims: the master that the authority certified.
+        """The identity it claims: a master that the authority certified.
 
         Raises:
             AnnouncementRefused: not the master of this trust domain, or revoked.
@@ -101,7 +110,7 @@ class Claim:
             identity = anchor.verify(self.chain, now)
         except CAError as error:
             raise _foreign(error) from error
-        if identity.name != MASTER:
+        if identity.is_foreign or not is_master_name(identity.name):
             raise AnnouncementRefused(f"{identity.name} announces itself as a master")
         if not revoked.isdisjoint(identity.keys):
             raise AnnouncementRefused("the master that announces itself is revoked")
@@ -145,8 +154,11 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
             6: int() as issued, -70005: int() as max_age, -70011: str() as host,
             -70012: int() as port, -70013: bytes() as instance, -70014: int() as seq,
             33: list() as items, **rest,
-        } if not rest:  # fmt: skip
-            announcement = Announcement(host, port, instance, seq, issued, max_age)
+        } if rest.keys() <= {_VERSION}:  # fmt: skip
+            version = rest.get(_VERSION)
+            if version is not None and not isinstance(version, int):
+                raise AnnouncementRefused("the announcement's version is no number")
+            announcement = Announcement(host, port, instance, seq, issued, max_age, version)
         case _:
             raise AnnouncementRefused("the announcement has missing or unknown fields")
     _check(announcement)
@@ -157,11 +169,20 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
 
 
 def _check(announcement: Announcement) -> None:
-    numbers = (announcement.port, announcement.seq, announcement.issued, announcement.max_age)
+    version = 0 if announcement.version is None else announcement.version
+    numbers = (
+        version,
+        announcement.port,
+        announcement.seq,
+        announcement.issued,
+        announcement.max_age,
+    )
     if any(isinstance(number, bool) or number < 0 for number in numbers):
         raise AnnouncementRefused("a number in the announcement is out of range")
     if not 0 < announcement.port < 1 << 16 or not 1 <= announcement.max_age <= MAX_AGE:
         raise AnnouncementRefused("the announcement's port or age is out of range")
+    if version >= _VERSION_LIMIT:
+        raise AnnouncementRefused("the announcement's version is out of range")
     if len(announcement.instance) != INSTANCE_SIZE:
         raise AnnouncementRefused(f"the announcement's instance has not {INSTANCE_SIZE} bytes")
     host = announcement.host

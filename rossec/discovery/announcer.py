@@ -1,11 +1,19 @@
-"""The master's side: announce its address on every link, periodically."""
+"""The master's side: announce its address on every link, periodically.
+
+The announcement carries the version of the master's graph. Nodes of rossec before there were
+several masters refuse a field they do not know; for them `/master` sends the same once more without
+the version, with the same number: others take it for a duplicate before they check a signature.
+"""
 
 import asyncio
 import logging
 import secrets
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 from typing import Final
 
+from ca.names import MASTER
 from rossec import clock
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.discovery.announcement import INSTANCE_SIZE, Announcement, sign
@@ -17,8 +25,19 @@ PERIOD: Final = 0.5  # enough in four seconds to measure the loss
 _log = logging.getLogger("rossec.master")
 
 
-async def announce(credentials: Credentials, uri: str, *, period: float = PERIOD) -> None:
+async def announce(
+    credentials: Credentials,
+    uri: str,
+    *,
+    name: str = MASTER,
+    version: Callable[[], int] = lambda: 0,
+    period: float = PERIOD,
+) -> None:
     """Announce the master at `uri` until cancelled.
+
+    Args:
+        name: its certified name.
+        version: of its graph now; counts up.
 
     Raises:
         ConfigurationError: other hosts cannot reach it there.
@@ -37,10 +56,20 @@ async def announce(credentials: Credentials, uri: str, *, period: float = PERIOD
     try:
         for seq in count():
             announcement = Announcement(host, port, instance, seq, clock.now())
-            sent = group.send(sign(credentials.signer, credentials.chain, announcement)) > 0
+            links = [
+                group.send(sign(credentials.signer, credentials.chain, form))
+                for form in _forms(announcement, name, version())
+            ]
+            sent = any(links)
             if sent is not was_sent:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")
             was_sent = sent
             await asyncio.sleep(period)
     finally:
         group.close()
+
+
+def _forms(announcement: Announcement, name: str, version: int) -> Iterator[Announcement]:
+    yield replace(announcement, version=version % (1 << 31))
+    if name == MASTER:
+        yield announcement

@@ -38,6 +38,7 @@ class Candidate:
     """One master on one link. `rtt` is None until a probe has reached it."""
 
     key: bytes
+    name: str
     source: DatagramSource
     announcement: Announcement
     heard: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_WINDOW))
@@ -138,7 +139,7 @@ class Candidates:
         self._budget.note_verified(source)
         self._remember(announcement, source)
         self._check_newer(identity.thumbprint, announcement)
-        return self._take(identity.thumbprint, source, announcement, now, clock)
+        return self._take(identity, source, announcement, now, clock)
 
     def _identity(self, claim: Claim, source: DatagramSource, now: int, clock: float) -> Identity:
         """Verify the chain of the claim, or use the cached identity; charges the budget."""
@@ -154,14 +155,22 @@ class Candidates:
         return identity
 
     def _take(
-        self, key: bytes, source: DatagramSource, announcement: Announcement, now: int, clock: float
+        self,
+        identity: Identity,
+        source: DatagramSource,
+        announcement: Announcement,
+        now: int,
+        clock: float,
     ) -> Candidate:
         self._forget(now)
+        key = identity.thumbprint
         found = self._candidates.get((key, source))
         if found is None and len(self._candidates) >= MAX_CANDIDATES:
             raise AnnouncementRefused("more masters announce themselves than the limit allows")
         if found is None or found.announcement.instance != announcement.instance:
-            found = self._candidates[key, source] = Candidate(key, source, announcement)
+            found = self._candidates[key, source] = Candidate(
+                key, identity.name, source, announcement
+            )
         found.announcement = announcement
         found.heard.append((announcement.seq, clock))
         return found

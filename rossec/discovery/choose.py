@@ -6,21 +6,22 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import CAError
-from ca.names import check_name
+from ca.names import MASTER, check_name
 from rossec import clock
 from rossec.discovery.candidates import Candidate
 from rossec.discovery.finder import PATIENCE, find
 from rossec.environment import own_home
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
 from rossec.saved_revocations import saved_revocations
 
 VARIABLE: Final = "ROS_MASTER_URI"
+OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
 DISCOVER: Final = "discover:"
 
 
 async def discover_master(environ: Mapping[str, str], identity: str | None) -> dict[str, str]:
-    """`environ`, with the URI of the best master found where discovery was asked for.
+    """`environ`, with the URI of the best link to its master where discovery was asked for.
 
     Args:
         identity: the node that will use it, whose authority certifies the master; None: any node of
@@ -31,7 +32,15 @@ async def discover_master(environ: Mapping[str, str], identity: str | None) -> d
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
-    best, *_ = await masters(own_home(environ), identity)
+    wanted = environ.get(OWN_MASTER) or MASTER
+    found = await masters(own_home(environ), identity)
+    best = next((one for one in found if one.name == wanted), None)
+    if best is None:
+        others = ", ".join(sorted({one.name for one in found}))
+        raise MasterNotFound(
+            f"{wanted} does not announce itself, but {others}",
+            f"to work with another master set {OWN_MASTER} to its name",
+        )
     return {**environ, VARIABLE: uri_of(best)}
 
 

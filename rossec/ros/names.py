@@ -8,12 +8,13 @@ read in `rossec.ros.settings`.
 from collections.abc import Iterator, Mapping
 from typing import Final
 
+from ca import names
 from ca.names import check_name
 
 SEPARATOR: Final = "/"
 PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
-MASTER: Final = "/master"  # the name a master is certified for
+MASTER: Final = names.MASTER  # the name a domain's first master is certified for
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
 PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node

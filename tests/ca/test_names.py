@@ -6,14 +6,17 @@ from hypothesis import strategies as st
 
 from ca.errors import NameRefused
 from ca.names import (
-    RESERVED,
     check_domain,
     check_name,
     check_wildcard,
     covers,
+    is_master_name,
+    is_reserved,
     parse_spiffe_id,
     spiffe_id,
 )
+
+RESERVED = ("/ca", "/master", "/master/kitchen")
 
 names = st.from_regex(r"(/[A-Za-z][A-Za-z0-9_]{0,9}){1,8}", fullmatch=True)
 domains = st.from_regex(r"[a-z0-9._-]{1,30}", fullmatch=True)
@@ -139,6 +142,20 @@ def test_the_master_and_the_authority_are_covered_by_nobody_else(name: str) -> N
         assert covers(name, reserved, wildcard=True) == (name == reserved)
     for end in range(2, len("/master")):
         assert not covers("/master"[:end], "/master", wildcard=True)
+    assert not covers("/master/kit", "/master/kit_chen", wildcard=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_master"),
+    [
+        ("/master", True), ("/master/kitchen", True), ("/master/kitchen/a", False),
+        ("/master/", False), ("/masters", False), ("/master_1", False), ("/ca", False),
+        ("/remote/hospital/master", False), ("/master/kitchen\n", False),
+    ],
+)  # fmt: skip
+def test_the_names_of_masters(name: str, is_master: bool) -> None:
+    assert is_master_name(name) is is_master
+    assert is_reserved(name) is (is_master or name == "/ca")
 
 
 def test_reserved_names_have_no_tail() -> None:

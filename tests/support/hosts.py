@@ -67,9 +67,9 @@ def two_hosts() -> Iterator[Hosts]:
     mine = () if os.geteuid() == 0 else _MINE
     with contextlib.ExitStack() as stack:
         try:
-            near = stack.enter_context(_holder(("unshare", *mapped, "--net")))
+            near = stack.enter_context(holder(("unshare", *mapped, "--net")))
             inside = ("nsenter", "--target", str(near), *mine, "--net")
-            far = stack.enter_context(_holder((*inside, "unshare", "--net")))
+            far = stack.enter_context(holder((*inside, "unshare", "--net")))
             beyond = ("nsenter", "--target", str(far), *mine, "--net")
             _join(inside, beyond, far)
         except (OSError, subprocess.CalledProcessError):
@@ -81,7 +81,7 @@ def two_hosts() -> Iterator[Hosts]:
 
 
 @contextlib.contextmanager
-def _holder(isolation: tuple[str, ...]) -> Iterator[int]:
+def holder(isolation: tuple[str, ...]) -> Iterator[int]:
     """A process that keeps a namespace alive; its id."""
     # The echo runs inside: once it is read the namespace exists.
     holder = subprocess.Popen(

@@ -36,7 +36,8 @@ def discover(environment: Environment, identity: str | None, seconds: float, as_
             say_json(row)
         else:
             say(
-                f"{row['uri']}  {row['rtt_ms']} ms, {row['loss']:.0%} of {row['sent']} lost,"
+                f"{row['uri']}  {row['name']}  {row['rtt_ms']} ms,"
+                f" {row['loss']:.0%} of {row['sent']} lost,"
                 f" heard {row['age_s']} s ago, on {row['link']}"
             )
 
@@ -47,6 +48,7 @@ def _row(one: Candidate) -> dict[str, object]:
         link = socket.if_indextoname(one.source.link)
     return {
         "uri": uri_of(one),
+        "name": one.name,
         "rtt_ms": round((one.rtt or 0) * 1000, 2),
         "loss": round(one.loss(clock), 2),
         "heard": len(one.heard),

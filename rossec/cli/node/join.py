@@ -13,7 +13,7 @@ from ca.certificates import to_pem
 from ca.enrollment import invitation, ndef
 from ca.enrollment.invitation import InvitationCode
 from ca.errors import CertificateRefused, CodeRefused
-from ca.names import RESERVED
+from ca.names import is_reserved
 from ca.patterns import covers
 from rossec import files
 from rossec.authority.home import fingerprint
@@ -105,7 +105,7 @@ def _name(code: InvitationCode, given: str | None) -> str:
                 f"give it: --name {pattern.replace('**', 'robot07').replace('*', 'robot07')}",
             )
         return pattern
-    if not covers(pattern, given) or given in RESERVED:
+    if not covers(pattern, given) or is_reserved(given):
         raise ConfigurationError(
             f"the invitation is not for {given}, but for {pattern}",
             "give another name, or ask for another invitation: rossec ca invite",

@@ -10,7 +10,8 @@ from typing import Final
 from rossec.master.api import arguments as arg
 from rossec.master.api.graph_views import BATCH, MAX_VIEWS, Fact, GraphViews, is_unchanged
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
-from rossec.master.rights.access_rules import AccessControl, Caller
+from rossec.master.rights.access_rules import AccessControl
+from rossec.master.rights.caller import Caller
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import ANY_TYPE, Kind
 

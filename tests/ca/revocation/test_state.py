@@ -297,3 +297,19 @@ def test_an_expired_confirmation_admits_no_peer_and_closes_no_connection() -> No
     state.check(B, NOW)
     state.expire_confirmation()
     assert state.fresh_until == 0
+
+
+def test_a_confirmation_may_be_as_old_as_the_reader_says() -> None:
+    data = signed(1, A)
+    state = Revocations(SIGNER.public_key, fresh=3600)
+    state.update(data, NOW)
+    state.confirm(stamp(1, data, issued=NOW - 3600), NOW)
+    assert state.fresh_until == NOW
+    state.fresh = 7200
+    state.check(B, NOW + 3600)
+    with pytest.raises(RevocationsStale):
+        state.check(B, NOW + 3601)
+    state.fresh = None
+    with pytest.raises(RevocationsStale):
+        state.check(B, NOW)
+    assert state.is_proved(B)

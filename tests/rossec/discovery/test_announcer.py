@@ -4,6 +4,7 @@ import time
 import pytest
 
 from rossec.discovery import announcer
+from rossec.discovery.announcement import read_claim
 from rossec.discovery.candidates import Candidates, DatagramSource
 from rossec.errors import AnnouncementRefused, ConfigurationError
 from tests.rossec.discovery.links import Link, said
@@ -19,18 +20,40 @@ async def test_announcements_are_counted_and_survive_links_that_go_down(
     monkeypatch.setattr(Link, "takes", 0)
     credentials = home.enroll("/master").credentials()
     uri = "http://192.0.2.7:11311/"
-    speaking = asyncio.ensure_future(announcer.announce(credentials, uri, period=0.01))
+    speaking = asyncio.ensure_future(
+        announcer.announce(credentials, uri, version=lambda: 7, period=0.01)
+    )
     await until(lambda: said)
     Link.takes = 1
     await until(lambda: len(said) > 3)
     speaking.cancel()
     assert ["no link" in caplog.text, "the links again" in caplog.text] == [True, True]
     candidates, now = Candidates(home.anchor), int(time.time())
+    heard = [candidates.heard(data, DatagramSource("fe80::1", 1), now, 1.0) for data in said[:4]]
+    first, again, second, _ = heard
+    assert first is second
+    assert first is not None
+    assert first.announcement.version == 7
+    assert again is None
+    assert read_claim(said[1], now).announcement.version is None, "for nodes of an older rossec"
+    with pytest.raises(AnnouncementRefused):
+        candidates.heard(said[0][:-1], DatagramSource("fe80::1", 1), now, 1.0)
+
+
+@pytest.mark.usefixtures("link")
+async def test_other_masters_have_no_older_listeners(home: Site) -> None:
+    credentials = home.enroll("/master/kitchen").credentials()
+    speaking = asyncio.ensure_future(
+        announcer.announce(credentials, "http://h:1/", name="/master/kitchen", period=0.01)
+    )
+    await until(lambda: len(said) > 3)
+    speaking.cancel()
+    candidates, now = Candidates(home.anchor), int(time.time())
     for data in said[:3]:
         heard = candidates.heard(data, DatagramSource("fe80::1", 1), now, 1.0)
         assert heard is not None
-    with pytest.raises(AnnouncementRefused):
-        candidates.heard(said[0][:-1], DatagramSource("fe80::1", 1), now, 1.0)
+        assert heard.name == "/master/kitchen"
+        assert heard.announcement.version == 0
 
 
 async def test_a_master_that_only_this_host_reaches_is_not_announced(home: Site) -> None:

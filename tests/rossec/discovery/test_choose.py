@@ -10,7 +10,7 @@ from rossec.discovery import choose
 from rossec.discovery.announcement import Announcement
 from rossec.discovery.candidates import Candidate, DatagramSource
 from rossec.discovery.finder import PATIENCE
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, MasterNotFound
 from tests.support.site import Site
 
 
@@ -75,7 +75,7 @@ async def test_the_best_master_that_answers_is_chosen(
     asked: list[object] = []
     announced = Announcement("192.0.2.7", 11311, b"instance", 0, 0)
     source = DatagramSource("fe80::1", 1)
-    near, far = (Candidate(key * 32, source, announced) for key in (b"k", b"o"))
+    near, far = (Candidate(key * 32, "/master", source, announced) for key in (b"k", b"o"))
     near.endpoint = "fd00::7", 11311
 
     async def find(anchor: TrustAnchor, revoked: object, *, patience: float) -> list[Candidate]:
@@ -87,4 +87,9 @@ async def test_the_best_master_that_answers_is_chosen(
     found = await choose.discover_master(environ, "/robot")
     assert found == {**environ, "ROS_MASTER_URI": "http://[fd00::7]:11311"}
     assert asked == [(home.anchor.thumbprint, PATIENCE)]
+    far.name = "/master/kitchen"
+    other = await choose.discover_master({**environ, "ROSSEC_MASTER": far.name}, "/robot")
+    assert other["ROS_MASTER_URI"] == "http://192.0.2.7:11311"
+    with pytest.raises(MasterNotFound, match=r"/master/hall does not .*, but /master, /master/kit"):
+        await choose.discover_master({**environ, "ROSSEC_MASTER": "/master/hall"}, "/robot")
     assert choose.uri_of(far) == "http://192.0.2.7:11311"
