@@ -21,11 +21,17 @@ def pertaining(
         own: the thumbprint of the caller's key, and the id of the delegation.
     """
     found, keys = set(own), frozenset(names)
-    revoked = [item for item in grants if not entries.isdisjoint((item.id, item.holder))]
+    revoked = [item for item in grants if not entries.isdisjoint(entries_of(item))]
     for grant in revoked:
         if grant.holder == own[0] or (yield from _names_any(grant, keys)):
-            found |= {grant.id, grant.holder}
+            found |= entries_of(grant)
     return entries & found
+
+
+def entries_of(grant: Grant) -> frozenset[bytes]:
+    """The ids of a grant and of its links, and the keys they are for."""
+    links = (entry for link in grant.links for entry in (link.id, link.holder))
+    return frozenset((grant.holder, *links))
 
 
 def _names_any(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:

@@ -6,7 +6,7 @@ rights are evaluated again when the second, the revocations or the grants change
 """
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple
@@ -111,8 +111,8 @@ class PresentedGrants:
             by_domain: dict[str, list[Grant]] = {}
             for grant in valid:
                 by_domain.setdefault(grant.domain, []).append(grant)
-            self._reach = _reach(by_domain.pop(judge.domain, ()))
-            self._elsewhere = {domain: _reach(held) for domain, held in by_domain.items()}
+            self._reach = Reach.of(by_domain.pop(judge.domain, ()))
+            self._elsewhere = {domain: Reach.of(held) for domain, held in by_domain.items()}
         self._evaluated_for, self._valid_ids = (context, self.version), ids
 
     def _refuse(
@@ -162,15 +162,11 @@ class PresentedGrants:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
 
-def _reach(grants: Iterable[Grant]) -> Reach:
-    return Reach(permission for grant in grants for permission in grant.permissions)
-
-
 def _is_valid(grant: Grant, now: int, judge: Judge) -> bool:
     """Whether `grants.decision` would accept the grant now; its holder was checked before."""
     try:
         check_time(grant, now)
-        for entry in (grant.id, *grant.via):
+        for entry in grant.revocable:
             judge.check(grant.domain, entry, now)
     except HintedError:
         return False

@@ -18,16 +18,16 @@ from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signer import Signer
 from ca.revocation.state import Revocations
 from grants.decision import RevocationCheck
-from grants.document import peek
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
-from grants.token import Verifier, unpack
+from grants.narrowing import check_one_domain
+from grants.token import Verifier, peek
 from rossec.master.rights.access_rules import is_authority
 from rossec.master.rights.caller import Caller, Peer, display
 from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.list_in_force import ListInForce
-from rossec.master.rights.pertaining import pertaining
+from rossec.master.rights.pertaining import entries_of, pertaining
 from rossec.master.rights.presented_grants import (
     FAILURE_WINDOW,
     MAX_HELD,
@@ -231,7 +231,7 @@ class TrustState(ListInForce):
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
-            if not self._revocations.entries.isdisjoint((grant.id, grant.holder))
+            if not self._revocations.entries.isdisjoint(entries_of(grant))
         }
         self._context = NOT_EVALUATED
         return super()._list_replaced(before)
@@ -290,6 +290,7 @@ class TrustState(ListInForce):
             raise GrantNotHeld(
                 "the grant is bound to another key", f"it was issued to {grant.subject}"
             )
+        check_one_domain(grant, "", caller.certified or caller.name)
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -314,12 +315,16 @@ class TrustState(ListInForce):
         """With the key of the domain the token says it is of; a foreigner has only own grants."""
         anchor, domains = self._anchor, self.domains
         if domains.anchors.all_listed and not caller.is_foreign:
-            domain = peek(unpack(token).grant).domain
+            domain = peek(token).domain
             if domains.anchors.listed_domain(domain) is not None:
                 return domains.verifier(domain)
         delegates = (self._signer.public_key, *domains.own_delegates())
         check = self._revocations.check
         return Verifier(anchor.public_key, anchor.domain, delegates, self.number, check)
+
+    def _label_of(self, domain: str) -> str:
+        listed = self.domains.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
 
     def _confirm(self, now: int) -> None:
         """Confirm the list to this process, once in each second and for each list."""
