@@ -45,6 +45,10 @@ class ForeignWord(NamedTuple):
     timestamp: bytes = b""
     chain: tuple[bytes, ...] = ()
 
+    def digest(self) -> bytes:
+        """The digest of the list; empty: there is none."""
+        return digest(self.revocations) if self.revocations else b""
+
 
 class DomainTrust:
     """The list of domains, and the revocations of those that are listed.
