@@ -6,7 +6,7 @@ right on it is the right on the origin's name, and only grants of the origin's d
 whoever holds them; what a foreign authority signs counts for nothing else.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -18,11 +18,10 @@ from ca.encoding import Value, encode
 from ca.errors import CAError, NotAdmitted, RevocationsStale
 from ca.revocation.state import open_timestamp
 from grants.decision import Decision, authorize
-from grants.document import peek
 from grants.errors import GrantMissing
 from grants.model import MESSAGE_RIGHTS, Grant, Right
-from grants.token import unpack
-from rossec.participant.token_opening import MAX_GRANTS, TokenOpener
+from grants.token import peek
+from rossec.participant.token_opening import MAX_GRANTS, MAX_PRESENTED, TokenOpener
 from rossec.ros.names import MASTER
 
 FIELD: Final = "rossec_grants"
@@ -30,6 +29,7 @@ NO_LIST: Final = (
     "the master has no revocation list yet",
     "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
 )
+_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Access:
             self.hold(data)
 
     def hold(self, data: bytes) -> None:
-        """Add a grant to those this node can present."""
+        """Add a token to those this node can present: a grant as signed, or a chain."""
         grant = peek(data)
         self._held.setdefault(grant.id, HeldGrant(grant, data, data, grant.not_before))
 
@@ -81,7 +81,7 @@ class Access:
         Raises:
             GrantError: it is invalid, or this node does not hold the grant.
         """
-        domain = peek(unpack(token).grant).domain
+        domain = peek(token).domain
         grant = self._tokens.open(token, domain, now)
         known = self._held.get(grant.id)
         if known is None:
@@ -90,12 +90,12 @@ class Access:
 
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
-        revoked = {domain: self._standing.revoked(domain) for domain in self._domains_held()}
-        own = self._revocations.entries
+        own, others = self._revocations.entries, self._domains_held() - {self._anchor.domain}
+        revoked = {domain: own | self._standing.revoked(domain) for domain in others}
         return [
             held
             for held in self._held.values()
-            if held.grant.id not in own and held.grant.id not in revoked[held.grant.domain]
+            if revoked.get(held.grant.domain, own).isdisjoint(held.grant.revocable)
         ]
 
     def _domains_held(self) -> set[str]:
@@ -173,13 +173,13 @@ class Access:
     def present(self, right: Right, name: str, now: int) -> bytes:
         """Header field that proves `right` on `name`: the array of the grants that cover it.
 
-        A peer accepts a limited number; those that expire last are sent.
+        A peer accepts a limited number and size; those that expire last are sent.
 
         Raises:
             NotAdmitted, NameRefused: an alias of no domain.
         """
         covering = [held.token for held in self._covering(right, name, now)]
-        return encode(list[Value](covering[:MAX_GRANTS]))
+        return encode(list[Value](_fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
@@ -193,7 +193,7 @@ class Access:
         return [
             held
             for held in self._current(now)
-            if held.grant.domain == domain and _covers(held.grant, right, origin)
+            if held.grant.domain == domain and held.grant.covers(right, origin)
         ]
 
     def _origin(self, right: Right, name: str) -> tuple[str, str]:
@@ -248,7 +248,7 @@ class Access:
                 f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
                 (f"sign one: rossec grant sign {shown(peer.name)} --{right.label} {origin}",),
             )
-        grants, refusals = self._tokens.open_all(presented, domain, now)
+        grants, refusals = self._tokens.open_all(presented, domain, peer, now)
         check = self._tokens.check_of(domain, peer.domain)
         try:
             decision = authorize(
@@ -261,5 +261,11 @@ class Access:
         return decision if origin == name else replace(decision, name=name)
 
 
-def _covers(grant: Grant, right: Right, name: str) -> bool:
-    return any(permission.covers(right, name) for permission in grant.permissions)
+def _fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
+    """The first of them that a header field has room for, with what CBOR adds to each."""
+    room, left = MAX_PRESENTED - _ARRAY_HEAD, MAX_GRANTS
+    for token in tokens:
+        size = len(token) + _BYTES_HEAD
+        if left and size <= room:
+            room, left = room - size, left - 1
+            yield token

@@ -9,13 +9,14 @@ from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.certificates import TrustAnchor
+from ca.certificates import Identity, TrustAnchor
 from ca.domains.standing import Standing
 from ca.encoding import decode
 from ca.errors import EncodingError
 from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import Grant
+from grants.narrowing import check_one_domain
 from grants.token import Verifier
 
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
@@ -40,12 +41,13 @@ class TokenOpener:
         self.own_master: ec.EllipticCurvePublicKey | None = None
 
     def open_all(
-        self, presented: bytes, domain: str, now: int
+        self, presented: bytes, domain: str, peer: Identity, now: int
     ) -> tuple[list[Grant], list[GrantError]]:
         """The valid grants, and the errors of the others: one that is refused is left out.
 
         Args:
             presented: a CBOR array of tokens.
+            peer: who presents them; a chain must stay in one domain.
 
         Raises:
             GrantMalformed: not such an array.
@@ -54,7 +56,9 @@ class TokenOpener:
         refusals: list[GrantError] = []
         for data in _unpack(presented):
             try:
-                grants.append(self._open_once(data, domain, now))
+                grant = self._open_once(data, domain, now)
+                check_one_domain(grant, self._label(domain), peer.name)
+                grants.append(grant)
             except GrantError as error:
                 refusals.append(error)
         return grants, refusals
@@ -105,6 +109,10 @@ class TokenOpener:
             0 if held is None else held.seq,
             self.check_of(domain),
         )
+
+    def _label(self, domain: str) -> str:
+        listed = self._standing.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
 
     def _root(self, domain: str) -> TrustAnchor:
         if domain == self._own.domain:
