@@ -166,7 +166,7 @@ class ConnectionTable(Generic[StreamT]):
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
                 self.accept(
-                    stream, stream.peer, stream.abort, limited=not self._is_master(stream.peer)
+                    stream, stream.peer, stream.abort, limited=stream.peer.name != self._master
                 )
             except LimitExceeded:
                 _log.warning("%s has too many connections", shown(stream.peer.name))

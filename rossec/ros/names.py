@@ -18,6 +18,10 @@ MASTER: Final = names.MASTER  # the name a domain's first master is certified fo
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
 PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node
+DOMAINS_UPDATE: Final = "rossec.domainsUpdate"  # likewise, as the next
+FOREIGN_REVOCATION_UPDATE: Final = "rossec.foreignRevocationUpdate"
+# What the master pushes that is signed, by others than itself: also while revocations are stale.
+SIGNED_UPDATES: Final = frozenset({REVOCATION_UPDATE, DOMAINS_UPDATE, FOREIGN_REVOCATION_UPDATE})
 
 
 def canonical(name: str) -> str:

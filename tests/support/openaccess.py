@@ -7,6 +7,7 @@ from ca.revocation.state import Revocations
 from grants.decision import Decision
 from grants.model import Right
 from rossec.participant.access import FIELD, Access
+from tests.support.domains import alone
 
 PROOF = {FIELD: b"proof"}
 
@@ -15,7 +16,7 @@ class OpenAccess(Access):
     """Rights on every name, also on aliases."""
 
     def __init__(self, anchor: TrustAnchor) -> None:
-        super().__init__(anchor, Revocations(anchor.public_key))
+        super().__init__(alone(anchor, Revocations(anchor.public_key)))
         self.presented: list[tuple[str, str]] = []
         self.authorized: list[tuple[str, str, str]] = []
 
