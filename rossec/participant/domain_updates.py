@@ -20,14 +20,11 @@ from rossec import clock
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, take
+from rossec.ros.names import DOMAINS, FOREIGN_PROOFS, FOREIGN_REVOCATIONS, UPDATE_DOMAINS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 from rossec.saved_domains import DomainFiles
 
-DOMAINS: Final = "rossec.domains"
-UPDATE: Final = "rossec.updateDomains"
-FOREIGN: Final = "rossec.foreignRevocations"
-PROOFS: Final = "rossec.foreignRevocationProofs"
 MAX_CHAIN: Final = 2  # certificates: a master's, and its intermediate's
 
 _log = logging.getLogger("rossec.node")
@@ -166,9 +163,9 @@ class DomainUpdates:
     async def _send(self, call: MasterCall) -> None:
         held = self._standing.anchors.data
         try:
-            newer = bool(held) and await call(UPDATE, held) == 1
+            newer = bool(held) and await call(UPDATE_DOMAINS, held) == 1
         except (Fault, AnswerRefused) as error:
-            self._warn(UPDATE, error)
+            self._warn(UPDATE_DOMAINS, error)
             return
         if newer:
             _log.warning(
@@ -181,7 +178,7 @@ class DomainUpdates:
         if held is None:
             return
         try:
-            answer = await call(FOREIGN, domain, digest(held.data))
+            answer = await call(FOREIGN_REVOCATIONS, domain, digest(held.data))
             self.take_foreign(domain, *_foreign(answer))
             self._warned.pop(domain, None)
         except (Fault, AnswerRefused, AnswerMalformed, CAError) as error:
@@ -194,9 +191,9 @@ class DomainUpdates:
         if held is None or not wanted:
             return False
         try:
-            answer = await call(PROOFS, domain, wanted)
+            asked, answer = _known(wanted, await call(FOREIGN_PROOFS, domain, wanted))
             with self._lock:
-                taken = take(held, wanted, answer)
+                taken = take(held, asked, answer)
         except (Fault, AnswerRefused, AnswerMalformed) as error:
             self._warn(f"{domain}: proofs", error)
             return False
@@ -227,6 +224,14 @@ class DomainUpdates:
         self._warned[what] = text
         level = logging.INFO if isinstance(error, RevocationsStale) else logging.WARNING
         _log.log(level, "%s: %s", what, text)
+
+
+def _known(wanted: list[bytes], answer: object) -> tuple[list[bytes], object]:
+    """Without the proofs that the master does not have yet: it fetches them, and is asked again."""
+    if not isinstance(answer, list) or len(answer) != len(wanted):
+        return wanted, answer
+    known = [pair for pair in zip(wanted, answer, strict=True) if pair[1] != b""]
+    return [entry for entry, _ in known], [proof for _, proof in known]
 
 
 def _foreign(answer: object) -> tuple[bytes, bytes, list[object]]:

@@ -228,7 +228,7 @@ class Membership:
                 self.update_revocations(revocations, timestamp, master)
             case names.DOMAINS_UPDATE, (bytes() as data,):
                 self.domains.take_domains(data)
-            case names.FOREIGN_REVOCATION_UPDATE, (
+            case names.FOREIGN_UPDATE, (
                 str() as domain, bytes() as revocations, bytes() as timestamp, list() as chain,
             ):  # fmt: skip
                 self.domains.take_foreign(domain, revocations, timestamp, chain)

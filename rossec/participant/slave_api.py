@@ -19,7 +19,7 @@ from rossec.participant.remote_names import answer_for
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros.names import (
     DOMAINS_UPDATE,
-    FOREIGN_REVOCATION_UPDATE,
+    FOREIGN_UPDATE,
     MASTER,
     REVOCATION_UPDATE,
 )
@@ -74,7 +74,7 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
     "shutdown": SlaveMethod((str,), 0),
     REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
     DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
-    FOREIGN_REVOCATION_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
+    FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
     "requestTopic": SlaveMethod((str, list), [], master_only=False),
     "getName": SlaveMethod((), ""),
     "getUri": SlaveMethod((), ""),
@@ -159,7 +159,7 @@ class SlaveApi:
             "shutdown": self._shutdown,
             REVOCATION_UPDATE: self._revocation_update,
             DOMAINS_UPDATE: partial(self._push, DOMAINS_UPDATE),
-            FOREIGN_REVOCATION_UPDATE: partial(self._push, FOREIGN_REVOCATION_UPDATE),
+            FOREIGN_UPDATE: partial(self._push, FOREIGN_UPDATE),
             "requestTopic": self._request_topic,
         }
 

@@ -12,6 +12,7 @@ from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
 from rossec.master.api.authority_calls import AuthorityCalls
 from rossec.master.api.deposit_calls import DepositCalls
+from rossec.master.api.domain_calls import DomainCalls
 from rossec.master.api.graph_calls import GraphCalls
 from rossec.master.api.methods import (
     Administered,
@@ -33,6 +34,8 @@ from rossec.master.rights.caller import AddressTaken, Caller, Peer, Refused
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
+from rossec.master.state.graph import Graph
+from rossec.master.state.imports import Imports
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
 
@@ -52,6 +55,7 @@ class MasterApi:
         deposits: the grants deposited so far; by default none is accepted.
         denials: which rights nodes lacked.
         connected: the identities that have a connection now.
+        imports: what other masters have registered; by default nothing.
     """
 
     def __init__(
@@ -69,20 +73,23 @@ class MasterApi:
         deposits: Deposits | None = None,
         denials: RecentDenials | None = None,
         connected: Callable[[], Iterable[Peer]] = tuple,
+        imports: Imports | None = None,
     ) -> None:
         self._uri = uri
         self._pid = pid
-        self._access_control = AccessControl(registry, name)
-        self.watch_calls = WatchCalls(registry, self._access_control, instance)
+        graph = Graph(registry, Imports(registry) if imports is None else imports)
+        self._access_control = AccessControl(graph, name)
+        self.watch_calls = WatchCalls(graph, self._access_control, instance)
         tree = Parameters() if parameters is None else parameters
         deposits = Deposits() if deposits is None else deposits
         denials = RecentDenials() if denials is None else denials
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
-            **GraphCalls(registry, self._access_control).methods(),
+            **GraphCalls(graph, self._access_control).methods(),
             **self.parameters.methods(),
             **self.watch_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),
+            **DomainCalls(statements).methods(),
             **DepositCalls(statements, deposits).methods(),
             **AuthorityCalls(statements, denials, connected).methods(),
             **self._own_methods(),
