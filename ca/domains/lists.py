@@ -70,7 +70,9 @@ class ForeignDomain:
             check_pattern(pattern)
         for rules in (self.exported, self.imported):
             _check_rules(rules or ())
-        if not LEAST_FRESH <= self.fresh <= MOST_FRESH or not 0 < self.until < _INT_LIMIT:
+        whole = type(self.fresh) is int and type(self.until) is int
+        times = LEAST_FRESH <= self.fresh <= MOST_FRESH and 0 < self.until < _INT_LIMIT
+        if not (whole and times):
             raise DomainsRefused(
                 f"the times of domain {self.domain} are out of range", "30 seconds to 7 days"
             )

@@ -60,7 +60,8 @@ def claims(**changes: Value) -> dict[int | str, Value]:
 def second(**changes: Value) -> list[Value]:
     """The list's entry, and one more with `changes`."""
     (first,) = _entries(claims())
-    (more,) = _entries(claims(**{"d1": "office", "d2": "office", "d3": SECOND} | changes))
+    office: dict[str, Value] = {"d1": "office", "d2": "office", "d3": SECOND}
+    (more,) = _entries(claims(**(office | changes)))
     return [first, more]
 
 
