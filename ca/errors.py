@@ -178,6 +178,10 @@ class RecordUnusable(StoreError):
     """The authority's record cannot be used now: a full disk, another command, or it is damaged."""
 
 
+class DomainUnknown(StoreError):
+    """No foreign domain is trusted under this label."""
+
+
 class NameCovered(StoreError):
     """A name covered by a valid identity with another key, or that would cover its name."""
 

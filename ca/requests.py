@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
+from ca.domains.aliases import refuse_alias
 from ca.errors import KeyRefused, NameRefused, RequestRefused
 from ca.keys.publickey import require_p256, thumbprint
 from ca.keys.signer import Signer
@@ -50,7 +51,7 @@ def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = Fa
     Raises:
         NameRefused: `domain` or `name` is not one, or this name cannot have a wildcard tail.
     """
-    builder = request_builder(spiffe_id(domain, name))
+    builder = request_builder(spiffe_id(domain, refuse_alias(name)))
     if wildcard:
         check_wildcard(name)
         builder = builder.add_extension(
@@ -163,6 +164,7 @@ def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
 def _check_name(uri: str, domain: str) -> str:
     try:
         asked_domain, name = parse_spiffe_id(uri)
+        refuse_alias(name)
     except NameRefused as error:
         raise RequestRefused(f"the request asks for an invalid name: {error}", _HINT) from error
     if asked_domain != domain:

@@ -14,6 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.encoding import MAX_SIZE as MAX_GRANT
 from ca.encoding import decode, encode
 from ca.errors import EncodingError
+from ca.keys.publickey import thumbprint
 from grants.document import open_grant, verify
 from grants.errors import GrantMalformed, RenewalForOther
 from grants.model import Grant
@@ -37,14 +38,14 @@ class Verifier:
 
     Args:
         ca_key, domain: the authority, and the trust domain the grant must be for.
-        delegate: the master's key; None if it is not known: renewed grants are then refused.
+        delegates: the keys of the masters whose tickets count; none: renewed grants are refused.
         seq: number of the newest revocation list of this node.
         check: called as `check(id, now)`; raises when a grant or delegation is revoked.
     """
 
     ca_key: ec.EllipticCurvePublicKey
     domain: str
-    delegate: ec.EllipticCurvePublicKey | None
+    delegates: tuple[ec.EllipticCurvePublicKey, ...]
     seq: int
     check: Callable[[bytes, int], None]
 
@@ -57,15 +58,15 @@ class Verifier:
         parts = unpack(token)
         if not parts.ticket:
             return open_grant(parts.grant, self.ca_key, now, domain=self.domain)
-        if self.delegate is None:
+        if not self.delegates:
             raise RenewalForOther(
                 "a renewed grant, but the master's key is not known", "connect to the master first"
             )
         grant = verify(parts.grant, self.ca_key, domain=self.domain)
         delegation = open_delegation(parts.delegation, self.ca_key)
-        return renew(
-            grant, parts.ticket, delegation, self.delegate, now=now, seq=self.seq, check=self.check
-        )
+        of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
+        key = next(of_holder, self.delegates[0])  # another one's: refused as such
+        return renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)
 
 
 def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:

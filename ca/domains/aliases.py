@@ -88,3 +88,24 @@ def refuse_alias(name: str) -> str:
 def display_name(domain_label: str, name: str) -> str:
     """For people: `hospital:/robot/pose`; a name of the own domain (label empty) as it is."""
     return f"{domain_label}:{name}" if domain_label else name
+
+
+def shown(name: str) -> str:
+    """A local name for people: an alias as `hospital:/robot/pose`, any other text as it is."""
+    try:
+        found = split_alias(name)
+    except NameRefused:
+        return name
+    return name if found is None else display_name(*found)
+
+
+def local_name(text: str) -> str:
+    """The local name of what a person wrote: `hospital:/robot/pose` is an alias.
+
+    Text without a colon is returned as it is: it may be a relative name.
+
+    Raises:
+        NameRefused: what is around the colon is no label and absolute name.
+    """
+    label, colon, name = text.partition(":")
+    return alias_of(label, name) if colon else text

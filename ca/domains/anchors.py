@@ -115,7 +115,7 @@ class Anchors:
             )
         if data == held.data:
             return frozenset()
-        listed = [ListedDomain(each, TrustAnchor.load(each.root)) for each in new.domains]
+        listed = [ListedDomain(each, each.anchor) for each in new.domains]
         masters = tuple(from_coordinates(key) for key in new.masters)
         if persist is not None:
             persist(data)

@@ -6,13 +6,14 @@ is refused. It also names the keys of the own domain's masters, whose tickets co
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Self
 
 from ca.certificates import TrustAnchor
 from ca.cose import Profile
 from ca.domains.aliases import check_label
-from ca.encoding import Value
+from ca.encoding import Value, decode, encode
 from ca.errors import CAError, DomainsRefused, EncodingError, SignatureError
 from ca.keys.publickey import from_coordinates, to_coordinates
 from ca.keys.signer import Signer
@@ -71,9 +72,30 @@ class ForeignDomain:
             raise DomainsRefused(
                 f"the times of domain {self.domain} are out of range", "30 seconds to 7 days"
             )
-        anchor = TrustAnchor.load(self.root)
-        if anchor.domain != self.domain:
-            raise DomainsRefused(f"the root of domain {self.domain} is that of {anchor.domain}")
+        if self.anchor.domain != self.domain:
+            raise DomainsRefused(
+                f"the root of domain {self.domain} is that of {self.anchor.domain}"
+            )
+
+    @cached_property
+    def anchor(self) -> TrustAnchor:
+        """Its root, parsed once."""
+        return TrustAnchor.load(self.root)
+
+    @property
+    def terms(self) -> bytes:
+        """The one encoding of all this, as in the list."""
+        return encode(_claims(self))
+
+    @classmethod
+    def from_terms(cls, data: bytes) -> Self:
+        """Read what `terms` wrote.
+
+        Raises:
+            EncodingError: not strict deterministic CBOR.
+            CAError: not a domain as a list may have it.
+        """
+        return cls(*_domain(decode(data, limit=MAX_LIST)))
 
 
 @dataclass(frozen=True)
@@ -104,7 +126,7 @@ class DomainList:
             raise DomainsRefused("a list of too many domains or masters")
         _check_sorted([each.domain for each in self.domains])
         _check_sorted(list(self.masters))
-        roots = [TrustAnchor.load(each.root).thumbprint for each in self.domains]
+        roots = [each.anchor.thumbprint for each in self.domains]
         for distinct in ([each.label for each in self.domains], roots):
             if len(set(distinct)) != len(distinct):
                 raise DomainsRefused("two domains of the list share a label or a root key")
@@ -163,7 +185,7 @@ def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:
     for each in domains.domains:
         if each.domain == own_domain:
             raise DomainsRefused("the list of foreign domains names the own one")
-        if to_coordinates(TrustAnchor.load(each.root).public_key) == own_key:
+        if to_coordinates(each.anchor.public_key) == own_key:
             raise DomainsRefused(f"the root of {each.domain} is this authority's own key")
 
 
@@ -194,10 +216,24 @@ def _read(payload: Value) -> DomainList:
     keys = tuple(key for key in masters if isinstance(key, bytes))
     if len(keys) != len(masters):
         raise DomainsRefused("the masters of the list of domains are not a list of keys")
-    return DomainList(epoch, seq, iat, exp, tuple(_domain(item) for item in items), keys)
+    domains = tuple(ForeignDomain(*_domain(item)) for item in items)
+    return DomainList(epoch, seq, iat, exp, domains, keys)
 
 
-def _domain(item: Value) -> ForeignDomain:
+class _Terms(NamedTuple):
+    """The fields of a `ForeignDomain`, in its order."""
+
+    domain: str
+    label: str
+    root: bytes
+    admitted: tuple[str, ...]
+    fresh: int
+    until: int
+    exported: tuple[NameRights, ...] | None
+    imported: tuple[NameRights, ...] | None
+
+
+def _domain(item: Value) -> _Terms:
     match item:
         case {
             1: str() as domain, 2: str() as label, 3: bytes() as root, 4: list() as admitted,
@@ -206,7 +242,7 @@ def _domain(item: Value) -> ForeignDomain:
             patterns = tuple(each for each in admitted if isinstance(each, str))
             if len(patterns) != len(admitted):
                 raise DomainsRefused("an admitted name of a domain is not text")
-            return ForeignDomain(
+            return _Terms(
                 domain, label, root, patterns, fresh, until,
                 _rules(rest[8]) if 8 in rest else None, _rules(rest[9]) if 9 in rest else None,
             )  # fmt: skip

@@ -10,6 +10,7 @@ import sqlite3
 from collections.abc import Callable
 
 from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
+from ca.names import MASTER, is_master_name
 from ca.store.database import Database
 from ca.store.log_entries import digest_of
 from ca.store.rows import INTERMEDIATE, CertificateRow
@@ -41,6 +42,15 @@ class IdentityTable:
         """As `valid`, of every name, oldest first."""
         alive = "WHERE not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
         return self.with_valid_issuer(self._find(f"{alive} ORDER BY rowid", now))
+
+    def valid_masters(self, now: int) -> list[CertificateRow]:
+        """As `valid`, of every name that a master is certified for, oldest first."""
+        found = self._find(
+            f"WHERE (name = ? OR {_BEGINS}) AND not_after >= ?"  # noqa: S608  (constants)
+            " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
+            MASTER, *_beginning(f"{MASTER}/"), now,
+        )  # fmt: skip
+        return self.with_valid_issuer([row for row in found if is_master_name(row.name)])
 
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
         """Those not expired whose own key is not revoked: the ones that can still be revoked."""

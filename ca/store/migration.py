@@ -2,8 +2,8 @@
 
 Version 2 made a tree of the log. Version 3 took the requests for grants and their answers into the
 log, which until then were tables of their own, and knows which grants came from a policy: those
-signed before count as made by hand. Version 4 adds passkeys and approvals, of which there were
-none. Each step runs inside the caller's transaction.
+signed before count as made by hand. Version 4 adds passkeys and approvals, version 5 foreign
+domains, of which there were none. Each step runs inside the caller's transaction.
 """
 
 import sqlite3
@@ -26,8 +26,11 @@ def migrate(db: sqlite3.Connection) -> None:
         _to_version_3(db)
         _finish(db, 3)
     if schema.version(db) == 3:
-        _to_version_4(db)
+        _add_tables(db, schema.VERSION_4, schema.APPROVALS)
         _finish(db, 4)
+    if schema.version(db) == 4:
+        _add_tables(db, schema.VERSION_5, schema.DOMAINS)
+        _finish(db, 5)
 
 
 def _to_version_2(db: sqlite3.Connection) -> None:
@@ -66,8 +69,10 @@ def _to_version_3(db: sqlite3.Connection) -> None:
         schema.append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
 
 
-def _to_version_4(db: sqlite3.Connection) -> None:
-    for statement in (*schema.VERSION_4, *schema.append_only_triggers(schema.APPROVALS)):
+def _add_tables(
+    db: sqlite3.Connection, statements: tuple[str, ...], append_only: tuple[str, ...]
+) -> None:
+    for statement in (*statements, *schema.append_only_triggers(append_only)):
         db.execute(statement)
 
 

@@ -16,6 +16,7 @@ from typing import Any, Self
 from ca.errors import RequestClosed, StoreError
 from ca.store.approvals import ApprovalState, ApprovalTable
 from ca.store.database import Database
+from ca.store.domains import DomainTable
 from ca.store.identities import IdentityTable
 from ca.store.invitations import InvitationTable
 from ca.store.log import AuthorityLog
@@ -34,7 +35,7 @@ class Store:
     """An open record. Create it with `create` or `open`.
 
     `requests` are those for identities, `identities` what came of them, `log` what was done;
-    `passkeys` and `approvals` say who approved it.
+    `passkeys` and `approvals` say who approved it; `domains` are the foreign ones that are trusted.
     """
 
     def __init__(self, database: Database) -> None:
@@ -45,6 +46,7 @@ class Store:
         self.log = AuthorityLog(database)
         self.passkeys = PasskeyTable(database)
         self.approvals = ApprovalTable(database, self.passkeys, self.log)
+        self.domains = DomainTable(database)
 
     @classmethod
     def create(cls, path: Path) -> Self:

@@ -16,7 +16,7 @@ from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.log_entries import LogEntry, extend_peaks
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
-VERSION: Final = 4
+VERSION: Final = 5
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
 ANSWERS: Final = "answer"  # of version 2, and append-only as well
@@ -25,6 +25,9 @@ DECISIONS: Final = (  # of version 3, all append-only
 )  # fmt: skip
 APPROVALS: Final = (  # of version 4, all append-only
     "passkey", "passkey_end", "approval", "approval_end",
+)  # fmt: skip
+DOMAINS: Final = (  # of version 5, all append-only
+    "foreign_domain", "foreign_domain_end", "domain_list", "foreign_certificate",
 )  # fmt: skip
 _APPROVAL: Final = (
     "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
@@ -45,6 +48,10 @@ LOGGED_TABLES: Final = {
     "passkey ended": ("passkey_end", "passkey, reason, at"),
     "approval": ("approval", _APPROVAL),
     "approval ended": ("approval_end", "approval, state, result, at"),
+    "domain": ("foreign_domain", "number, domain, label, root, terms, at"),
+    "domain ended": ("foreign_domain_end", "number, reason, at"),
+    "domain list": ("domain_list", "epoch, seq, data"),
+    "foreign certificate": ("foreign_certificate", "thumbprint, root, name, der, at"),
 }
 
 VERSION_1: Final = (  # unchanged since version 1
@@ -126,7 +133,26 @@ VERSION_4: Final = (
         approval BLOB PRIMARY KEY, state TEXT NOT NULL, result TEXT NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
 )
-_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4)
+VERSION_5: Final = (
+    # Each acceptance, and each change of its terms, is a row: the newest one of a domain counts.
+    """CREATE TABLE foreign_domain (
+        number INTEGER PRIMARY KEY, domain TEXT NOT NULL, label TEXT NOT NULL,
+        root BLOB NOT NULL, terms BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE foreign_domain_end (
+        number INTEGER PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE domain_list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+    # The keys of foreign nodes that grants were signed for, as proved by their certificates.
+    """CREATE TABLE foreign_certificate (
+        thumbprint BLOB NOT NULL, root BLOB NOT NULL, name TEXT NOT NULL, der BLOB NOT NULL UNIQUE,
+        at INTEGER NOT NULL
+    ) STRICT""",
+)
+_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5)
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -150,7 +176,7 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 def create(db: sqlite3.Connection) -> None:
     """Create the tables of a new record."""
-    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS)
+    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS)
     for statement in (*_TABLES, *append_only_triggers(append_only)):
         db.execute(statement)
     for statement in request_triggers():

@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, check_request, to_pem
+from ca.domains.lists import DomainList
 from ca.errors import ForeignCertificate, RequestClosed
 from ca.keys.signer import Signer
 from ca.names import check_name
@@ -28,7 +29,7 @@ from grants import document
 from grants.model import Draft
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
 from rossec import files
-from rossec.authority import list_contents
+from rossec.authority import domain_list, list_contents
 from rossec.errors import ConfigurationError
 
 SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
@@ -249,7 +250,7 @@ class SigningAuthority:
         return sign_tree(self.signer, tree)
 
     def refresh_list(self, now: int) -> None:
-        """Sign a new list if it lacks a revocation, and long before it expires.
+        """Sign a new list if it lacks a revocation, and long before it expires; domains likewise.
 
         Every command that has the key does this, and so completes an interrupted one.
         """
@@ -261,6 +262,21 @@ class SigningAuthority:
             late = now - issued > _LIST_REFRESH
             if late or list_contents.missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
+            if domain_list.is_due(self.store, self.authority.anchor, now):
+                self.sign_domains(now)
+
+    def sign_domains(self, now: int, *, new_epoch: bool = False) -> DomainList:
+        """Sign the list of domains with the next number; see `domain_list`.
+
+        Raises:
+            ConfigurationError: this is an intermediate.
+            DomainsRefused: there are too many.
+        """
+        self._check_root("say which domains are trusted")
+        with self.store.transaction():
+            listed = domain_list.sign(self.authority, self.store, now, new_epoch=new_epoch)
+            self.sign_head(now)
+        return listed
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
         """Sign the list of all revocations that still matter, with the next number.

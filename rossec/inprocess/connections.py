@@ -13,6 +13,7 @@ from rospy.impl.registration import get_topic_manager
 from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
 
+from ca.domains.aliases import origin_of, shown
 from ca.errors import HintedError
 from grants.decision import Decision
 from grants.errors import DefinitionRefused
@@ -42,6 +43,7 @@ from rossec.participant.definitions import (
 )
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import MessageType
+from rossec.participant.remote_names import fields_here
 from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_handshake import admit_caller, admit_provider, requested_service
 from rossec.participant.service_types import ServiceType
@@ -94,7 +96,9 @@ class Connections:
         self._local_identity.access.check_peer(sock.peer, now())
         right = _RIGHTS[type(protocol)]
         proof = self._local_identity.access.present(right, protocol.resolved_name, now())
-        return {**protocol.get_header_fields(), "callerid": self._local_identity.name, FIELD: proof}
+        stock = protocol.get_header_fields()
+        named = {key: origin_of(stock[key]) for key in ("topic", "service") if key in stock}
+        return {**stock, **named, "callerid": self._local_identity.name, FIELD: proof}
 
     def _check_plain(self, name: str, sock: RosSocket) -> None:
         """Checked before the first plain byte is sent."""
@@ -108,7 +112,10 @@ class Connections:
             return
         try:
             fields = headers.receive(sock)
-            connection = None if sock.is_plain else self._admit_server(protocol, fields, sock)
+            connection = None
+            if not sock.is_plain:
+                connection = self._admit_server(protocol, fields, sock)
+                fields = fields_here(fields, sock.peer, protocol.resolved_name)
             transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
             if connection is not None:
                 self._process.add_connection(sock, connection)
@@ -155,7 +162,7 @@ class Connections:
             if self._process.plain and self._serve_plain(server, sock, where):
                 return
             peer = sock.handshake()
-            caller = peer.name
+            caller = shown(peer.name)
             self._process.connections.accept(sock, peer, sock.abort)
             self._local_identity.access.check_peer(peer, now())
             fields = headers.receive(sock)
@@ -204,7 +211,7 @@ class Connections:
             connection = AuthorizedConnection(sock, decision, guard)
             handler = server.topic_connection_handler
         self._process.add_connection(sock, connection)
-        refusal = handler(sock, where, headers.for_rospy(fields))
+        refusal = handler(sock, where, headers.for_rospy(fields_here(fields, sock.peer)))
         if refusal:
             raise ConnectionHeaderRefused(
                 str(refusal), "both sides need the same version of the package"
@@ -227,7 +234,7 @@ class Connections:
             guard = self._service_guard(provided.service_class, connection.decision)
 
         def refused(error: HintedError) -> None:
-            self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
+            self._process.reporter.warn(f"{service}: refused {shown(sock.peer.name)}", error)
 
         request_class = provided.service_class._request_class  # noqa: SLF001 - rospy's
         sock.raise_unit_limit(max_unit_size(request_class))
@@ -261,4 +268,4 @@ class Connections:
 
 
 def _description(protocol: Any) -> str:
-    return f"cannot {_RIGHTS[type(protocol)].label} {protocol.resolved_name}"
+    return f"cannot {_RIGHTS[type(protocol)].label} {shown(protocol.resolved_name)}"

@@ -12,7 +12,9 @@ from rossec.inprocess import headers
 from rossec.inprocess.identity import now
 from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.sockets import RosSocket
-from rossec.participant.service_handshake import admit_provider, caller_proof, requested_service
+from rossec.participant.header_fields import text
+from rossec.participant.remote_names import fields_here, fields_on_wire
+from rossec.participant.service_handshake import admit_provider, caller_proof
 from rossec.ros import header
 
 
@@ -39,17 +41,18 @@ class ServiceProbe(RosSocket):
         """
         local_identity = self._process.local_identity
         fields = header.decode(bytes(data)[4:])
-        service = requested_service(fields)
+        service = text(fields, "service")
         if self.is_plain and self._process.allows_plain(service, self.getpeername()[0]):
             super().sendall(data)
             return
         try:
             local_identity.access.check_peer(self.peer, now())
             proof = caller_proof(service, local_identity.access, now())
-            self.send_unit(header.encode({**fields, "callerid": local_identity.name, **proof}))
+            named = fields_on_wire(fields)
+            self.send_unit(header.encode({**named, "callerid": local_identity.name, **proof}))
             answer = headers.receive(self)
             admit_provider(answer, self.peer, service, local_identity.access, now())
-            self._answer = header.encode(headers.for_rospy(answer))
+            self._answer = header.encode(headers.for_rospy(fields_here(answer, self.peer)))
         except HintedError as error:
             self._process.reporter.warn(f"cannot call {service}", error)
             raise

@@ -15,6 +15,8 @@ from typing import Any, Final
 
 import rosgraph
 
+from ca.certificates import Identity
+from ca.domains.aliases import origin_of
 from ca.errors import HintedError
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, PlainPeer
@@ -34,6 +36,7 @@ from rossec.participant.caller_names import (
     search_result,
     searched_key,
 )
+from rossec.participant.remote_names import answer_here, offer_refusal
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros.http import HttpClient
 from rossec.ros.names import PRESENT_GRANTS
@@ -116,6 +119,9 @@ class XmlRpcClient:
         if method == _MULTICALL:
             return self._multicall(params)
         named, key = self._with_own_name(method, params), searched_key(method, params)
+        refused = offer_refusal(method, named)
+        if refused is not None:
+            return refused
         if key is not None and named[0] != params[0]:
             return self._search(str(params[0]), key)
         return self._record_answer(
@@ -181,7 +187,9 @@ class XmlRpcClient:
 
     def _call_node(self, address: tuple[str, int], method: str, params: Params) -> object:
         name = self._process.local_identity.name  # tools give other names
-        request = dump_call(method, (name, *params[1:]) if params else params)
+        request = dump_call(
+            method, _named_on_wire(method, (name, *params[1:]) if params else params)
+        )
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
             stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
@@ -193,7 +201,8 @@ class XmlRpcClient:
             if stream.peer is not None:
                 self._process.local_identity.access.check_peer(stream.peer, now())
             self._present_grants(method, stream, address[0])
-            return load_response(_exchange(stream, address[0], request))
+            answer = load_response(_exchange(stream, address[0], request))
+            return answer if stream.peer is None else _in_local_names(stream.peer, method, answer)
         finally:
             stream.close()
 
@@ -210,6 +219,23 @@ class XmlRpcClient:
             if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             return load_response(_exchange(PlainStream(sock), address[0], request))
+
+
+def _named_on_wire(method: str, params: Params) -> Params:
+    """The parameters for a peer: a topic by the name of its origin."""
+    match method, params:
+        case "requestTopic", (caller, str() as topic, *rest):
+            return (caller, origin_of(topic), *rest)
+        case _:
+            return params
+
+
+def _in_local_names(peer: Identity, method: str, answer: object) -> object:
+    match answer:
+        case [1, status, value]:
+            return [1, status, answer_here(peer, method, value)]
+        case _:
+            return answer
 
 
 def _uri_of(proxy: Any) -> str:

@@ -12,6 +12,7 @@ from typing import Any, Final
 from rospy.impl.tcpros_base import get_tcpros_server_address, start_tcpros_server
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError, RevocationsStale
 from rossec.channel.opening import REFUSAL, WireProtocol
 from rossec.errors import ChannelClosed, ChannelError, HttpRefused, XmlRpcRefused
@@ -21,6 +22,7 @@ from rossec.inprocess.plain_stream import PlainStream, peek
 from rossec.inprocess.process import SecuredProcess
 from rossec.net.rpc.client import REQUEST_DEADLINE
 from rossec.participant import slave_api
+from rossec.participant.remote_names import answer_for
 from rossec.participant.slave_api import refusal, topic_offer
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.ros import names
@@ -63,7 +65,7 @@ class XmlRpcServer:
         caller = f"the caller from {where[0]}"
         try:
             peer = stream.do_handshake()
-            caller = peer.name
+            caller = shown(peer.name)
             self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
             self._serve(server, stream, peer)
         except ChannelClosed:
@@ -125,11 +127,11 @@ class XmlRpcServer:
             authorized = self._is_authorized(method, peer, presented)
             refused = refusal(method, params, peer, authorized=authorized)
             if refused is not None:
-                self._process.reporter.warn(f"refused {peer.name}: {method}: {refused[1]}")
+                self._process.reporter.warn(f"refused {shown(peer.name)}: {method}: {refused[1]}")
                 return refused
             return self._run(server, method, params, peer)
         except HintedError as error:
-            self._process.reporter.warn(f"refused {peer.name}: {method}", error)
+            self._process.reporter.warn(f"refused {shown(peer.name)}: {method}", error)
             return [-1, f"rossec: {error}", 0]
         except Exception:  # noqa: BLE001 - no internals to a peer
             _log.exception("a call failed")
@@ -166,7 +168,11 @@ class XmlRpcServer:
             return topic_offer(params[2], *get_tcpros_server_address())
         if method == "publisherUpdate":
             self._process.registrations.set_publishers(params[1], params[2])
-        return list(server._dispatch(method, params))  # noqa: SLF001 - stock's handler
+        match server._dispatch(method, params):  # noqa: SLF001 - stock's handler
+            case [code, status, value]:
+                return [code, status, answer_for(peer, method, value)]
+            case answer:
+                return list(answer)
 
 
 def _next_request(http: HttpServer, stream: Stream | PlainStream, end: float | None) -> bytes:

@@ -14,6 +14,7 @@ from typing import Any, Final
 from ca.errors import HintedError
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
 from rossec.node.context import NodeContext
+from rossec.participant.remote_names import refuse_offer
 from rossec.ros.names import SEPARATOR
 from rossec.ros.xmlrpc import Fault
 
@@ -57,9 +58,10 @@ class NodeParameters:
         """Give `name` a value; a mapping replaces a whole namespace.
 
         Raises:
-            RossecError: XML-RPC cannot carry the value, or the master refuses.
+            RossecError: XML-RPC cannot carry the value, a name below /remote, or the master
+                refuses.
         """
-        key = self._key(name)
+        key = refuse_offer(self._key(name), "set")
         await self._ask("setParam", key, value)
         self.changed(key, value)  # the master does not notify the caller
 
@@ -68,8 +70,8 @@ class NodeParameters:
         return bool(await self._ask("hasParam", self._key(name)))
 
     async def delete(self, name: str) -> None:
-        """Unset `name` and everything below it; raises as `get`."""
-        key = self._key(name)
+        """Unset `name` and everything below it; raises as `get`, and for a name below /remote."""
+        key = refuse_offer(self._key(name), "deleted")
         try:
             await self._ask("deleteParam", key)
         except AnswerRefused as error:

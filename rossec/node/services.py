@@ -27,6 +27,7 @@ from rossec.node.context import NodeContext
 from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
 from rossec.participant.header_fields import Fields
+from rossec.participant.remote_names import refuse_offer
 from rossec.participant.service_handshake import (
     admit_caller,
     check_md5,
@@ -62,8 +63,10 @@ class Services:
         """Register the service `name`; see `Service`.
 
         Raises:
-            RossecError: a second provider in this node, or the master refuses.
+            RossecError: a second provider in this node, a name below /remote, or the master
+                refuses.
         """
+        refuse_offer(name, "provided")
         if name in self._provided:
             raise ConfigurationError(f"{name} is provided by this node already")
         service = Service(

@@ -5,6 +5,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from itertools import count
 
+from ca.domains.aliases import split_alias
 from ca.errors import HintedError
 from grants.filters import layout
 from grants.memory import MemoryScope
@@ -13,6 +14,7 @@ from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher
 from rossec.node.subscriber import Subscriber
 from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.remote_names import refuse_offer
 from rossec.participant.topic_handshake import TopicEndpoint
 
 _log = logging.getLogger("rossec.node")
@@ -41,8 +43,10 @@ class Topics:
         """Register a publisher.
 
         Raises:
-            RossecError: a second publisher of the topic, or the master refuses.
+            RossecError: a second publisher of the topic, a name below /remote, or the master
+                refuses.
         """
+        refuse_offer(endpoint.topic, "published")
         if endpoint.topic in self._publishers:
             raise ConfigurationError(f"{endpoint.topic} is published by this node already")
         shape = layout.parse(endpoint.type.name, endpoint.type.definition)
@@ -59,8 +63,10 @@ class Topics:
         """Register a subscriber.
 
         Raises:
+            NameRefused: a name below /remote that is no alias.
             RossecError: the master refuses.
         """
+        split_alias(endpoint.topic)
         context = self._context
         existing = self._subscribers.setdefault(endpoint.topic, [])
         subscriber = Subscriber(

@@ -228,7 +228,7 @@ class Access:
         return Verifier(
             self._anchor.public_key,
             self._anchor.domain,
-            self._delegate,
+            () if self._delegate is None else (self._delegate,),
             0 if held is None else held.seq,
             self._revocations.check,
         )

@@ -8,6 +8,7 @@ which the master has sent it as well, and the subscriber's grant for that topic.
 from collections.abc import Callable
 
 from ca.certificates import Identity
+from ca.domains.aliases import origin_of, shown
 from rossec import clock
 from rossec.errors import ConnectionHeaderRefused
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
@@ -67,7 +68,8 @@ class Dialer:
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
         self._check_identity(stream)
         try:
-            answer = await RpcClient(stream).ask("requestTopic", self._name, topic, [["TCPROS"]])
+            named = origin_of(topic)
+            answer = await RpcClient(stream).ask("requestTopic", self._name, named, [["TCPROS"]])
         finally:
             await stream.close()
         match answer:
@@ -75,7 +77,7 @@ class Dialer:
                 return host, port
             case _:
                 raise ConnectionHeaderRefused(
-                    f"{stream.peer.name} offers no connection for {topic}"
+                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
                 )
 
     def _check_identity(self, stream: SecureStream[Identity]) -> None:

@@ -1,8 +1,12 @@
-"""Fields of a TCPROS connection header as peers write them: strictly read, never trusted."""
+"""Fields of a TCPROS connection header as peers write them: strictly read, never trusted.
+
+Names on the wire are those at their origin: an alias that arrives is refused.
+"""
 
 from collections.abc import Mapping
 
 from ca.certificates import Identity
+from ca.domains.aliases import is_alias, shown
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused
 
 Fields = dict[str, bytes]
@@ -18,9 +22,23 @@ def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
     caller = text(fields, "callerid")
     if not peer.covers(caller):
         raise CallerMismatch(
-            f"a node certified as {peer.name} calls itself {caller}",
+            f"a node certified as {shown(peer.name)} calls itself {caller}",
             "start it under the name it was enrolled with",
         )
+
+
+def refuse_on_wire(name: str) -> str:
+    """Return `name`, which a peer sent, unless it is below `/remote`.
+
+    Raises:
+        ConnectionHeaderRefused: it is.
+    """
+    if is_alias(name):
+        raise ConnectionHeaderRefused(
+            f"{name} is an alias where it was written, and no name on the wire",
+            "a peer is asked by the origin's name: does the caller run an older rossec?",
+        )
+    return name
 
 
 def text(fields: Mapping[str, bytes], key: str) -> str:

@@ -2,18 +2,20 @@
 
 As for topics: names come from certificates, rights from the grants presented, and the peer is
 authorized before this node looks up the service. Probes (`probe=1`) need the right as well (N6).
+Access gets the local name of a service, the header the origin's.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ca.certificates import Identity
+from ca.domains.aliases import origin_of, shown
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.access import FIELD
 from rossec.participant.access_interfaces import HandshakeAccess
-from rossec.participant.header_fields import Fields, check_caller, text
+from rossec.participant.header_fields import Fields, check_caller, refuse_on_wire, text
 from rossec.ros.names import ANY_TYPE
 
 
@@ -42,7 +44,7 @@ def client_header(
     flags = {"persistent": persistent, "probe": probe}
     return {
         "callerid": caller.encode(),
-        "service": service.encode(),
+        "service": origin_of(service).encode(),
         "type": kind.type_name.encode(),
         "md5sum": kind.md5sum.encode(),
         **{key: b"1" for key, wanted in flags.items() if wanted},
@@ -79,9 +81,9 @@ def requested_service(fields: Mapping[str, bytes]) -> str:
     """Service a connecting client asks for.
 
     Raises:
-        ConnectionHeaderRefused: no service, or a name that is not text.
+        ConnectionHeaderRefused: no service, a name that is not text, or an alias.
     """
-    return text(fields, "service")
+    return refuse_on_wire(text(fields, "service"))
 
 
 def admit_caller(
@@ -110,7 +112,7 @@ def admit_provider(
         GrantError, CAError: the peer may not provide.
     """
     if "error" in fields:
-        raise ConnectionHeaderRefused(f"{peer.name} refuses: {text(fields, 'error')}")
+        raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
     return access.authorize(peer, fields.get(FIELD), Right.PROVIDE, service, now)
 
@@ -124,7 +126,7 @@ def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
     peer_md5sum = text(fields, "md5sum")
     if peer_md5sum != md5sum and ANY_TYPE not in {peer_md5sum, md5sum}:
         raise ConnectionHeaderRefused(
-            f"{service} has the md5sum {md5sum} here, {peer_md5sum} at the peer",
+            f"{shown(service)} has the md5sum {md5sum} here, {peer_md5sum} at the peer",
             "both sides need the same version of the service's package",
         )
 

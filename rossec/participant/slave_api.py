@@ -13,7 +13,9 @@ from functools import partial
 from typing import Final, Protocol
 
 from ca.certificates import Identity
+from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
+from rossec.participant.remote_names import answer_for
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros.names import MASTER, REVOCATION_UPDATE
 
@@ -21,6 +23,9 @@ Answer = list[object]
 TCPROS: Final = "TCPROS"
 DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
 _ERROR: Final = -1
+ALIAS_ASKED: Final = (
+    "a name below /remote is the caller's alias; a peer is asked by the origin's name"
+)
 NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
 
 
@@ -91,8 +96,17 @@ def refusal(
     if not _fits(params, rule.kinds):
         return [_ERROR, "Error: bad call arity or types", rule.default]
     if not peer.covers(str(params[0])):
-        return [_ERROR, f"rossec: caller_id is not {peer.name}", rule.default]
-    return None
+        return [_ERROR, f"rossec: caller_id is not {shown(peer.name)}", rule.default]
+    return alias_asked(method, params)
+
+
+def alias_asked(method: str, params: tuple[object, ...]) -> Answer | None:
+    """The error answer to a request for a topic below `/remote`; None: it is none."""
+    match method, params:
+        case "requestTopic", (_, str() as topic, *_) if is_alias(topic):
+            return [_ERROR, f"rossec: {ALIAS_ASKED}", []]
+        case _:
+            return None
 
 
 def without_caller(params: tuple[object, ...], default: object) -> Answer | None:
@@ -162,8 +176,8 @@ class SlaveApi:
     def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
         return topic_offer(protocols, *self._events.topic_endpoint())
 
-    def _describe(self, method: str, _: Identity) -> Answer:
-        return [1, "", self._events.describe()[method]]
+    def _describe(self, method: str, peer: Identity) -> Answer:
+        return [1, "", answer_for(peer, method, self._events.describe()[method])]
 
 
 def _fits(params: tuple[object, ...], kinds: tuple[type, ...]) -> bool:

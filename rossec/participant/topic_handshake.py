@@ -2,7 +2,8 @@
 
 The caller's name comes from its certificate, never from `callerid` alone; rights come from the
 grants it presents. The peer is authorized before this node looks up the topic, so that without a
-grant it cannot tell a topic that exists from one that does not (attack N6).
+grant it cannot tell a topic that exists from one that does not (attack N6). Access gets the local
+name of a topic, the header the origin's.
 """
 
 from collections.abc import Mapping
@@ -10,12 +11,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ca.certificates import Identity
+from ca.domains.aliases import origin_of, shown
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.access import FIELD
 from rossec.participant.access_interfaces import HandshakeAccess
-from rossec.participant.header_fields import Fields, check_caller, text
+from rossec.participant.header_fields import Fields, check_caller, refuse_on_wire, text
 from rossec.ros.names import ANY_TYPE
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ def subscriber_header(
     """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
-        "topic": endpoint.topic.encode(),
+        "topic": origin_of(endpoint.topic).encode(),
         "type": endpoint.type.name.encode(),
         "md5sum": endpoint.type.md5sum.encode(),
         "message_definition": endpoint.type.definition.encode(),
@@ -78,9 +80,9 @@ def requested_topic(fields: Mapping[str, bytes]) -> str:
     """Topic a connecting subscriber asks for.
 
     Raises:
-        ConnectionHeaderRefused: no topic, or a name that is not text.
+        ConnectionHeaderRefused: no topic, a name that is not text, or an alias.
     """
-    return text(fields, "topic")
+    return refuse_on_wire(text(fields, "topic"))
 
 
 def admit_subscriber(
@@ -93,7 +95,8 @@ def admit_subscriber(
         GrantError, CAError: the peer may not subscribe.
     """
     check_caller(fields, peer)
-    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, text(fields, "topic"), now)
+    topic = requested_topic(fields)
+    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, topic, now)
 
 
 def admit_publisher(
@@ -113,11 +116,11 @@ def admit_publisher(
         GrantError, CAError: the peer may not publish.
     """
     if "error" in fields:
-        raise ConnectionHeaderRefused(f"{peer.name} refuses: {text(fields, 'error')}")
+        raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
-    if text(fields, "topic") != expected.topic:
+    if text(fields, "topic") != origin_of(expected.topic):
         raise ConnectionHeaderRefused(
-            f"{peer.name} answers with another topic than {expected.topic}"
+            f"{shown(peer.name)} answers with another topic than {shown(expected.topic)}"
         )
     check_type(fields, expected)
     return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
@@ -132,7 +135,7 @@ def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
     if not _matches(name, expected.type_name) or not _matches(md5sum, expected.md5sum):
         raise ConnectionHeaderRefused(
-            f"{expected.topic} carries {expected.type_name} ({expected.md5sum}),"
+            f"{shown(expected.topic)} carries {expected.type_name} ({expected.md5sum}),"
             f" the peer expects {name} ({md5sum})",
             "both sides need the same version of the message package",
         )

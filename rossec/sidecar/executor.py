@@ -7,7 +7,7 @@ sent to it, and a program that listens before it is connected to.
 import asyncio
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Protocol, assert_never
 
 from ca.certificates import Identity
@@ -189,8 +189,9 @@ class CommandExecutor:
             case CallProgram(local, method, params, parse):
                 return await _call(await self._rpc_to_program(local), method, params, parse=parse)
             case CallPeer(remote, method, params, right, parse):
-                client = await self._rpc_to_peer(remote, right)
-                return await _call(client, method, params, parse=parse)
+                client = await self._client_of_peer(remote, right)
+                event = await _call(client.rpc, method, params, parse=parse)
+                return replace(event, peer=client.peer) if isinstance(event, Answered) else event
             case Probe(local):
                 await self._rpc_to_program(local)
                 return CommandDone()
@@ -243,7 +244,7 @@ class CommandExecutor:
         self._services.cache_client(remote, client)
         return self._services.open_egress(remote)
 
-    async def _rpc_to_peer(self, remote: Endpoint, right: Right | None) -> RpcClient:
+    async def _client_of_peer(self, remote: Endpoint, right: Right | None) -> SlaveApiClient:
         if self._peer_client is None or not self._peer_client.usable:
             self._peer_client = self._services.cached_client(remote)
         if self._peer_client is None or not self._peer_client.usable:
@@ -251,7 +252,7 @@ class CommandExecutor:
         self._services.check_peer(self._peer_client.peer)  # connected long ago, perhaps
         if right is not None and right not in self._peer_client.presented:
             await self._present_grants(self._peer_client, right)
-        return self._peer_client.rpc
+        return self._peer_client
 
     async def _connect_peer(self, remote: Endpoint) -> SlaveApiClient:
         try:

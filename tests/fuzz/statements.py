@@ -129,7 +129,7 @@ def _never(_entry: bytes, _now: int) -> None:
     """Nothing is revoked."""
 
 
-VERIFIER: Final = token.Verifier(CA.public_key, "home", MASTER.public_key, 3, _never)
+VERIFIER: Final = token.Verifier(CA.public_key, "home", (MASTER.public_key,), 3, _never)
 
 
 def _delegation(body: bytes) -> None:

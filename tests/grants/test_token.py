@@ -33,7 +33,7 @@ def accept(*_: object) -> None:
     """Nothing is revoked."""
 
 
-VERIFIER = Verifier(CA.public_key, "home", MASTER.public_key, 7, accept)
+VERIFIER = Verifier(CA.public_key, "home", (MASTER.public_key,), 7, accept)
 
 
 def test_a_grant_without_renewal_is_its_own_token() -> None:
@@ -51,7 +51,15 @@ def test_a_renewed_grant_is_valid_until_its_ticket_ends() -> None:
 
 def test_a_renewed_grant_is_refused_without_the_masters_key() -> None:
     with pytest.raises(RenewalForOther, match="the master's key is not known"):
-        replace(VERIFIER, delegate=None).open(TOKEN, LATER)
+        replace(VERIFIER, delegates=()).open(TOKEN, LATER)
+
+
+def test_a_renewal_counts_from_each_master_that_is_known() -> None:
+    other = ec.generate_private_key(ec.SECP256R1()).public_key()
+    for keys in ((other, MASTER.public_key), (MASTER.public_key, other)):
+        assert replace(VERIFIER, delegates=keys).open(TOKEN, LATER).id == ID
+    with pytest.raises(RenewalForOther, match="for another key than this one"):
+        replace(VERIFIER, delegates=(other,)).open(TOKEN, LATER)
 
 
 @pytest.mark.parametrize("which", [0, 1])

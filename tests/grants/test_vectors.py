@@ -83,7 +83,7 @@ def test_renewals(vector: dict[str, Any]) -> None:
 @pytest.mark.parametrize("vector", TOKENS, ids=lambda vector: vector["name"])
 def test_tokens(vector: dict[str, Any]) -> None:
     ca, delegate = key(vector["ca_key"]), key(vector["key"])
-    verifier = Verifier(ca, "home", delegate, vector["seq"], lambda *_: None)
+    verifier = Verifier(ca, "home", (delegate,), vector["seq"], lambda *_: None)
     data = bytes.fromhex(vector["data"])
     if vector["failure"] is None:
         assert verifier.open(data, vector["now"]).expires > vector["now"]

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 from cryptography import x509
 
 from ca.cose import Profile
+from ca.domains.lists import DOMAINS
 from ca.errors import CertificateRefused, EncodingError, SignatureError
 from ca.revocation.lists import LIST_PROFILE, MAX_LIST
 from ca.revocation.tree import TREE
@@ -27,6 +28,7 @@ _STATEMENTS: Final[Mapping[str, Profile]] = {
     "a revocation list": LIST_PROFILE,
     "a revocation tree": TREE,
     "a head of the log": HEAD_PROFILE,
+    "a list of domains": DOMAINS,
 }
 _HINT: Final = "the program that asked is of another version of rossec, or not rossec"
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply
-from rossec.master.rights.access_rules import Peer
+from rossec.master.rights.caller import Peer
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
 

@@ -19,7 +19,7 @@ from rossec.master.api.methods import (
     Steps,
 )
 from rossec.master.api.statement_calls import binaries, refusals_answered
-from rossec.master.rights.access_rules import Refused
+from rossec.master.rights.caller import Refused
 from rossec.master.rights.deposits import DeliveryState, Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.deposit_journal import ID_SIZE

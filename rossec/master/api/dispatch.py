@@ -28,7 +28,8 @@ from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
 from rossec.master.api.watch_calls import WatchCalls
-from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Peer, Refused
+from rossec.master.rights.access_rules import AccessControl
+from rossec.master.rights.caller import AddressTaken, Caller, Peer, Refused
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState

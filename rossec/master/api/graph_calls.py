@@ -9,7 +9,8 @@ from typing import Final
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
-from rossec.master.rights.access_rules import AccessControl, Caller, require_capacity
+from rossec.master.rights.access_rules import AccessControl, require_capacity
+from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Kind, Registry
 from rossec.ros.xmlwrite import EncodedList
 

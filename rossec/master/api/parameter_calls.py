@@ -20,7 +20,8 @@ from rossec.master.api.methods import (
     Reply,
     Steps,
 )
-from rossec.master.rights.access_rules import Caller, require_address, require_capacity
+from rossec.master.rights.access_rules import require_address, require_capacity
+from rossec.master.rights.caller import Caller
 from rossec.master.rights.parameter_trees import (
     ParameterItem,
     decisions_across_turns,

@@ -21,7 +21,7 @@ from rossec.master.api.methods import (
     RevocationsChanged,
     Steps,
 )
-from rossec.master.rights.access_rules import Refused
+from rossec.master.rights.caller import Refused
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.rights.trl import RevocationQueries

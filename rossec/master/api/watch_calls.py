@@ -13,7 +13,8 @@ from typing import Final, TypeAlias
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
-from rossec.master.rights.access_rules import AccessControl, Caller
+from rossec.master.rights.access_rules import AccessControl
+from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import ANY_TYPE, Kind, Registry
 
 WATCH: Final = "rossec.watchGraph"

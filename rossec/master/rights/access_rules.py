@@ -6,133 +6,20 @@ missing right and does not reveal whether the name exists: for a caller that may
 answer is the same as if it did not exist.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final, Protocol
+from typing import Final
 
-from ca import names
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
-from grants.reach import Reach
+from rossec.master.rights.caller import AddressTaken, Caller, Refused, display
 from rossec.master.state.addresses import endpoint, is_loopback_host
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
 from rossec.ros.names import AUTHORITY
 
 ASK_OPERATOR: Final = "ask the authority's operator for a grant"
-NAMES_PER_YIELD: Final = 64
-VISIBILITY_RIGHTS: Final = (
-    Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
-)
-
-
-class Refused(Exception):
-    """The status text to answer with, after `rossec: `.
-
-    `missing` is the right that is missing, and the name it is missing on, if that was the reason.
-    """
-
-    def __init__(self, text: str, missing: tuple[Right, str] | None = None) -> None:
-        super().__init__(text)
-        self.missing = missing
-
-
-class AddressTaken(Refused):
-    """The slave API is registered by `owner`, which may be gone: only a probe can tell."""
-
-    def __init__(self, owner: NodeRef) -> None:
-        super().__init__("this slave API URI is registered by another node")
-        self.owner = owner
-
-
-class Peer(Protocol):
-    """A certified name and its key: a `ca.certificates.Identity` or a `NodeRef`."""
-
-    @property
-    def name(self) -> str:
-        """The certified name."""
-
-    @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
-
-
-Authorize = Callable[[Right, str], object]
-"""Raises the `HintedError` that says why no valid grant covers a right on a name."""
-
-
-@dataclass(frozen=True)
-class Caller:
-    """A caller and its rights at one time, from the grants it presented.
-
-    Attributes:
-        name: the certified name; within a call the name of the node, see `acting_as`.
-        thumbprint: of the certified key, to which grants are bound.
-        reach: what its valid grants cover.
-        authorize: called for a right on a name that `reach` does not cover.
-        wildcard: the certified name has a wildcard tail.
-        certified: the certified name where `name` is another one.
-        is_authority: it is the authority's own node, see `is_authority`.
-    """
-
-    name: str
-    thumbprint: bytes
-    reach: Reach
-    authorize: Authorize
-    wildcard: bool = False
-    certified: str = ""
-    is_authority: bool = False
-
-    @property
-    def display_name(self) -> str:
-        """The names, for people."""
-        return f"{self.name} (certified as {self.certified})" if self.certified else self.name
-
-    @property
-    def identity(self) -> str:
-        """The certified name."""
-        return self.certified or self.name
-
-    def acting_as(self, name: str) -> "Caller":
-        """The caller as the node `name`, which has its own entries in the registry.
-
-        Raises:
-            Refused: its identity does not cover `name`.
-        """
-        if not names.covers(self.name, name, wildcard=self.wildcard):
-            raise Refused(f"this connection belongs to {self.name}, it cannot act as another")
-        if name == self.name:
-            return self
-        return replace(self, name=name, wildcard=False, certified=self.name)
-
-    def may(self, right: Right, name: str) -> bool:
-        """Whether a grant covers `right` on `name`.
-
-        The authority's own node sees the graph without one, which it could sign for itself.
-        """
-        return self.reach.covers(right, name) or (self.is_authority and right is Right.GRAPH)
-
-    def may_all_below(self, right: Right, namespace: str) -> bool:
-        """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
-        return self.reach.covers_below(right, namespace)
-
-    def may_some_below(self, right: Right, namespace: str) -> bool:
-        """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
-        return self.reach.touches(right, namespace)
-
-    def patterns(self, right: Right) -> int:
-        """How many patterns must be matched one by one against each name."""
-        return self.reach.patterns(right)
-
-    @property
-    def names_per_yield(self) -> int:
-        """How many names a query checks between two yields: fewer where each costs more."""
-        return max(1, NAMES_PER_YIELD // (1 + sum(map(self.reach.patterns, Right)) // 8))
-
-    def may_see(self, name: str) -> bool:
-        """Whether a topic, service or node name may appear in an answer to this caller."""
-        return self.is_authority or self.reach.covers_any(VISIBILITY_RIGHTS, name)
 
 
 class Scope(Enum):
@@ -299,10 +186,10 @@ def require(caller: Caller, right: Right, name: str) -> None:
     if caller.may(right, name):
         return
     try:
-        caller.authorize(right, name)
+        caller.explain(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        needs = f"{caller.display_name} needs the right {right.label} on {name}"
+        needs = f"{caller.display_name} needs the right {right.label} on {display(name)}"
         raise Refused(f"{needs}: {error}{hint}", (right, name)) from error
 
 

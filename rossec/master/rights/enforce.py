@@ -8,7 +8,7 @@ is removed when nothing at or below its key is readable; each update is authoriz
 from typing import Final, NamedTuple
 
 from grants.model import Right
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 

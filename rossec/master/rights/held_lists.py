@@ -7,7 +7,7 @@ about it is sent no list and becomes stale by itself, so nothing rests on these 
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from rossec.master.rights.access_rules import Peer
+from rossec.master.rights.caller import Peer
 
 MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
 SILENT_AFTER: Final = 35  # seconds; a node says every 10 s what it holds

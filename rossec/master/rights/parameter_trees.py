@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import Right
-from rossec.master.rights.access_rules import ASK_OPERATOR, Caller, Refused
+from rossec.master.rights.access_rules import ASK_OPERATOR
+from rossec.master.rights.caller import Caller, Refused
 from rossec.ros import names
 
 MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included

@@ -15,7 +15,7 @@ from grants.decision import authorize
 from grants.model import Grant
 from grants.reach import Reach
 from grants.validity import check_time
-from rossec.master.rights.access_rules import Caller, Peer
+from rossec.master.rights.caller import Caller, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024

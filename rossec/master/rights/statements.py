@@ -20,7 +20,8 @@ from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
-from rossec.master.rights.access_rules import Caller, Peer, is_authority
+from rossec.master.rights.access_rules import is_authority
+from rossec.master.rights.caller import Caller, Peer
 from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.held_lists import HeldLists, ListStanding
 from rossec.master.rights.presented_grants import (
@@ -325,7 +326,7 @@ class TrustState:
     def _verifier(self) -> Verifier:
         anchor = self._anchor
         return Verifier(
-            anchor.public_key, anchor.domain, self._signer.public_key, self.number,
+            anchor.public_key, anchor.domain, (self._signer.public_key,), self.number,
             self._revocations.check,
         )  # fmt: skip
 

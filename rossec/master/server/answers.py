@@ -17,7 +17,7 @@ from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
 from rossec.master.state.registry import NodeRef

@@ -30,7 +30,7 @@ from rossec.master.api.methods import (
 from rossec.master.api.turns import CallOutcome
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
-from rossec.master.rights.access_rules import Peer
+from rossec.master.rights.caller import Peer
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState

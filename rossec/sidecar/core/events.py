@@ -19,9 +19,10 @@ class Opened:
 
 @dataclass(frozen=True)
 class Answered:
-    """An XML-RPC call returned this value."""
+    """An XML-RPC call returned this value; `peer`: the identity of a peer that answered."""
 
     value: object
+    peer: Identity | None = None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from rossec.participant.caller_names import (
     searched_key,
 )
 from rossec.participant.registrations import REGISTERS, UNREGISTERS
+from rossec.participant.remote_names import offer_refusal
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
@@ -97,12 +98,10 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if method == MULTICALL:
         return (yield from _multicall(agent, params))
     rule = rule_of(method)
-    refused = without_caller(params, rule.default)
+    refused = _refusal(agent, method, rule, params)
     if refused is not None:
         return refused
     caller = str(params[0])
-    if method in REGISTERS and not agent.covers(caller):
-        return [-1, _not_covered(agent, caller), 0]
     master_params = yield from _params_for_master(agent, method, rule, caller, params)
     if master_params is None:
         return [-1, "rossec: this address is not the program's own", 0]
@@ -119,6 +118,19 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if method in REGISTERS and str(answer[1]).startswith(REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
     return answer
+
+
+def _refusal(
+    agent: AgentState, method: str, rule: CallRule, params: tuple[object, ...]
+) -> list[object] | None:
+    """The answer to a call that need not reach the master; None: it must."""
+    refused = without_caller(params, rule.default)
+    if refused is not None:
+        return refused
+    caller = str(params[0])
+    if method in REGISTERS and not agent.covers(caller):
+        return [-1, _not_covered(agent, caller), 0]
+    return offer_refusal(method, resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:

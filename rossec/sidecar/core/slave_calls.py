@@ -12,9 +12,18 @@ unparsed: roscpp's is malformed, and it holds no address.
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import origin_of
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant.slave_api import NO_TRANSPORT, RULES, TCPROS, offers_tcpros, without_caller
+from rossec.participant.remote_names import answer_for, answer_here, caller_here
+from rossec.participant.slave_api import (
+    NO_TRANSPORT,
+    RULES,
+    TCPROS,
+    alias_asked,
+    offers_tcpros,
+    without_caller,
+)
 from rossec.participant.slave_rights import MASTER_ONLY, OPEN, SLAVE_CALLS, check_slave_call
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.text import printable
@@ -51,30 +60,40 @@ def handle_peer_call(
         yield from _require_alive(agent, local, (yield Probe(local)))
         return [1, "", 0]
     check_slave_call(method, peer, node, grants, agent.access, now)
-    refused = without_caller(params, RULES[method].default)
-    if refused is not None:
-        return refused
+    answer = _answer_at_once(peer, method, params)
+    if answer is not None:
+        return answer
     if method == REQUEST_TOPIC:
         return (yield from _answer_request_topic(agent, local, params))
-    changed = yield from _params_for_program(agent, local, method, params)
+    named = (caller_here(peer, str(params[0])), *params[1:])
+    changed = yield from _params_for_program(agent, local, method, named)
     event = yield CallProgram(local, method, changed, parse=method not in _UNPARSED)
     yield from _require_alive(agent, local, event)
     match event:
         case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value]) if succeeded(code):
-            return (yield from _answer_for_peer(agent, local, method, status, value))
+            described = answer_for(peer, method, value)
+            return (yield from _answer_for_peer(agent, local, method, status, described))
         case Answered(value=value):
             return _refusal(value)
         case _:
             raise UnexpectedEvent(method)
 
 
+def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
+    """The answer that needs no program; None: it needs one."""
+    refused = without_caller(params, RULES[method].default)
+    if refused is None and method in _UNPARSED and peer.is_foreign:
+        return [1, "", answer_for(peer, method, None)]
+    return refused
+
+
 def _answer_request_topic(
     agent: AgentState, local: Endpoint, params: tuple[object, ...]
 ) -> Layer[object]:
     """The answer to `requestTopic`, the same for every topic; a dead program does not answer."""
-    refused = _invalid_request_topic(params)
+    refused = _invalid_request_topic(params) or alias_asked(REQUEST_TOPIC, params)
     if refused is not None:
         return refused
     yield from _require_alive(agent, local, (yield Probe(local)))
@@ -176,14 +195,15 @@ def handle_program_call(
         return refused
     changed = (agent.name_for(str(params[0])), *params[1:])
     if method == REQUEST_TOPIC:
-        changed = (*changed[:2], [[TCPROS]])
+        changed = (changed[0], origin_of(str(params[1])), [[TCPROS]])
     parse = method not in _UNPARSED
     event = yield CallPeer(remote, method, changed, SLAVE_CALLS.get(method), parse)
     match event:
         case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
-        case Answered(value=[code, str() as status, value]) if succeeded(code):
-            return (yield from _answer_for_program(agent, remote, method, status, value))
+        case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
+            named = value if peer is None else answer_here(peer, method, value)
+            return (yield from _answer_for_program(agent, remote, method, status, named))
         case Answered(value=value):
             return _refusal(value)
         case NoAnswer(reason=reason):

@@ -1,7 +1,8 @@
 """The TCPROS handshake between a program and a peer, both directions. Pure layers.
 
 The header of one end is read once, authorized and sent to the other end, and its answer is
-authorized in turn; grants are added towards the network and removed towards the program. A program
+authorized in turn; grants are added towards the network and removed towards the program, names of
+other origins are mapped (`remote_names`). A program
 is asked for its topic port only for an authorized subscriber. The result says how to handle the
 bytes that follow: a guard for restricted messages, otherwise none.
 """
@@ -28,6 +29,7 @@ from rossec.participant.definitions import (
     size_of,
 )
 from rossec.participant.header_fields import Fields, text
+from rossec.participant.remote_names import caller_here, fields_here, fields_on_wire
 from rossec.participant.slave_api import TCPROS
 from rossec.participant.topic_guard import FilterKey, guard_for
 from rossec.sidecar.core.commands import CallProgram, ConnectPeer, ConnectProgram, Suspend
@@ -89,8 +91,8 @@ def admit_peer(
         target = local
     else:
         decision = topic_handshake.admit_subscriber(fields, peer, agent.access, now)
-        target = yield from _request_topic(agent, local, fields)
-    event = yield ConnectProgram(target, without_grants(fields))
+        target = yield from _request_topic(agent, local, fields, peer)
+    event = yield ConnectProgram(target, fields_here(without_grants(fields), peer))
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
     arrived = _require_header(event)
@@ -107,7 +109,7 @@ def admit_peer(
 
 
 def _request_topic(
-    agent: AgentState, local: Endpoint, fields: Mapping[str, bytes]
+    agent: AgentState, local: Endpoint, fields: Mapping[str, bytes], peer: Identity
 ) -> Layer[Endpoint]:
     """The endpoint of the topic, requested from the program's slave API.
 
@@ -116,7 +118,7 @@ def _request_topic(
         HangUp: the program does not answer.
     """
     topic = topic_handshake.requested_topic(fields)
-    request = (text(fields, _CALLER), topic, [[TCPROS]])
+    request = (caller_here(peer, text(fields, _CALLER)), topic, [[TCPROS]])
     event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
     match event:
         case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
@@ -189,10 +191,10 @@ def connect_to_peer(
         publish or provide. HangUp: the peer does not answer.
     """
     service = _is_service(fields)
-    request = {**without_grants(fields), _CALLER: _caller_name(agent, fields)}
+    request = {**fields_on_wire(without_grants(fields)), _CALLER: _caller_name(agent, fields)}
     guard = message_size = None
     if service:
-        name = service_handshake.requested_service(fields)
+        name = text(fields, "service")
         request |= service_handshake.caller_proof(name, agent.access, now)
         event = yield ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
@@ -200,12 +202,10 @@ def connect_to_peer(
             arrived.fields, peer, name, agent.access, arrived.now
         )
         decision.require_unrestricted()
-        answer = without_grants(arrived.fields)
+        answer = fields_here(without_grants(arrived.fields), peer)
     else:
         own = from_header(fields)
-        expected = topic_handshake.ExpectedTopic(
-            topic_handshake.requested_topic(fields), own.name, own.md5sum
-        )
+        expected = topic_handshake.ExpectedTopic(text(fields, "topic"), own.name, own.md5sum)
         request[FIELD] = agent.access.present(Right.SUBSCRIBE, expected.topic, now)
         arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
         decision = topic_handshake.admit_publisher(
@@ -215,7 +215,8 @@ def connect_to_peer(
         kind = receiver_definition(own, sent, decision, agent.known_types)
         if decision.restrictions:
             guard = guard_for(kind, decision, filter_key, memory_scope_of(_program_name(fields)))
-        answer = without_grants(arrived.fields) | definition_fields(kind, decision)
+        named = fields_here(without_grants(arrived.fields), peer, expected.topic)
+        answer = named | definition_fields(kind, decision)
         message_size = size_of(reported_definition(kind, sent))
     return AdmittedConnection(answer, decision, guard, service, message_size)
 

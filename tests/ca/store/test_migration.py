@@ -46,12 +46,13 @@ def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
             "revocation",
             "list",
         ]
-        assert [entry.number for entry in entries] == list(range(4 * count + 3))
+        assert [entry.number for entry in entries] == list(range(4 * count + 4))
         assert entries[0][1:5] == (oldstore.NOW, "certificate", "/node0", oldstore.KEYS[0].hex())
-        assert [(e.what, e.detail) for e in entries[-3:]] == [
+        assert [(e.what, e.detail) for e in entries[-4:]] == [
             ("migrated", "1 to 2"),
             ("migrated", "2 to 3"),
             ("migrated", "3 to 4"),
+            ("migrated", "4 to 5"),
         ]
         store.log.audit(new_signer().public_key)
         store.revoke(b"n" * 32, "after", oldstore.NOW)
@@ -112,10 +113,10 @@ def test_grant_requests_of_version_2_enter_the_log(old: Path) -> None:
 def to_version_2(db: sqlite3.Connection) -> None:
     """As the previous release has migrated it: without what version 3 adds."""
     migration.migrate(db)
-    for table in (*schema.DECISIONS, *schema.APPROVALS):
+    for table in (*schema.DECISIONS, *schema.APPROVALS, *schema.DOMAINS):
         db.execute(f"DROP TABLE {table}")
     db.execute("DROP TRIGGER log_no_DELETE")
-    db.execute("DELETE FROM log WHERE detail IN ('2 to 3', '3 to 4')")
+    db.execute("DELETE FROM log WHERE detail IN ('2 to 3', '3 to 4', '4 to 5')")
     for statement in schema.append_only_triggers(("log",)):
         db.execute(statement.replace("CREATE TRIGGER", "CREATE TRIGGER IF NOT EXISTS"))
     db.execute("PRAGMA user_version = 2")
@@ -126,13 +127,14 @@ def check_grant_requests(path: Path) -> None:
         assert store.requests.all() == []
         store.log.audit(new_signer().public_key)
         store.database.check()
-        logged = [(e.what, e.subject, e.detail, e.at) for e in store.log.entries()[-5:]]
+        logged = [(e.what, e.subject, e.detail, e.at) for e in store.log.entries()[-6:]]
     assert logged == [
         ("grant request", "/b", "02", 2),
         ("grant request", "/a", "01", 3),
         ("decision", "/a", "granted /t", 4),
         ("migrated", "record", "2 to 3", logged[-1][3]),
         ("migrated", "record", "3 to 4", logged[-1][3]),
+        ("migrated", "record", "4 to 5", logged[-1][3]),
     ]
     with closing(sqlite3.connect(path)) as db:
         rows = db.execute("SELECT id FROM grant_request ORDER BY rowid").fetchall()
@@ -169,7 +171,7 @@ def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(oldstore, "KEYS", [])
     oldstore.write_version_1(tmp_path / "old.db")
     with closing(Store.open(tmp_path / "old.db")) as store:
-        assert [entry.at for entry in store.log.entries()] == [0, 0, 0]
+        assert [entry.at for entry in store.log.entries()] == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize(

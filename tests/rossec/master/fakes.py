@@ -11,7 +11,7 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
-from rossec.master.rights.access_rules import Caller, Peer
+from rossec.master.rights.caller import Caller, Peer
 from rossec.master.rights.held_lists import HeldLists, ListStanding
 from rossec.master.rights.presented_grants import Presented, Renewed
 from rossec.master.rights.statements import TrustState

@@ -18,7 +18,7 @@ from grants.document import grant_id, peek
 from grants.model import Right
 from grants.token import unpack
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.access_rules import VISIBILITY_RIGHTS
+from rossec.master.rights.caller import VISIBILITY_RIGHTS
 from rossec.master.rights.delegation import Delegate
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.statements import TrustState

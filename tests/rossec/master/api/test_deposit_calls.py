@@ -16,7 +16,7 @@ from rossec.master.api.deposit_calls import (
 )
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import GrantsDeposited
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.rights.deposits import Deposits, verifier
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything

@@ -8,7 +8,7 @@ import pytest
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied, Denied, StopMaster
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 

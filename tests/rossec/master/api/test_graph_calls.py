@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 

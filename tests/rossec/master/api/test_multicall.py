@@ -17,7 +17,7 @@ from rossec.master.api.multicall import (
     Multicall,
 )
 from rossec.master.api.watch_calls import WATCH
-from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
+from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, step

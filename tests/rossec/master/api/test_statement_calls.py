@@ -9,7 +9,7 @@ from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import GrantsPresented, RevocationsChanged
 from rossec.master.api.statement_calls import PRESENT_LIMIT
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 

@@ -8,7 +8,7 @@ from grants.model import Right
 from rossec.master.api import watch_calls
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
 from rossec.participant.graph_view import GraphView
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything

@@ -7,14 +7,8 @@ import pytest
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
-from rossec.master.rights.access_rules import (
-    RULES,
-    AccessControl,
-    Refused,
-    Scope,
-    is_authority,
-    require,
-)
+from rossec.master.rights.access_rules import RULES, AccessControl, Scope, is_authority, require
+from rossec.master.rights.caller import Refused
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import call_api, caller, everything
 from tests.rossec.master.rights.victim import BUT_ADMIN, EVIL_API, VICTIM_API, T, ask

@@ -7,7 +7,7 @@ import pytest
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import Denied
-from rossec.master.rights.access_rules import Refused
+from rossec.master.rights.caller import Refused
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, call_api, caller, everything
 from tests.rossec.master.rights.victim import BUT_ADMIN, EVIL_API, VICTIM_API, T, ask

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from grants.model import Permission, Right
 from grants.reach import Reach
 from rossec.master.rights import parameter_trees
-from rossec.master.rights.access_rules import Caller, Refused
+from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.parameter_trees import (
     decisions,
     decisions_across_turns,

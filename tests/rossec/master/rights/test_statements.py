@@ -11,7 +11,8 @@ from ca.revocation.state import RevocationList, digest, open_timestamp, sign_lis
 from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, open_tree, sign_tree
 from grants.document import grant_id
 from grants.model import Right
-from rossec.master.rights.access_rules import Caller, Refused, require
+from rossec.master.rights.access_rules import require
+from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.presented_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import NodeRef

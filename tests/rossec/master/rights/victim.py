@@ -4,7 +4,7 @@ from typing import Any
 
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.caller import Caller
 from tests.rossec.master.fakes import ALL, call_api
 
 BUT_ADMIN = {"/**": ALL & ~Right.ADMIN}

@@ -10,7 +10,7 @@ import pytest
 
 from grants.document import grant_id
 from rossec.master.api.turns import Turns
-from rossec.master.rights.access_rules import NAMES_PER_YIELD
+from rossec.master.rights.caller import NAMES_PER_YIELD
 from tests.rossec.master.world import SlaveNode, T, World, ends
 from tests.support.caller import caller
 from tests.support.site import Site
