@@ -89,6 +89,7 @@ class Effects:
 
     Attributes:
         stopping: set by `StopMaster`.
+        on_new_lists: called when a newer list is in force, whoever delivered it.
         list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
     """
 
@@ -105,6 +106,7 @@ class Effects:
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
         self.list_changed: Final = asyncio.Event()
+        self.on_new_lists: Final[list[Callable[[], None]]] = []
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
@@ -140,6 +142,7 @@ class Effects:
             case RevocationsChanged(by):
                 _audit.info("%s delivered revocation list %d", by, self._state.trust.number)
                 self._enforce_list()
+                self._tell_new_lists()
             case GrantsDeposited(by, holders, count):
                 _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
                 self._state.grant_changes.notify(holders)
@@ -171,6 +174,10 @@ class Effects:
     def _notify(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""
         self.updates.post(node, (method, about), self._state.name, subject, *rest)
+
+    def _tell_new_lists(self) -> None:
+        for tell in self.on_new_lists:
+            tell()
 
     def _enforce_list(self) -> None:
         """Enforce a new list: as much as possible now, the rest in the next round."""
