@@ -28,7 +28,9 @@ from grants.model import (
 # RFC 8392 section 3.1; cnf: RFC 8747; scope: RFC 9200 section 8.14, here an AIF (RFC 9237) in a
 # byte string; below -65536 the numbers are for private use.
 _ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP = 1, 2, 3, 4, 5, 7, 8, 9, -65537
-_CLAIMS: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
+_MAY_NARROW: Final = -70034
+_REQUIRED: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
+_CLAIMS: Final = {*_REQUIRED, _MAY_NARROW}
 _CKT: Final = 5  # confirmation by COSE key thumbprint, RFC 9679 section 6
 _CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `iss` must be text
 
@@ -37,7 +39,7 @@ _RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE}
 _RATE: Final = "rate"
 _KEEP: Final = "keep"
 
-_UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
+_UINT, _BYTES, _TEXT, _MAP = 0x00, 0x40, 0x60, 0xA0  # major types
 
 
 def from_draft(draft: Draft, issuer: bytes) -> Value:
@@ -52,6 +54,7 @@ def from_draft(draft: Draft, issuer: bytes) -> Value:
         _CNF: {_CKT: draft.holder},
         _SCOPE: scope_of(draft.permissions),
         _CAP: draft.cap,
+        **({_MAY_NARROW: draft.may_narrow} if draft.may_narrow else {}),
     }
 
 
@@ -93,7 +96,7 @@ def read(body: bytes, grant_id: bytes) -> Grant:
         GrantMalformed: outside the closed schema; errors in its parts are reported as this one.
     """
     try:
-        return _read_grant(_closed_map(_decode_claims(body), _CLAIMS, _CLAIMS, "claim"), grant_id)
+        return _read_grant(_closed_map(_decode_claims(body), _REQUIRED, _CLAIMS, "claim"), grant_id)
     except (FilterRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a grant: {error}", error.hint) from None
 
@@ -128,17 +131,21 @@ def _deterministic_form(claims: Value) -> bytes | None:
     match claims:
         case {
             1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
-            8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap),
+            8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap), **more,
         } if min(exp, nbf, cap) >= 0:  # fmt: skip
+            count = more.get(_MAY_NARROW)
+            narrowable = head(_UINT, count) if type(count) is int and count > 0 else b""
             return b"".join(
                 (
-                    b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
+                    head(_MAP, len(_REQUIRED) + bool(narrowable)),
+                    b"\x01", head(_TEXT, len(iss)), iss.encode(),
                     b"\x02", head(_TEXT, len(sub)), sub.encode(),
                     b"\x03", head(_TEXT, len(aud)), aud.encode(),
                     b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
                     b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
                     b"\x09", head(_BYTES, len(scope)), scope,
                     b"\x3a\0\1\0\0", head(_UINT, cap),
+                    narrowable and b"\x3a\0\1\x11\x91" + narrowable,
                 )
             )  # fmt: skip
         case _:
@@ -147,6 +154,9 @@ def _deterministic_form(claims: Value) -> bytes | None:
 
 def _read_grant(claims: dict[Any, Any], grant_id: bytes) -> Grant:
     confirmation = _closed_map(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
+    may_narrow = _typed(claims.get(_MAY_NARROW, 0), int, "may_narrow")
+    if _MAY_NARROW in claims and may_narrow == 0:
+        raise GrantMalformed("a grant that says it allows no narrowings", "leave the claim out")
     return Grant(
         domain=_typed(claims[_AUD], str, "aud"),
         subject=_typed(claims[_SUB], str, "sub"),
@@ -158,6 +168,7 @@ def _read_grant(claims: dict[Any, Any], grant_id: bytes) -> Grant:
         permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
         id=grant_id,
         issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
+        may_narrow=may_narrow,
     )
 
 

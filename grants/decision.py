@@ -4,11 +4,13 @@ Every grant the peer presented is evaluated. All restrictions of all usable perm
 the request apply together (conditions AND, all filters): if the first, the last or the widest won
 instead, the answer would depend on the order, or adding a grant would silently widen a right that
 was narrowed on purpose. The limit of this: a peer presents only the grants it chooses, so to narrow
-a right for good the wider grant must be revoked.
+a right for good the wider grant must be revoked. Of a chain (`grants.narrowing`) every link must
+authorize alone, and the restrictions of a narrowing see only what those before it let through: who
+signs one is restricted itself, and must learn nothing by a condition of its own.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 from ca.errors import HintedError
@@ -53,9 +55,9 @@ class Decision:
 
     @property
     def grant_ids(self) -> tuple[bytes, ...]:
-        """Ids of grants, delegations and delegates. If one is revoked, authorize again."""
-        via = (entry for grant in self.grants for entry in grant.via)
-        return (*(grant.id for grant in self.grants), *dict.fromkeys(via))
+        """Ids and keys that end it: if one of them is revoked, authorize again."""
+        more = (entry for grant in self.grants for entry in grant.revocable[1:])
+        return (*(grant.id for grant in self.grants), *dict.fromkeys(more))
 
     def require_unrestricted(self) -> None:
         """Return if there are no restrictions: for callers that have no message to apply them to.
@@ -106,18 +108,13 @@ def authorize(
     if right.bit_count() != 1:
         raise GrantMissing(f"{int(right)} is not one right")
     presented = tuple(grants)
-    covering = {grant.id: grant for grant in presented if _covers(grant, right, name)}
+    covering = {grant.id: grant for grant in presented if grant.covers(right, name)}
     if not covering:
         raise GrantMissing(
             f"no grant for {right.label} on {name}", near_misses(presented, right, name)
         )
     usable = _usable(covering, holder, now, check)
-    restrictions = [
-        permission.restriction
-        for grant in usable
-        for permission in grant.permissions
-        if permission.covers(right, name)
-    ]
+    restrictions = list(_restrictions(usable, right, name))
     return Decision(
         right=right,
         name=name,
@@ -130,7 +127,12 @@ def authorize(
 
 def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, ...]:
     """Permissions that nearly match, one line each: same name first, then same right."""
-    pairs = [(grant, permission) for grant in grants for permission in grant.permissions]
+    pairs = [
+        (link, permission)
+        for grant in grants
+        for link in grant.links
+        for permission in link.permissions
+    ]
     same_name = [
         f"grant {grant.short_id} gives {permission.rights.label}, not {right.label}, on {name}"
         for grant, permission in pairs
@@ -144,8 +146,16 @@ def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, 
     return tuple(dict.fromkeys([*same_name, *same_right]))[:MAX_NEAR_MISSES]
 
 
-def _covers(grant: Grant, right: Right, name: str) -> bool:
-    return any(permission.covers(right, name) for permission in grant.permissions)
+def _restrictions(grants: Iterable[Grant], right: Right, name: str) -> Iterator[Restriction | None]:
+    """Those of every permission that covers the request, each in the layer of its link."""
+    for grant in grants:
+        for layer, link in enumerate(grant.links):
+            for permission in link.permissions:
+                if permission.covers(right, name):
+                    restriction = permission.restriction
+                    yield (
+                        replace(restriction, layer=layer) if restriction and layer else restriction
+                    )
 
 
 def _usable(
@@ -179,7 +189,7 @@ def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> Non
         )
     check_time(grant, now)
     try:
-        for entry in (grant.id, *grant.via):
+        for entry in grant.revocable:
             check(entry, now)
     except HintedError as error:
         raise GrantRevoked(f"grant {grant.short_id}: {error}", error.hint) from error

@@ -46,6 +46,22 @@ class GrantMissing(GrantError):
         self.near_misses = near_misses
 
 
+class NarrowingForged(GrantError):
+    """A narrowing not signed by the key that holds the link before it."""
+
+
+class NarrowingForOther(GrantError):
+    """A valid narrowing of another grant, or for another trust domain."""
+
+
+class NarrowingNotAllowed(GrantError):
+    """More narrowings than the grant, or a link before, allows."""
+
+
+class NarrowingOutsideDomain(GrantError):
+    """A chain whose peer is of another domain than its first holder."""
+
+
 class YamlRefused(GrantError):
     """Text that is not YAML, or outside the subset; `line` and `column` count from 1."""
 

@@ -1,13 +1,18 @@
 """The restrictions for one receiver: expiry, conditions, rate, filters, in this order.
 
+Those of narrowings come after, layer by layer: the conditions and filters of one see what the
+filters before it left. Else whoever may narrow its right could ask, by conditions of its own, what
+the filters hide from it. Conditions that read no message are checked first, whoever wrote them.
+
 Built once per connection from the layout the wire proved and the decision; then called for every
 message. Its state (a rate, hysteresis) belongs to the holder and outlives the connection
 (`grants.memory`). It fails closed: a message it cannot process is not sent.
 """
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from functools import partial
-from typing import Final, TypeAlias
+from itertools import groupby
+from typing import Final, NamedTuple, TypeAlias
 
 from grants.conditions.compile import Condition, compile_condition
 from grants.decision import Decision
@@ -19,6 +24,13 @@ from grants.filters.layout import Layout
 from grants.memory import FieldKey, HysteresisState, Memory, RateBucket
 from grants.model import FilterRule, Restriction
 from grants.validity import format_time
+
+
+class _Layer(NamedTuple):
+    """What one link of a chain adds, or all of the grants: conditions, then filters."""
+
+    conditions: tuple[Condition, ...] = ()
+    filters: tuple[Filter, ...] = ()
 
 
 class Guard:
@@ -54,8 +66,11 @@ class Guard:
         self.expires: Final = decision.expires
         self.memory: Memory | None = None
         self._find_memory = Memory if find_memory is None else partial(find_memory, decision)
-        self._conditions = _compile_conditions(layout, decision.restrictions)
-        self._filters = self._compile_filters(layout, decision.restrictions, keys or {})
+        ordered = sorted(decision.restrictions, key=lambda each: each.layer)
+        blind = _compile_conditions(None, (each for each in ordered if each.type is None))
+        first, *later = [*self._compile_layers(layout, ordered, keys or {})] or [_Layer()]
+        self._conditions = (*blind, *first.conditions)
+        self._layers = (first._replace(conditions=()), *later)
         self._bucket = self._rate_bucket(decision.restrictions)
         shape = layout.digest if layout is not None else None
         self.key: Hashable = (self.memory, shape, decision.restrictions)
@@ -68,15 +83,22 @@ class Guard:
     def _hysteresis(self, stage: int, field: FieldKey) -> HysteresisState:
         return self._require_memory().hysteresis((stage, *field))
 
-    def _compile_filters(
+    def _compile_layers(
         self, layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
-    ) -> tuple[Filter, ...]:
-        if layout is None:
-            return ()
-        return tuple(
-            compile_filter(layout, stage.values(), keys, partial(self._hysteresis, number))
-            for number, stage in enumerate(_stages(restrictions))
-        )
+    ) -> Iterator[_Layer]:
+        """The layers in order; conditions that read no message are not in them."""
+        stages_before = 0
+        for _, group in groupby(restrictions, key=lambda each: each.layer):
+            here = tuple(group)
+            stages = [] if layout is None else _stages(here)
+            filters = (
+                compile_filter(layout, stage.values(), keys, partial(self._hysteresis, number))
+                for number, stage in enumerate(stages, stages_before)
+                if layout is not None
+            )
+            stages_before += len(stages)
+            typed = (each for each in here if each.type is not None)
+            yield _Layer(_compile_conditions(layout, typed), tuple(filters))
 
     def _rate_bucket(self, restrictions: Iterable[Restriction]) -> RateBucket | None:
         """The lowest of the rates: a message it admits is admitted by the others."""
@@ -131,20 +153,25 @@ class Guard:
         return self.apply(message, now)
 
     def _apply(self, message: Buffer, now: int, message_id: object) -> list[Buffer] | None:
-        for condition in self._conditions:
-            if condition(message, now) is not True:
-                return None
+        if not all(condition(message, now) is True for condition in self._conditions):
+            return None
         if self.memory is None:
-            return self._filter(message)
+            return self._filter(message, now)
         with self.memory.lock:
             if self._bucket is not None and not self.memory.take(self._bucket, message_id, now):
                 return None
-            return self._filter(message)
+            return self._filter(message, now)
 
-    def _filter(self, message: Buffer) -> list[Buffer]:
+    def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
+        """The message after all layers; None: one that sees the work of another refuses it."""
         pieces: list[Buffer] = [message]
-        for rewrite in self._filters:
-            pieces = rewrite(pieces[0] if len(pieces) == 1 else b"".join(pieces))
+        for layer in self._layers:
+            for condition in layer.conditions:
+                pieces = [_joined(pieces)]
+                if condition(pieces[0], now) is not True:
+                    return None
+            for rewrite in layer.filters:
+                pieces = rewrite(_joined(pieces))
         return pieces
 
 
@@ -162,6 +189,10 @@ def check_type(name: str, restriction: Restriction) -> None:
             f"the grant is restricted for messages of type {restriction.type}, these are {name}",
             "ask for a grant for this message type",
         )
+
+
+def _joined(pieces: list[Buffer]) -> Buffer:
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 def _compile_conditions(

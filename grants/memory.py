@@ -1,8 +1,9 @@
 """State of rights that are limited over time: rates and hysteresis. Pure.
 
 It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
-hundred connections, continues with the same state. A message counts once: under one message id it
-is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
+hundred connections, continues with the same state. For a chain the key is its first holder's: who
+hands a right on, to however many, gets no more by it. A message counts once: under one message id
+it is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
 bounded: only state that equals fresh state and is not in use is evicted, so eviction gains a peer
 nothing; otherwise a new peer is refused.
 """
@@ -142,8 +143,7 @@ class MemoryStore:
         Raises:
             MemoryExhausted: there are too many, and none can be evicted.
         """
-        (holder,) = {grant.holder for grant in decision.grants}  # `authorize` accepts one key only
-        key = (scope, holder, decision.right, decision.name)
+        key = (scope, _first_holder(decision), decision.right, decision.name)
         with self._lock:
             found = self._stored.get(key)
             if found is None:
@@ -179,6 +179,13 @@ class MemoryScope:
     def child(self, part: str) -> "MemoryScope":
         """The scope of a part that is counted separately."""
         return replace(self, scope=(*self.scope, part))
+
+
+def _first_holder(decision: Decision) -> bytes:
+    """The key the state belongs to. A chain's comes first, so that a grant of the last holder's own
+    beside it opens no other account; of several chains, that of one of them."""
+    chains = [grant for grant in decision.grants if grant.chain]
+    return min(grant.links[0].holder for grant in chains or decision.grants)
 
 
 def _check_limit(count: int, limit: int, what: str) -> None:

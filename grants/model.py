@@ -7,7 +7,7 @@ only be checked with its definition (`grants.guard`).
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from typing import Any, Final, Self, TypeAlias
 
@@ -19,6 +19,7 @@ Scalar: TypeAlias = bool | int | float | str
 
 KEY_SIZE: Final = 32  # a COSE key thumbprint, RFC 9679
 ID_SIZE: Final = 16
+MAX_NARROWINGS: Final = 3  # how many may follow a grant
 MAX_CONDITION: Final = 1000  # characters
 MAX_RATE: Final = 1_000_000
 _MAX_TIME: Final = 1 << 53
@@ -128,6 +129,8 @@ class Restriction:
         filters: the operators applied to the fields of each message.
         rate: at most so many messages a second, on average.
         keep_when_stale: an established connection may stay open while revocation data is stale.
+        layer: in a decision, how many links of a chain stand before its own: it is applied to what
+            the restrictions of these let through. 0 as signed.
     """
 
     type: str | None = None
@@ -135,6 +138,7 @@ class Restriction:
     filters: tuple[FilterRule, ...] = ()
     rate: float | None = None
     keep_when_stale: bool = False
+    layer: int = 0
 
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
@@ -208,6 +212,7 @@ class Draft:
             `not_before <= now < expires`; no renewal extends beyond `cap`.
         serial: 16 random bytes.
         permissions: at least one.
+        may_narrow: how many narrowings may follow, each signed by the holder of the link before.
     """
 
     domain: str
@@ -218,6 +223,7 @@ class Draft:
     cap: int
     serial: bytes
     permissions: tuple[Permission, ...]
+    may_narrow: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
         check_name(self.subject)
@@ -229,6 +235,12 @@ class Draft:
             raise GrantMalformed("a grant needs not_before < expires <= cap")
         if len(self.permissions) == 0:
             raise GrantMalformed("a grant that permits nothing")
+        if not 0 <= self.may_narrow <= MAX_NARROWINGS:
+            raise GrantMalformed(f"a grant allows at most {MAX_NARROWINGS} narrowings")
+
+    def covers(self, right: Right, name: str) -> bool:
+        """Whether one of its permissions gives `right` on `name` (restricted or not)."""
+        return any(permission.covers(right, name) for permission in self.permissions)
 
 
 @dataclass(frozen=True)
@@ -236,16 +248,39 @@ class Grant(Draft):
     """A grant as signed: `id` identifies it for revocation, `issuer` is the authority's thumbprint.
 
     `via` is set by renewal: the delegation's id and its holder's key. Both may be revoked.
+    A chain (`grants.narrowing`) is one grant too: the first link's, with the id, subject and holder
+    of the last, valid while every link is; `chain` is all of them, and each must authorize.
     """
 
     id: bytes
     issuer: bytes
     via: tuple[bytes, ...] = ()
+    chain: tuple["Grant", ...] = ()
 
     @classmethod
     def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002 - the field has that name
         """The signed form of `draft`."""
         return cls(**vars(draft), id=id, issuer=issuer)
+
+    @property
+    def links(self) -> tuple["Grant", ...]:
+        """The grant as signed, then its narrowings in order; `(self,)` if there are none."""
+        return self.chain or (self,)
+
+    @property
+    def revocable(self) -> tuple[bytes, ...]:
+        """Every id and key that ends it when revoked; the key of a single grant is its peer's."""
+        if not self.chain:
+            return (self.id, *self.via)
+        ids = (entry for link in reversed(self.chain) for entry in (link.id, *link.via))
+        return (*ids, *(link.holder for link in self.chain))
+
+    def covers(self, right: Right, name: str) -> bool:
+        """Whether every link gives `right` on `name` (restricted or not)."""
+        return all(
+            any(permission.covers(right, name) for permission in link.permissions)
+            for link in self.links
+        )
 
     @property
     def short_id(self) -> str:
@@ -254,7 +289,8 @@ class Grant(Draft):
 
 
 def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]:
-    """All restrictions that apply together, each once, in an order independent of the input's.
+    """All restrictions that apply together, each once, layer by layer; the order of one layer does
+    not depend on the input's.
 
     Restrictions of messages only: `keep_when_stale` is less strict, and the caller combines it.
     """
@@ -263,4 +299,4 @@ def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]
         for restriction in restrictions
         if restriction is not None and restriction.restricts_messages
     }
-    return tuple(sorted(unique, key=repr))
+    return tuple(sorted(unique, key=lambda each: (each.layer, repr(each))))

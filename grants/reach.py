@@ -1,35 +1,55 @@
 """An index over the names that permissions cover: the master checks every name with it.
 
-The answer is that of `Permission.covers` for any of the permissions; only the work is done before.
+The answer is that of `Permission.covers` for any of the permissions, and of `Grant.covers` for
+chains, in which every link must cover the name; only the work is done before.
 A name in the syntax of `ca.names` is compared whole, or with the prefix before a final `**`, in C.
 For parameters a whole namespace can be checked, without a list of the names in it.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from ca import patterns
 from ca.errors import NameRefused
 from ca.names import check_name
-from grants.model import TREE_RIGHTS, Permission, Right
+from grants.model import TREE_RIGHTS, Grant, Permission, Right
 
 
 class Reach:
-    """For each right the exact names, the prefixes of names, and the other permissions."""
+    """For each right the exact names, the prefixes of names, and the other permissions.
 
-    __slots__ = ("_any", "_by_right")
+    Args:
+        permissions: any of them gives a right.
+        chains: the reaches of the links of each chain: all of them together give a right.
+    """
 
-    def __init__(self, permissions: Iterable[Permission]) -> None:
+    __slots__ = ("_any", "_by_right", "_chains")
+
+    def __init__(
+        self, permissions: Iterable[Permission], chains: Iterable[Sequence["Reach"]] = ()
+    ) -> None:
         given = tuple(permissions)
+        self._chains = tuple(tuple(links) for links in chains)
         shared: dict[_NameSets, _NameSets] = {}  # many rights mostly have equal sets
         sets = {int(right): _name_sets(given, right) for right in Right}
         self._by_right = {right: shared.setdefault(each, each) for right, each in sets.items()}
         self._any: dict[int, _NameSets] = {}
 
+    @classmethod
+    def of(cls, grants: Iterable[Grant]) -> "Reach":
+        """What verified grants of one key give, chains among them."""
+        held = tuple(grants)
+        return cls(
+            (each for grant in held if not grant.chain for each in grant.permissions),
+            ([cls(link.permissions) for link in grant.chain] for grant in held if grant.chain),
+        )
+
     def covers(self, right: Right, name: str) -> bool:
         """Whether some permission gives the single `right` on `name`; False for an invalid name."""
         sets = self._by_right.get(int(right))
-        return sets is not None and _covers(sets, name)
+        return (sets is not None and _covers(sets, name)) or any(
+            all(link.covers(right, name) for link in links) for links in self._chains
+        )
 
     def covers_any(self, rights: Right, name: str) -> bool:
         """Whether one of `rights` is given on `name`; False for an invalid name."""
@@ -38,7 +58,12 @@ class Reach:
             sets = self._any[int(rights)] = _union(
                 self._by_right[int(right)] for right in Right if right in rights
             )
-        return _covers(sets, name)
+        return _covers(sets, name) or any(
+            all(link.covers(right, name) for link in links)
+            for links in self._chains
+            for right in Right
+            if right in rights
+        )
 
     def covers_below(self, right: Right, namespace: str) -> bool:
         """Whether `right`, one of parameters, is given on every name below `namespace`.
@@ -47,6 +72,10 @@ class Reach:
             namespace: a name, or `/` for all names.
         """
         sets = self._parameter_sets(right)
+        if any(
+            all(link.covers_below(right, namespace) for link in links) for links in self._chains
+        ):
+            return True
         return sets is not None and (
             _prefix(namespace).startswith(sets[1])
             or any(
@@ -57,10 +86,14 @@ class Reach:
     def touches(self, right: Right, namespace: str) -> bool:
         """Whether `right`, one of parameters, is given on `namespace` or on any name below it.
 
+        A chain may touch it by each link and yet give nothing: who asks filters name by name.
+
         Args:
             namespace: as for `covers_below`.
         """
         sets = self._parameter_sets(right)
+        if any(all(link.touches(right, namespace) for link in links) for links in self._chains):
+            return True
         return sets is not None and (
             _touches(_prefix(namespace), sets[1])
             or any(patterns.touches(permission.pattern, namespace) for _, permission in sets[2])
@@ -69,7 +102,8 @@ class Reach:
     def patterns(self, right: Right) -> int:
         """The number of patterns compared one by one: the cost of a check of `right`."""
         sets = self._by_right.get(int(right))
-        return 0 if sets is None else len(sets[2])
+        links = (link.patterns(right) for chain in self._chains for link in chain)
+        return (0 if sets is None else len(sets[2])) + sum(links) + len(self._chains)
 
     def _parameter_sets(self, right: Right) -> "_NameSets | None":
         return self._by_right.get(int(right)) if right & TREE_RIGHTS else None

@@ -150,6 +150,10 @@ class AnswerRefused(RossecError):
         self.code = code
 
 
+class ImportRefused(RossecError):
+    """Facts or parameters of another master that this one does not take over."""
+
+
 class QueryRefused(RossecError):
     """A query of the revocation list that is invalid, or cannot be answered."""
 

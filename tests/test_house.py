@@ -89,7 +89,6 @@ RETIRED: Final = {
     "House": "AgentServices",
     "IdentityBook": "IdentityTable",
     "Import": "OpenEgress",
-    "Imports": "Egress",
     "Inbox": "GrantRequestStore",
     "is_for": "applies_to",
     "is_tag": "verify_tag",

@@ -5,7 +5,7 @@ grants this node holds, a peer receives only those that cover the request.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
@@ -18,10 +18,10 @@ from ca.encoding import Value, decode, encode
 from ca.errors import CAError, EncodingError, RevocationsStale
 from ca.revocation.state import Revocations, open_timestamp
 from grants.decision import Decision, authorize
-from grants.document import peek
 from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import Grant, Right
-from grants.token import Verifier
+from grants.narrowing import check_one_domain
+from grants.token import Verifier, peek
 
 FIELD: Final = "rossec_grants"
 NO_LIST: Final = (
@@ -31,6 +31,7 @@ NO_LIST: Final = (
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
 MAX_GRANTS: Final = 16
 CACHE_SIZE: Final = 1024
+_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Access:
             self.hold(data)
 
     def hold(self, data: bytes) -> None:
-        """Add a grant to those this node can present."""
+        """Add a token to those this node can present: a grant as signed, or a chain."""
         grant = peek(data)
         self._held.setdefault(grant.id, HeldGrant(grant, data, data, grant.not_before))
 
@@ -84,7 +85,7 @@ class Access:
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
         revoked = self._revocations.entries
-        return [held for held in self._held.values() if held.grant.id not in revoked]
+        return [held for held in self._held.values() if revoked.isdisjoint(held.grant.revocable)]
 
     @property
     def epoch(self) -> int:
@@ -144,14 +145,14 @@ class Access:
     def present(self, right: Right, name: str, now: int) -> bytes:
         """Header field that proves `right` on `name`: the array of the grants that cover it.
 
-        A peer accepts a limited number; those that expire last are sent.
+        A peer accepts a limited number and size; those that expire last are sent.
         """
-        covering = [held.token for held in self._current(now) if _covers(held.grant, right, name)]
-        return encode(list[Value](covering[:MAX_GRANTS]))
+        covering = [held.token for held in self._current(now) if held.grant.covers(right, name)]
+        return encode(list[Value](_fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
-        return any(_covers(held.grant, right, name) for held in self._current(now))
+        return any(held.grant.covers(right, name) for held in self._current(now))
 
     def _current(self, now: int) -> list[HeldGrant]:
         usable = [
@@ -189,7 +190,7 @@ class Access:
                 f"{peer.name} shows no grant to {right.label} {name}",
                 (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
             )
-        grants, refusals = self._verify_all(_unpack(presented), now)
+        grants, refusals = self._verify_all(_unpack(presented), peer, now)
         try:
             return authorize(
                 grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
@@ -199,13 +200,17 @@ class Access:
                 raise refusals[0] from None
             raise
 
-    def _verify_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
+    def _verify_all(
+        self, presented: list[bytes], peer: Identity, now: int
+    ) -> tuple[list[Grant], list[GrantError]]:
         """The valid grants, and the errors of the others: one that is refused is left out."""
         grants: list[Grant] = []
         refusals: list[GrantError] = []
         for data in presented:
             try:
-                grants.append(self._verify(data, now))
+                grant = self._verify(data, now)
+                check_one_domain(grant, "", peer.name)
+                grants.append(grant)
             except GrantError as error:
                 refusals.append(error)
         return grants, refusals
@@ -247,5 +252,11 @@ def _unpack(presented: bytes) -> list[bytes]:
     return grants
 
 
-def _covers(grant: Grant, right: Right, name: str) -> bool:
-    return any(permission.covers(right, name) for permission in grant.permissions)
+def _fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
+    """The first of them that a header field has room for, with what CBOR adds to each."""
+    room, left = MAX_PRESENTED - _ARRAY_HEAD, MAX_GRANTS
+    for token in tokens:
+        size = len(token) + _BYTES_HEAD
+        if left and size <= room:
+            room, left = room - size, left - 1
+            yield token

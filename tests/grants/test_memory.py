@@ -13,7 +13,8 @@ from grants.model import Right
 
 
 def decision(holder: int = 1, name: str = "/a", right: Right = Right.SUBSCRIBE) -> Decision:
-    grant: Any = SimpleNamespace(holder=bytes([holder]) * 32)
+    grant: Any = SimpleNamespace(holder=bytes([holder]) * 32, chain=())
+    grant.links = (grant,)
     return Decision(right, name, (grant, grant), 100, ())
 
 

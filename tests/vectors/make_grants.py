@@ -143,7 +143,7 @@ def tokens() -> list[dict[str, object]]:
     cases: dict[str, tuple[bytes, str | None]] = {
         "renewed": (three, None),
         "a bare grant that has expired": (grant, "GrantExpired"),
-        "two parts": (encode([grant, ticket]), "GrantForged"),
+        "two parts": (encode([grant, ticket]), "GrantMalformed"),
         "four parts": (encode([grant, ticket, delegation, b""]), "GrantForged"),
         "an empty part": (encode([grant, b"", delegation]), "GrantMalformed"),
         "a part that is text": (encode([grant, "ticket", delegation]), "GrantMalformed"),

@@ -5,16 +5,13 @@ well-formed ROS name after it is resolved, and a URI must have a host and a port
 """
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Final
-from urllib.parse import urlsplit
 
 from ca.errors import NameRefused
 from ca.names import check_name
-from rossec.master.state.addresses import is_unicast_host
+from rossec.master.state.addresses import is_connectable
 from rossec.ros import names
 
-URI_LIMIT: Final = 512
 KEY_LIMIT: Final = 255
 
 Check = Callable[[object, str], object]
@@ -114,7 +111,7 @@ def uri(label: str, scheme: str) -> Check:
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] is not an XMLRPC URI")
-        if not _is_connectable(value, scheme):
+        if not is_connectable(value, scheme):
             raise ArgumentRefused(f"ERROR: parameter [{label}] is not an RPC URI")
         return value
 
@@ -161,19 +158,6 @@ def binaries(label: str, most: int) -> Check:
 
 def _is_resource_name(value: str) -> bool:
     return value.count("/") == 1 and len(value) <= KEY_LIMIT and value.isprintable()
-
-
-@lru_cache(256)  # a node sends its own URIs in each call
-def _is_connectable(value: str, scheme: str) -> bool:
-    if len(value) > URI_LIMIT or not value.isascii() or not value.isprintable() or " " in value:
-        return False
-    try:
-        parts = urlsplit(value)
-        port = parts.port
-    except ValueError:
-        return False
-    host = parts.hostname or ""
-    return parts.scheme == scheme and is_unicast_host(host) and bool(port) and "@" not in value
 
 
 def _well_formed(resolved: str, label: str) -> str:

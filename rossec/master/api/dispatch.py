@@ -33,6 +33,8 @@ from rossec.master.rights.caller import AddressTaken, Caller, Peer, Refused
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
+from rossec.master.state.graph import Graph
+from rossec.master.state.imports import Imports
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
 
@@ -52,6 +54,7 @@ class MasterApi:
         deposits: the grants deposited so far; by default none is accepted.
         denials: which rights nodes lacked.
         connected: the identities that have a connection now.
+        imports: what other masters have registered; by default nothing.
     """
 
     def __init__(
@@ -69,17 +72,19 @@ class MasterApi:
         deposits: Deposits | None = None,
         denials: RecentDenials | None = None,
         connected: Callable[[], Iterable[Peer]] = tuple,
+        imports: Imports | None = None,
     ) -> None:
         self._uri = uri
         self._pid = pid
-        self._access_control = AccessControl(registry, name)
-        self.watch_calls = WatchCalls(registry, self._access_control, instance)
+        graph = Graph(registry, Imports(registry) if imports is None else imports)
+        self._access_control = AccessControl(graph, name)
+        self.watch_calls = WatchCalls(graph, self._access_control, instance)
         tree = Parameters() if parameters is None else parameters
         deposits = Deposits() if deposits is None else deposits
         denials = RecentDenials() if denials is None else denials
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
-            **GraphCalls(registry, self._access_control).methods(),
+            **GraphCalls(graph, self._access_control).methods(),
             **self.parameters.methods(),
             **self.watch_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),

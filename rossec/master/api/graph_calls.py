@@ -11,7 +11,8 @@ from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
 from rossec.master.rights.access_rules import AccessControl, require_capacity
 from rossec.master.rights.caller import Caller
-from rossec.master.state.registry import Kind, Registry
+from rossec.master.state.graph import Graph
+from rossec.master.state.registry import Kind
 from rossec.ros.xmlwrite import EncodedList
 
 _MAX_CACHED_STATES: Final = 16
@@ -19,10 +20,12 @@ _MAX_CACHED_ENTRIES: Final = 8192
 
 
 class GraphCalls:
-    """Handlers over one registry."""
+    """Handlers over one graph; only the own registrations can be changed."""
 
-    def __init__(self, registry: Registry, access_control: AccessControl) -> None:
-        self._registry = registry
+    def __init__(self, graph: Graph, access_control: AccessControl) -> None:
+        self._graph = graph
+        self._registry = graph.registry
+        self._demand = graph.imports.demand
         self._access_control = access_control
         self._entries: dict[tuple[str, tuple[str, ...]], EncodedList] = {}
         self._states: dict[int, tuple[Caller, EncodedList]] = {}  # by identity of the caller
@@ -58,7 +61,8 @@ class GraphCalls:
         topic, type_name = request.text(1), request.text(2)
         require_capacity(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
         events = self._registry.register_subscriber(topic, type_name, request.node(3))
-        publishers = self._registry.uris(Kind.PUBLISHER, topic)
+        self._demand.ask(topic, request.now)
+        publishers = self._registry.publisher_uris(topic)
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
     def _register_service(self, request: CallRequest) -> Reply:
@@ -86,23 +90,34 @@ class GraphCalls:
 
     def _lookup_node(self, request: CallRequest) -> Reply:
         name = request.text(1)
-        uri = self._registry.node_uri(name)
+        self._ask(name, request.now)
+        uri = self._graph.node_uri(name)
         if uri is None or not self._access_control.is_node_visible(request.caller, name):
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
 
     def _lookup_service(self, request: CallRequest) -> Reply:
-        uri = self._registry.service_uri(request.text(1))
+        self._ask(request.text(1), request.now)
+        uri = self._graph.service_uri(request.text(1))
         if uri is None:
             return Reply("", "no provider", -1)
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
+    def _ask(self, name: str, now: int) -> None:
+        """Have other masters asked for a name that is not one of this master."""
+        if self._registry.node_uri(name) is None and self._registry.service_uri(name) is None:
+            self._demand.ask(name, now)
+
     def _system_state(self, request: CallRequest) -> Steps:
-        return Reply((yield from self._state(request.caller)), "current system state")
+        self._demand.ask_everything(request.now)
+        return self._system_state_reply(request.caller)
+
+    def _system_state_reply(self, caller: Caller) -> Steps:
+        return Reply((yield from self._state(caller)), "current system state")
 
     def _state(self, caller: Caller) -> Generator[None, None, EncodedList]:
-        """What the caller may see; cached while neither the registry nor the caller changes."""
-        version = self._registry.version
+        """What the caller may see; cached while neither the graph nor the caller changes."""
+        version = self._graph.version
         if self._version != version:
             self._version = version
             self._states.clear()
@@ -116,7 +131,7 @@ class GraphCalls:
                 (yield from self._visible_entries(Kind.SERVICE, caller)),
             ]
         )
-        if self._registry.version == self._version == version:
+        if self._graph.version == self._version == version:
             if len(self._states) >= _MAX_CACHED_STATES:
                 self._states.clear()
             self._states[id(caller)] = caller, state
@@ -124,7 +139,7 @@ class GraphCalls:
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
         found, at_once = list[object](), caller.names_per_yield
-        for count, (key, nodes) in enumerate(self._registry.entries(kind), 1):
+        for count, (key, nodes) in enumerate(self._graph.entries(kind), 1):
             if names := self._access_control.visible_nodes(caller, key, nodes):
                 found.append(self._entry(key, names))
             if not count % at_once:
@@ -141,19 +156,23 @@ class GraphCalls:
         return entry
 
     def _topic_types(self, request: CallRequest) -> Steps:
-        types = self._registry.topic_types()
-        return Reply(
-            (yield from self._visible_types(request.caller, types)), "current system state"
-        )
+        self._demand.ask_everything(request.now)
+        return self._types_reply(request.caller, self._graph.topic_types(), "current system state")
 
     def _published_topics(self, request: CallRequest) -> Steps:
+        self._demand.ask_everything(request.now)
         namespace = request.text(1)
         if namespace and not namespace.endswith("/"):
             namespace += "/"
-        entries = self._registry.entries(Kind.PUBLISHER)
-        topics = ((key, self._registry.topic_type(key)) for key, _ in entries)
+        entries = self._graph.entries(Kind.PUBLISHER)
+        topics = ((key, self._graph.topic_type(key)) for key, _ in entries)
         within = ((key, name) if key.startswith(namespace) else None for key, name in topics)
-        return Reply((yield from self._visible_types(request.caller, within)), "current topics")
+        return self._types_reply(request.caller, within, "current topics")
+
+    def _types_reply(
+        self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str
+    ) -> Steps:
+        return Reply((yield from self._visible_types(caller, topics)), status)
 
     def _visible_types(
         self, caller: Caller, topics: Iterable[tuple[str, str] | None]

@@ -16,6 +16,7 @@ from ca.errors import HintedError
 from grants.model import Right
 from rossec.master.rights.caller import AddressTaken, Caller, Refused, display
 from rossec.master.state.addresses import endpoint, is_loopback_host
+from rossec.master.state.graph import Graph
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
 from rossec.ros.names import AUTHORITY
 
@@ -104,12 +105,13 @@ class AccessControl:
     """Authorizes calls whose arguments are already resolved.
 
     Args:
-        registry: to find the node that registered a slave API.
+        graph: to find the node that registered a slave API, and what nodes are registered for.
         master: the master's own certified name; ADMIN is a right on this name.
     """
 
-    def __init__(self, registry: Registry, master: str) -> None:
-        self._registry = registry
+    def __init__(self, graph: Graph, master: str) -> None:
+        self._graph = graph
+        self._registry = graph.registry
         self._master = master
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
@@ -169,7 +171,7 @@ class AccessControl:
         if name == caller.name or caller.may(Right.GRAPH, name):
             return True
         kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
-        keys = (key for kind in kinds for key in self._registry.keys_of(name, kind))
+        keys = (key for kind in kinds for key in self._graph.keys_of(name, kind))
         return any(caller.may_see(key) for key in keys)
 
 

@@ -86,7 +86,7 @@ class PresentedGrants:
         valid = [grant for grant in grants if _is_valid(grant, context.now, revocations)]
         ids = tuple(grant.id for grant in valid)
         if ids != self._valid_ids:
-            self._reach = Reach(permission for grant in valid for permission in grant.permissions)
+            self._reach = Reach.of(valid)
         self._evaluated_for, self._valid_ids = (context, self.version), ids
 
     def drop_expired(self, now: int) -> None:
@@ -126,7 +126,7 @@ def _is_valid(grant: Grant, now: int, revocations: Revocations) -> bool:
     """Whether `grants.decision` would accept the grant now; its holder was checked before."""
     try:
         check_time(grant, now)
-        for entry in (grant.id, *grant.via):
+        for entry in grant.revocable:
             revocations.check(entry, now)
     except HintedError:
         return False

@@ -19,6 +19,7 @@ from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
+from grants.narrowing import check_one_domain
 from grants.token import Verifier
 from rossec.master.rights.access_rules import is_authority
 from rossec.master.rights.caller import Caller, Peer
@@ -134,12 +135,10 @@ class TrustState:
         """
         keys, entries = frozenset(names), self._revocations.entries
         pertaining = {caller.thumbprint, self._delegate.id}
-        revoked = [
-            item for item in self._known_grants() if not entries.isdisjoint((item.id, item.holder))
-        ]
+        revoked = [item for item in self._known_grants() if not entries.isdisjoint(_entries(item))]
         for grant in revoked:
             if grant.holder == caller.thumbprint or (yield from _names_any(grant, keys)):
-                pertaining |= {grant.id, grant.holder}
+                pertaining |= _entries(grant)
         return entries & pertaining
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
@@ -267,7 +266,7 @@ class TrustState:
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
-            if not self._revocations.entries.isdisjoint((grant.id, grant.holder))
+            if not self._revocations.entries.isdisjoint(_entries(grant))
         }
         self._timestamp_cache, self._context = (-1, b""), NOT_EVALUATED
         return self._revocations.data != before
@@ -314,6 +313,7 @@ class TrustState:
             raise GrantNotHeld(
                 "the grant is bound to another key", f"it was issued to {grant.subject}"
             )
+        check_one_domain(grant, "", caller.certified or caller.name)
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -350,6 +350,12 @@ class TrustState:
 
     def _timestamp(self, now: int) -> Timestamp:
         return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
+
+
+def _entries(grant: Grant) -> frozenset[bytes]:
+    """The ids of a grant and of its links, and the keys they are for."""
+    links = (entry for link in grant.links for entry in (link.id, link.holder))
+    return frozenset((grant.holder, *links))
 
 
 def _names_any(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:

@@ -40,6 +40,7 @@ from rossec.master.server.grant_changes import GrantChanges
 from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
+from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.ros.names import REVOCATION_UPDATE
@@ -61,6 +62,7 @@ class MasterState:
         parameter_file: the journal of parameters; None: they do not survive a restart.
         deposit_file: the journal of deposited grants; None: none is accepted.
         streams: accepted connections.
+        imports: what other masters have registered.
     """
 
     name: str
@@ -73,10 +75,19 @@ class MasterState:
     grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
+    imports: Imports = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.imports = Imports(self.registry)
 
     def now(self) -> int:
         """The time, in whole seconds."""
         return int(self.clock())
+
+    @property
+    def graph_version(self) -> int:
+        """Grows with every change of the own registrations and of the imports."""
+        return self.registry.version + self.imports.version
 
 
 class Effects:
@@ -114,7 +125,7 @@ class Effects:
         self.calls += 1
         for event in outcome.events:
             self.deliver(event)
-        self._state.graph_changes.notify(self._state.registry.version)
+        self._state.graph_changes.notify(self._state.graph_version)
         return outcome.answer
 
     def evict(self, node: NodeRef, found: Peer) -> None:
@@ -127,7 +138,7 @@ class Effects:
             _denials.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
             for event in self._state.registry.remove_node(node.name):
                 self.deliver(event)
-            self._state.graph_changes.notify(self._state.registry.version)
+            self._state.graph_changes.notify(self._state.graph_version)
 
     def deliver(self, event: MasterEvent) -> None:
         """Perform the effect of `event`."""

@@ -87,7 +87,7 @@ class Maintenance:
     async def _enforce(self) -> None:
         """Remove what is no longer authorized; other calls are answered meanwhile."""
         for _ in self._effects.enforcement():
-            self._state.graph_changes.notify(self._state.registry.version)
+            self._state.graph_changes.notify(self._state.graph_version)
             await asyncio.sleep(0)
         self._state.graph_changes.notify()  # rights also narrow what watchers see
 

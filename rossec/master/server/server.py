@@ -179,9 +179,10 @@ class MasterServer:
             deposits=self._load_deposits(),
             denials=state.recent_denials,
             connected=lambda: [stream.peer for stream in state.streams],
+            imports=state.imports,
         )
         self._answers = CallAnswers(api, state, self._effects, self._turns)
-        self._maintenance.start(api.watch_calls.keep_only)
+        self._maintenance.start(api.watch_calls.views.keep_only)
 
     def _load_deposits(self) -> Deposits | None:
         file = self.state.deposit_file

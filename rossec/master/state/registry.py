@@ -9,12 +9,12 @@ leaves them with a dead publisher), and lookups by node are indexed.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
 
-from rossec.master.state.addresses import endpoint
+from rossec.master.state.addresses import Endpoint, endpoint
 
 ANY_TYPE: Final = "*"
 REGISTRATIONS_LIMIT: Final = 1024  # registrations of one kind of one node
@@ -86,12 +86,14 @@ class Registry:
 
     def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
         """`nodes_limit`: nodes of one key; only a wildcard identity can have more than one."""
+        self.imported_publishers: Callable[[str], list[str]] = _nothing_imported
         self.version = 0
         self._nodes: dict[str, _Node] = {}
         self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
         self._service_uris: dict[str, str] = {}
         self._types: dict[str, str] = {}
-        self._owners: dict[tuple[str, int | None], str] = {}
+        self._owners: dict[Endpoint, str] = {}
+        self._service_endpoints: Counter[Endpoint] = Counter()
         self._nodes_per_key: Counter[bytes] = Counter()
         self.nodes_limit = nodes_limit
         self._had_service = False
@@ -101,13 +103,16 @@ class Registry:
         events = self._register(Kind.PUBLISHER, topic, node)
         if type_name != ANY_TYPE or topic not in self._types:
             self._set_type(topic, type_name)
-        return [*events, self._publishers_changed(topic)]
+        return [*events, self.publishers_changed(topic)]
 
     def register_subscriber(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
         """Register a subscriber; its type counts only while the topic has none."""
         events = self._register(Kind.SUBSCRIBER, topic, node)
         if type_name != ANY_TYPE and topic not in self._types:
+            imported = self.imported_publishers(topic)
             self._set_type(topic, type_name)
+            if imported != self.imported_publishers(topic):  # some have another type
+                events.append(self.publishers_changed(topic))
         return events
 
     def register_service(self, service: str, service_uri: str, node: NodeRef) -> list[Event]:
@@ -119,7 +124,9 @@ class Registry:
         events = self._register(Kind.SERVICE, service, node)
         if self._service_uris.get(service) != service_uri:
             self.version += 1
-        self._service_uris[service] = service_uri
+            self._drop_service_uri(service)
+            self._service_uris[service] = service_uri
+            self._service_endpoints[endpoint(service_uri)] += 1
         self._had_service = True
         return events
 
@@ -136,7 +143,7 @@ class Registry:
             return Unregistered(f"[{node.name}] is not a known provider of [{key}]", 0), []
         self._discard(kind, key, node.name)
         done = Unregistered(f"Unregistered [{node.name}] as provider of [{key}]", 1)
-        return done, [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
+        return done, [self.publishers_changed(key)] if kind is Kind.PUBLISHER else []
 
     def unregister_service(
         self, service: str, name: str, service_uri: str, thumbprint: bytes
@@ -163,14 +170,14 @@ class Registry:
         registered = [(kind, key) for kind, keys in node.keys.items() for key in keys]
         for kind, key in registered:
             self._discard(kind, key, name)
-        return [self._publishers_changed(topic) for topic in topics]
+        return [self.publishers_changed(topic) for topic in topics]
 
     def remove(self, kind: Kind, key: str, name: str) -> list[Event]:
         """Remove one registration of a node, whatever its URI (a right was revoked)."""
         if not self.is_registered(kind, key, name):
             return []
         self._discard(kind, key, name)
-        return [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
+        return [self.publishers_changed(key)] if kind is Kind.PUBLISHER else []
 
     def node_uri(self, name: str) -> str | None:
         """The slave API URI of a registered node."""
@@ -200,6 +207,10 @@ class Registry:
         """The node that registered a slave API at this host and port, in any spelling."""
         return self._owners.get(endpoint(uri))
 
+    def is_registered_endpoint(self, place: Endpoint) -> bool:
+        """Whether a slave API or a service is registered at this host and port."""
+        return place in self._owners or place in self._service_endpoints
+
     def nodes(self) -> Iterator[NodeRef]:
         """All registered nodes."""
         return (node.ref for node in self._nodes.values())
@@ -221,6 +232,15 @@ class Registry:
     def uris(self, kind: Kind, key: str) -> list[str]:
         """The slave API URIs of the nodes registered for a name."""
         return [node.uri for node in self.registered_nodes(kind, key)]
+
+    def publisher_uris(self, topic: str) -> list[str]:
+        """The slave API URIs of the publishers of a topic, those of other masters last."""
+        return [*self.uris(Kind.PUBLISHER, topic), *self.imported_publishers(topic)]
+
+    def publishers_changed(self, topic: str) -> PublishersChanged:
+        """The event that notifies the subscribers of a topic of its publishers."""
+        subscribers = self.registered_nodes(Kind.SUBSCRIBER, topic)
+        return PublishersChanged(topic, subscribers, tuple(self.publisher_uris(topic)))
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
         """All names of one kind as of now, each with its nodes as of when it is yielded."""
@@ -271,7 +291,7 @@ class Registry:
         if not self._names[kind][key]:
             del self._names[kind][key]
             if kind is Kind.SERVICE:
-                del self._service_uris[key]
+                self._drop_service_uri(key)
             if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
                 self._types.pop(key, None)  # else one node could fill the memory with types
         if node.is_empty():
@@ -282,13 +302,18 @@ class Registry:
             if self.owner(node.ref.uri) == name:
                 del self._owners[endpoint(node.ref.uri)]
 
+    def _drop_service_uri(self, service: str) -> None:
+        uri = self._service_uris.pop(service, None)
+        if uri is not None:
+            place = endpoint(uri)
+            self._service_endpoints[place] -= 1
+            if self._service_endpoints[place] == 0:
+                del self._service_endpoints[place]
+
     def _set_type(self, topic: str, type_name: str) -> None:
         self.version += self._types.get(topic) != type_name
         self._types[topic] = type_name
 
-    def _publishers_changed(self, topic: str) -> PublishersChanged:
-        return PublishersChanged(
-            topic,
-            self.registered_nodes(Kind.SUBSCRIBER, topic),
-            tuple(self.uris(Kind.PUBLISHER, topic)),
-        )
+
+def _nothing_imported(_topic: str) -> list[str]:
+    return []

@@ -10,7 +10,14 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset, RossecError, XmlRpcRefused
+from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ConfigurationError,
+    ParameterUnset,
+    RossecError,
+    XmlRpcRefused,
+)
 from rossec.node import Node
 from rossec.node.params import ParameterSubscription
 from tests.support.site import Site
@@ -170,3 +177,10 @@ async def test_a_malformed_list_of_names_is_refused(
     monkeypatch.setattr(robot._membership.session._client, "ask", answer)
     with pytest.raises(AnswerMalformed, match="not a list of str"):
         await robot.params.names()
+
+
+async def test_nothing_is_set_below_remote(robot: Node) -> None:
+    with pytest.raises(ConfigurationError, match="/remote/hospital/speed cannot be set here"):
+        await robot.params.set("/remote/hospital/speed", 1)
+    with pytest.raises(ConfigurationError, match="/remote/hospital cannot be deleted here"):
+        await robot.params.delete("/remote/hospital/")

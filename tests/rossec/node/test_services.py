@@ -156,3 +156,9 @@ async def test_a_service_is_registered_again_with_a_restarted_master(
                 break
             except RossecError:
                 await asyncio.sleep(0.05)
+
+
+async def test_nothing_is_provided_below_remote(lamp: Node) -> None:
+    with pytest.raises(ConfigurationError, match="cannot be provided here") as caught:
+        await lamp.service("/remote/hospital/lamp", BOOL, switch)
+    assert "take a name outside /remote" in caught.value.hint

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from ca.encoding import Value
+from ca.errors import NameRefused
 from grants.model import Restriction, filter_rules
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.errors import (
@@ -216,3 +217,13 @@ async def test_an_invalid_request_topic_answer_is_retried(
         async with asyncio.timeout(20):
             await publisher.wait_for_subscribers()
         assert len(subscriber.refusals) == 3
+
+
+async def test_nothing_is_published_below_remote(site: Site) -> None:
+    site.publish("/robot", "/**")
+    async with site.node("/robot", "pose:=/remote/hospital/pose") as robot:
+        for name in ("/remote/hospital/pose", "pose"):
+            with pytest.raises(ConfigurationError, match="/remote/hospital/pose cannot be publish"):
+                await robot.publisher(name, POSE)
+        with pytest.raises(NameRefused, match="names no origin"):
+            await robot.subscriber("/remote/hospital", POSE)

@@ -166,3 +166,14 @@ async def test_a_node_is_not_sent_back_to_itself(site: Site, talker: Talker) -> 
     misled.add_ports(HOST, talker.topics.port)
     with pytest.raises(ConnectionHeaderRefused, match="sends this node to itself"):
         await Dialer("/viewer", viewer, lambda *_: None, misled).topic(talker.uri, TOPIC)
+
+
+async def test_a_topic_of_another_origin_is_requested_by_its_name_there(
+    talker: Talker, dialer: Dialer
+) -> None:
+    stream = await dialer.topic(talker.uri, "/remote/hospital/scan")
+    assert talker.calls == [("requestTopic", ("/viewer", "/scan", [["TCPROS"]]))]
+    await stream.close()
+    talker.answer = [1, "", []]
+    with pytest.raises(ConnectionHeaderRefused, match="offers no connection for hospital:/scan"):
+        await dialer.topic(talker.uri, "/remote/hospital/scan")

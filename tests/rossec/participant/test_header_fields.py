@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import pytest
 
 from ca.certificates import build_request
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused
-from rossec.participant.header_fields import check_caller, text
+from rossec.participant.header_fields import check_caller, refuse_on_wire, text
 from tests.support.pki import NOW, Site, new_signer
 
 SITE = Site.create()
@@ -35,3 +37,19 @@ def test_a_field_that_is_not_text_is_refused(value: bytes, message: str) -> None
 def test_an_error_of_a_peer_is_made_printable_and_short() -> None:
     assert text({"error": b"no\x1b[2Jmore\n"}, "error") == "no [2Jmore "
     assert len(text({"error": b"e" * 10000}, "error")) == 4096
+
+
+def test_an_alias_on_the_wire_is_refused() -> None:
+    assert refuse_on_wire("/robot/pose") == "/robot/pose"
+    for alias in ("/remote/hospital/robot/pose", "/remote", "/remote/"):
+        with pytest.raises(ConnectionHeaderRefused, match="no name on the wire") as caught:
+            refuse_on_wire(alias)
+        assert "by the origin's name" in caught.value.hint
+
+
+def test_a_foreign_caller_calls_itself_by_its_certified_name() -> None:
+    peer = SITE.anchor.verify([SITE.leaf("/robot")], NOW)
+    peer = replace(peer, name="/remote/hospital/robot", certified="/robot")
+    check_caller({"callerid": b"/robot"}, peer)
+    with pytest.raises(CallerMismatch, match="certified as hospital:/robot calls itself /remote"):
+        check_caller({"callerid": peer.name.encode()}, peer)

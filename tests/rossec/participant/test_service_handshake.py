@@ -11,6 +11,7 @@ from rossec.errors import CallerMismatch, ConnectionHeaderRefused
 from rossec.participant import service_handshake
 from rossec.participant.access import Access
 from rossec.participant.header_fields import Fields
+from tests.support.openaccess import OpenAccess
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -24,6 +25,7 @@ class Pair:
         site = Site(root, clock=lambda: NOW)
         site.grant("/door", Right.PROVIDE, SERVICE)
         site.grant("/hall", Right.CALL, SERVICE)
+        self.anchor = site.anchor
         self.door, self.hall = site.identity("/door"), site.identity("/hall")
         self.door_access, self.hall_access = (
             self._access(site, "/door"),
@@ -142,3 +144,23 @@ def test_md5sums_must_agree() -> None:
         service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "b")
     with pytest.raises(ConnectionHeaderRefused, match="has no 'md5sum'"):
         service_handshake.check_md5({}, SERVICE, "b")
+
+
+ALIAS = "/remote/hospital/door/open"
+
+
+def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair: Pair) -> None:
+    access = OpenAccess(pair.anchor)
+    fields = service_handshake.client_header("/hall", ALIAS, service_handshake.ANY, access, NOW)
+    assert fields["service"] == b"/door/open"
+    assert access.presented == [("call", ALIAS)]
+    service_handshake.admit_provider(pair.answer(), pair.door, ALIAS, access, NOW)
+    assert access.authorized == [("/door", "provide", ALIAS)]
+
+
+def test_a_client_that_asks_for_an_alias_is_refused(pair: Pair) -> None:
+    access = OpenAccess(pair.anchor)
+    fields = pair.request() | {"service": ALIAS.encode()}
+    with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
+        service_handshake.admit_caller(fields, pair.hall, access, NOW)
+    assert access.authorized == []

@@ -6,7 +6,7 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import RollbackRefused
-from rossec.participant.slave_api import SlaveApi
+from rossec.participant.slave_api import ALIAS_ASKED, SlaveApi
 from tests.support.site import Site
 
 Call = tuple[object, ...]
@@ -148,3 +148,22 @@ async def test_an_anonymous_node_may_use_names_its_certificate_covers(
         assert answer[0] == code
     answer = await call(node, identity, "requestTopic", "/viewer_17", "/t", [["TCPROS"]])
     assert answer == [-1, "rossec: caller_id is not /viewer", []]
+
+
+async def test_a_peer_that_asks_for_an_alias_is_refused(node: Node, identity: Identity) -> None:
+    for topic in ("/remote/hospital/robot/pose", "/remote"):
+        answer = await call(node, identity, "requestTopic", "/viewer", topic, [["TCPROS"]])
+        assert answer == [-1, f"rossec: {ALIAS_ASKED}", []]
+
+
+async def test_a_foreign_tool_gets_no_names_of_other_domains(
+    node: Node, identity: Identity
+) -> None:
+    foreigner = replace(identity, name="/remote/hospital/viewer", certified="/viewer")
+    rows = [["/t", "p/T"], ["/remote/clinic/t", "p/T"]]
+    node.describe = lambda: {"getSubscriptions": rows}  # type: ignore[method-assign]
+    api = SlaveApi(node)
+    assert await api("getSubscriptions", ("/viewer",), foreigner, authorized=True) == [
+        1, "", [["/t", "p/T"]],
+    ]  # fmt: skip
+    assert await api("getSubscriptions", ("/viewer",), identity, authorized=True) == [1, "", rows]

@@ -13,6 +13,7 @@ from rossec.participant.access import Access
 from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import message_type
 from rossec.participant.topic_handshake import TopicEndpoint
+from tests.support.openaccess import OpenAccess
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -26,6 +27,7 @@ class Pair:
         site = Site(root, clock=lambda: NOW)
         site.publish("/robot", ENDPOINT.topic)
         site.subscribe("/viewer", ENDPOINT.topic)
+        self.anchor = site.anchor
         self.robot, self.viewer = site.identity("/robot"), site.identity("/viewer")
         self.robot_access = self._access(site, "/robot")
         self.viewer_access = self._access(site, "/viewer")
@@ -159,3 +161,33 @@ def test_an_anonymous_node_may_use_a_name_its_certificate_covers(pair: Pair) -> 
             pair.admit_viewer(pair.request() | {"callerid": name}, rviz)
     with pytest.raises(CallerMismatch):
         pair.admit_viewer(pair.request() | {"callerid": b"/viewer_17"})
+
+
+ALIAS = TopicEndpoint("/remote/hospital/robot/pose", ENDPOINT.type)
+
+
+def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair: Pair) -> None:
+    access = OpenAccess(pair.anchor)
+    fields = topic_handshake.subscriber_header("/viewer", ALIAS, access, NOW)
+    assert fields["topic"] == b"/robot/pose"
+    assert access.presented == [("subscribe", ALIAS.topic)]
+    hospital_robot = replace(pair.robot, name="/remote/hospital/robot", certified="/robot")
+    topic_handshake.admit_publisher(pair.answer(), hospital_robot, ALIAS.expected, access, NOW)
+    assert access.authorized == [("/remote/hospital/robot", "publish", ALIAS.topic)]
+
+
+@pytest.mark.parametrize("topic", ["/remote/hospital/robot/pose", "/robot/other", "/remote"])
+def test_a_publisher_answers_with_the_origins_name(pair: Pair, topic: str) -> None:
+    answer = pair.answer() | {"topic": topic.encode()}
+    with pytest.raises(ConnectionHeaderRefused, match="another topic than hospital:/robot/pose"):
+        topic_handshake.admit_publisher(
+            answer, pair.robot, ALIAS.expected, OpenAccess(pair.anchor), NOW
+        )
+
+
+def test_a_subscriber_that_asks_for_an_alias_is_refused(pair: Pair) -> None:
+    access = OpenAccess(pair.anchor)
+    fields = pair.request() | {"topic": ALIAS.topic.encode()}
+    with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
+        topic_handshake.admit_subscriber(fields, pair.viewer, access, NOW)
+    assert access.authorized == []

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api import watch_calls
+from rossec.master.api import graph_views
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
@@ -125,7 +125,7 @@ def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
 def test_an_answer_is_bounded_and_the_rest_follows(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watch_calls, "BATCH", 2)
+    monkeypatch.setattr(graph_views, "BATCH", 2)
     for n in range(3):
         do(api, "/laser", "registerPublisher", f"/t{n}", "*", "http://l:1/")
     watcher = Watcher(api)
@@ -147,15 +147,15 @@ def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> N
     Watcher(api).look()
     assert watchers[-1].look() == ([], [], False)
     assert watchers[0].look()[2]  # the oldest view was discarded
-    assert sum(map(len, api.watch_calls._views.values())) <= MAX_VIEWS
+    assert len(api.watch_calls.views) <= MAX_VIEWS
 
 
 def test_views_of_disconnected_keys_are_discarded(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
-    api.watch_calls.keep_only(frozenset({watcher.who.thumbprint}))
+    api.watch_calls.views.keep_only(frozenset({watcher.who.thumbprint}))
     assert not watcher.look()[2]
-    api.watch_calls.keep_only(frozenset())
+    api.watch_calls.views.keep_only(frozenset())
     assert watcher.look()[2]
 
 

@@ -9,6 +9,8 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.rights.access_rules import RULES, AccessControl, Scope, is_authority, require
 from rossec.master.rights.caller import Refused
+from rossec.master.state.graph import Graph
+from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import call_api, caller, everything
 from tests.rossec.master.rights.victim import BUT_ADMIN, EVIL_API, VICTIM_API, T, ask
@@ -24,9 +26,14 @@ def test_every_rule_that_names_or_reaches_something_has_a_right() -> None:
         assert (rule.right is not None) == (rule.scope in (Scope.NAMED, Scope.TREE, Scope.MASTER))
 
 
+def empty_graph() -> Graph:
+    registry = Registry()
+    return Graph(registry, Imports(registry))
+
+
 def test_a_method_without_a_rule_is_refused() -> None:
     with pytest.raises(Refused, match="no rule"):
-        AccessControl(Registry(), "/master").check("newMethod", everything("/a"), ("/a",))
+        AccessControl(empty_graph(), "/master").check("newMethod", everything("/a"), ("/a",))
 
 
 @pytest.mark.parametrize(
@@ -236,7 +243,7 @@ def test_the_authority_is_its_name_certified_by_the_root() -> None:
 
 
 def test_what_only_the_authority_may_call_needs_no_right_and_is_given_by_none() -> None:
-    control = AccessControl(Registry(), "/master")
+    control = AccessControl(empty_graph(), "/master")
     for method in (name for name, rule in RULES.items() if rule.scope is Scope.AUTHORITY):
         for who in (everything("/ca"), everything("/master"), everything("/a")):
             with pytest.raises(Refused, match="only the authority's own node"):

@@ -268,3 +268,35 @@ def test_an_anonymous_program_uses_the_wildcard(setup: AgentSetup) -> None:
         (CallMaster("registerPublisher", (*params[:3], INGRESS_URI)), Answered([1, "", []])),
     )
     assert replace(anonymous.agent).name_for("/rvizx") == "/rviz"
+
+
+@pytest.mark.parametrize("name", ["/remote/hospital/scan", "//remote/hospital/scan", "/remote/"])
+def test_a_program_offers_nothing_below_remote(setup: AgentSetup, name: str) -> None:
+    """The master is not called, so that a restart does not make the registration either."""
+    calls: list[tuple[str, tuple[object, ...]]] = [
+        ("registerPublisher", ("/robot", name, "pkg/Type", OWN_URI)),
+        ("registerService", ("/robot", name, "rosrpc://robot.local:5000", OWN_URI)),
+        ("setParam", ("/robot", name, 7)),
+        ("deleteParam", ("/rosparam_12", name)),
+    ]
+    for method, params in calls:
+        answer = run_layer(handle_call(setup.agent, method, params))
+        assert isinstance(answer, list)
+        assert answer[0] == -1
+        assert "names below /remote are those of other masters" in answer[1]
+        assert "take a name outside /remote" in answer[1]
+    assert not setup.agent.programs
+
+
+def test_a_program_subscribes_to_an_alias_by_its_local_name(setup: AgentSetup) -> None:
+    alias = "/remote/hospital/scan"
+    answer = run_layer(
+        handle_call(setup.agent, "registerSubscriber", ("/robot", alias, "pkg/Type", OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (
+            CallMaster("registerSubscriber", ("/robot", alias, "pkg/Type", INGRESS_URI)),
+            Answered([1, "ok", [PEER.uri]]),
+        ),
+        (OpenEgress(PEER), Opened(8000)),
+    )
+    assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]

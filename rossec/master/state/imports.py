@@ -1,0 +1,309 @@
+"""What other masters have registered, as a layer over the own registrations. Pure.
+
+Own facts always win: a service that is registered here is not imported, nor a topic from a site
+that gives it another type. Of several sites the one with the lower label wins. What is imported is
+never exported, and nothing below `/remote` can be registered, so a fact travels one hop and no loop
+can arise. The master never calls an imported node.
+
+Names are local here, as `sites` says. What wins is decided when it is asked, so a fact that was
+hidden appears by itself when what hid it goes.
+"""
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from rossec.errors import ImportRefused
+from rossec.master.state.demand import Demand
+from rossec.master.state.imported_facts import (
+    FACTS_LIMIT,
+    Address,
+    Fact,
+    SiteFacts,
+    checked,
+)
+from rossec.master.state.registry import (
+    ANY_TYPE,
+    Kind,
+    PublishersChanged,
+    Registry,
+)
+from rossec.master.state.sites import NODE, Site
+
+MAX_REPORTED: Final = 1024  # contradictions of one site that are reported
+
+_Entry = tuple[str, str]
+"""The label of a site, and the name there of a node."""
+
+
+@dataclass(frozen=True)
+class TypeContradicted:
+    """A topic is not imported from a site, where it has another type than here."""
+
+    label: str
+    topic: str
+    type_here: str
+    type_there: str
+
+
+ImportEvent = PublishersChanged | TypeContradicted
+
+
+@dataclass(frozen=True)
+class SiteStatus:
+    """One site, for people."""
+
+    site: Site
+    facts: int
+    is_lost: bool
+
+
+class Imports:
+    """The facts of all sites.
+
+    Args:
+        registry: the own registrations; its events name imported publishers from now on.
+        limit: facts of one site.
+
+    Attributes:
+        version: grows with every change.
+        demand: what local nodes want of the sites.
+    """
+
+    def __init__(self, registry: Registry, limit: int = FACTS_LIMIT) -> None:
+        self.version = 0
+        self.demand: Final = Demand(registry)
+        self._registry = registry
+        self._limit = limit
+        self._sites: dict[str, SiteFacts] = {}
+        self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
+        self._reported: dict[str, set[str]] = {}
+        registry.imported_publishers = self.publisher_uris
+
+    def apply(
+        self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
+    ) -> list[ImportEvent]:
+        """Take over a complete answer of a site: nothing takes effect if it is refused.
+
+        Args:
+            site: as in the calls before; another one with this label takes its place.
+            added, removed: facts with the origin's names.
+            whole: `added` is all that the site has.
+
+        Raises:
+            ImportRefused: a malformed fact, or too many. The facts of the site are still held.
+            NameRefused: the site's label is not one.
+        """
+        held = self._sites.get(site.label)
+        old = held.facts if held is not None and held.site == site else set[Fact]()
+        new = set(checked(added))
+        gone = old - new if whole else old.intersection(removed) - new
+        new -= old
+        if len(old) - len(gone) + len(new) > self._limit:
+            raise ImportRefused(f"site {site.label} has more than {self._limit} facts")
+        events: list[ImportEvent] = []
+        if held is None or held.site != site:
+            events += self.drop(site.label)
+            held = self._sites[site.label] = SiteFacts(site)
+        held.is_lost = False
+        return [*events, *self._change(held, new, gone), *self._contradictions(held, new)]
+
+    def lose(self, label: str) -> None:
+        """There is no connection with a site: its facts stay, marked."""
+        if label in self._sites:
+            self._sites[label].is_lost = True
+
+    def drop(self, label: str) -> list[ImportEvent]:
+        """Forget a site and its facts."""
+        held = self._sites.get(label)
+        if held is None:
+            return []
+        events = self._change(held, set(), set(held.facts))
+        del self._sites[label]
+        self._reported.pop(label, None)
+        return [*events]
+
+    def wanted(self, site: Site, now: int) -> tuple[str, ...]:
+        """What to ask a site for, as `Demand.wanted`."""
+        return self.demand.wanted(site, now)
+
+    def settle(self, label: str, demand: int) -> None:
+        """A site has answered completely what was wanted when the demand had this version."""
+        if label in self._sites:
+            self._sites[label].settled = demand
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether every site that is connected has answered for all that is wanted now."""
+        connected = [held for held in self._sites.values() if not held.is_lost]
+        return all(held.settled >= self.demand.version for held in connected)
+
+    @property
+    def sites(self) -> tuple[SiteStatus, ...]:
+        """All sites, by label."""
+        return tuple(
+            SiteStatus(held.site, len(held.facts), held.is_lost)
+            for _, held in sorted(self._sites.items())
+        )
+
+    def keys(self, kind: Kind) -> Collection[str]:
+        """All imported names of one kind, also those that something hides."""
+        return self._entries[kind].keys()
+
+    def nodes_of(self, kind: Kind, key: str) -> tuple[str, ...]:
+        """The imported nodes registered for a name, as aliases."""
+        found = self._used(kind, key)
+        if not found:
+            return ()
+        return tuple(dict.fromkeys(self._sites[label].nodes[node].name for label, node in found))
+
+    def publisher_uris(self, topic: str) -> list[str]:
+        """The slave API URIs of the imported publishers of a topic."""
+        return [
+            self._sites[label].nodes[node].uri for label, node in self._used(Kind.PUBLISHER, topic)
+        ]
+
+    def service_uri(self, service: str) -> str | None:
+        """The rosrpc URI of an imported service."""
+        for label, _ in self._used(Kind.SERVICE, service):
+            return self._sites[label].providers[service].uri
+        return None
+
+    def topic_type(self, topic: str) -> str:
+        """The type of an imported topic, `*` while it is unknown."""
+        used = (*self._used(Kind.PUBLISHER, topic), *self._used(Kind.SUBSCRIBER, topic))
+        types = (self._sites[label].types.get(topic) for label, _ in sorted(used))
+        return next((name for name in types if name is not None), ANY_TYPE)
+
+    def node_uri(self, alias: str) -> str | None:
+        """The slave API URI of an imported node."""
+        found = self._find(alias)
+        return None if found is None else found[0].nodes[found[1]].uri
+
+    def nodes(self) -> Iterator[tuple[str, str]]:
+        """All imported nodes as of now, as alias and URI."""
+        for label in sorted(self._sites):
+            held = self._sites.get(label)
+            for address in () if held is None else tuple(held.nodes.values()):
+                found = self._find(address.name)
+                if found is not None and found[0] is held:
+                    yield address.name, found[0].nodes[found[1]].uri
+
+    def keys_of(self, alias: str, kind: Kind) -> tuple[str, ...]:
+        """The names an imported node is registered for."""
+        found = self._find(alias)
+        if found is None:
+            return ()
+        held, name = found
+        return tuple(each.key for each in held.registered.get(name, ()) if each.kind is kind)
+
+    def _find(self, alias: str) -> tuple[SiteFacts, str] | None:
+        """The site with the lowest label that has this node."""
+        for label in sorted(self._sites):
+            held = self._sites[label]
+            if not alias.startswith(f"/remote/{held.site.namespace}/"):
+                continue
+            name = held.site.origin(alias)
+            if name is not None and self._is_used(held, name):
+                return held, name
+        return None
+
+    def _is_used(self, held: SiteFacts, name: str) -> bool:
+        """Whether a node has an address, which is not one of this master's own nodes."""
+        address = held.nodes.get(name)
+        if address is None or self._registry.is_registered_endpoint(address.endpoint):
+            return False
+        return bool(held.site.domain) or self._registry.node(name) is None
+
+    def _used(self, kind: Kind, key: str) -> list[_Entry]:
+        """The registrations for a name that count, by label."""
+        entries = self._entries[kind].get(key)
+        if not entries:
+            return []
+        if kind is Kind.SERVICE:
+            return self._used_provider(key, entries)
+        found = [each for each in sorted(entries) if self._is_used(self._sites[each[0]], each[1])]
+        type_name = self._type_that_counts(key)
+        return [each for each in found if self._agrees(each[0], key, type_name)]
+
+    def _used_provider(self, service: str, entries: Iterable[_Entry]) -> list[_Entry]:
+        if self._registry.service_uri(service) is not None:
+            return []
+        for label, node in sorted(entries):
+            held = self._sites[label]
+            address = held.providers.get(service)
+            if address is not None and self._is_provided(address) and self._is_used(held, node):
+                return [(label, node)]
+        return []
+
+    def _is_provided(self, address: Address) -> bool:
+        return not self._registry.is_registered_endpoint(address.endpoint)
+
+    def _type_that_counts(self, topic: str) -> str:
+        own = self._registry.topic_type(topic)
+        if own != ANY_TYPE:
+            return own
+        labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
+        types = (self._sites[label].types.get(topic) for label in sorted(labels))
+        return next((name for name in types if name is not None), ANY_TYPE)
+
+    def _agrees(self, label: str, topic: str, type_name: str) -> bool:
+        return self._sites[label].types.get(topic, type_name) == type_name
+
+    def _change(self, held: SiteFacts, new: set[Fact], gone: set[Fact]) -> list[PublishersChanged]:
+        if not new and not gone:
+            return []
+        topics = self._followed_topics(held, new | gone)
+        before = {topic: self.publisher_uris(topic) for topic in topics}
+        for fact in gone:
+            self._remove(held, fact)
+        for fact in new:
+            self._add(held, fact)
+        self.version += 1
+        return [
+            self._registry.publishers_changed(topic)
+            for topic in topics
+            if self.publisher_uris(topic) != before[topic]
+        ]
+
+    def _add(self, held: SiteFacts, fact: Fact) -> None:
+        found = held.add(fact)
+        if found is not None:
+            entries = self._entries[found.kind].setdefault(found.key, {})
+            entries[held.site.label, fact[2]] = None
+
+    def _remove(self, held: SiteFacts, fact: Fact) -> None:
+        found = held.remove(fact)
+        if found is not None:
+            entries = self._entries[found.kind][found.key]
+            del entries[held.site.label, fact[2]]
+            if not entries:
+                del self._entries[found.kind][found.key]
+
+    def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
+        """The topics with local subscribers whose publishers may change."""
+        followed, found = self._registry.keys(Kind.SUBSCRIBER), set[str]()
+        if not followed:
+            return []
+        for kind, name, _ in changes:
+            if kind == NODE:
+                found.update(each.key for each in held.registered.get(name, ()))
+            elif (key := held.local_key(name)) is not None:
+                found.add(key)
+        return sorted(found.intersection(followed))
+
+    def _contradictions(self, held: SiteFacts, new: Iterable[Fact]) -> list[TypeContradicted]:
+        reported = self._reported.setdefault(held.site.label, set())
+        events: list[TypeContradicted] = []
+        for kind, name, there in new:
+            topic = held.local_key(name) if kind == "type" else None
+            here = ANY_TYPE if topic is None else self._registry.topic_type(topic)
+            if topic is None or here in (ANY_TYPE, there) or topic in reported:
+                continue
+            if len(reported) < MAX_REPORTED:
+                reported.add(topic)
+                events.append(TypeContradicted(held.site.label, topic, here, there))
+        return events
+
+
+_TOPIC_KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER)

@@ -1,0 +1,33 @@
+"""An access that allows everything, and records by which names it was asked."""
+
+import time
+
+from ca.certificates import Identity, TrustAnchor
+from ca.revocation.state import Revocations
+from grants.decision import Decision
+from grants.model import Right
+from rossec.participant.access import FIELD, Access
+
+PROOF = {FIELD: b"proof"}
+
+
+class OpenAccess(Access):
+    """Rights on every name, also on aliases."""
+
+    def __init__(self, anchor: TrustAnchor) -> None:
+        super().__init__(anchor, Revocations(anchor.public_key))
+        self.presented: list[tuple[str, str]] = []
+        self.authorized: list[tuple[str, str, str]] = []
+
+    def present(self, right: Right, name: str, now: int) -> bytes:
+        self.presented.append((right.label, name))
+        return PROOF[FIELD]
+
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """Every peer is valid."""
+
+    def authorize(
+        self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
+    ) -> Decision:
+        self.authorized.append((peer.name, right.label, name))
+        return Decision(right, name, (), int(time.time()) + 3600, ())
