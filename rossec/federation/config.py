@@ -1,10 +1,10 @@
 """The part `federation:` of the master's configuration file: a closed schema, errors with lines.
 
-    federation:
-      follow_announced: true
-      sites:
-        kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
-        hospital: {uri: http://hospital.example:11311, domain: hospital}
+federation:
+  follow_announced: true
+  sites:
+    kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
+    hospital: {uri: http://hospital.example:11311, domain: hospital}
 """
 
 from collections.abc import Iterator

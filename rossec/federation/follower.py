@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from secrets import SystemRandom
 from typing import Any, Final
 
@@ -50,7 +50,10 @@ class Follower:
     """
 
     def __init__(
-        self, settings: SiteSettings, own: OwnMaster, rand: Callable[[], float] = SystemRandom().random
+        self,
+        settings: SiteSettings,
+        own: OwnMaster,
+        rand: Callable[[], float] = SystemRandom().random,
     ) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()

@@ -54,7 +54,9 @@ class Mesh:
     async def run(self) -> None:
         """Follow until cancelled."""
         self._own.effects.on_new_lists.append(self._send_lists)
-        listening = contextlib.nullcontext() if self._announced is None else self._announced.listening()
+        listening = (
+            contextlib.nullcontext() if self._announced is None else self._announced.listening()
+        )
         try:
             async with listening:
                 while True:

@@ -81,7 +81,9 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:
-            raise ConfigurationError(f"two sites are called {each.label}", "give each its own label")
+            raise ConfigurationError(
+                f"two sites are called {each.label}", "give each its own label"
+            )
         for other in found.values():
             if (other.domain, other.master) == (each.domain, each.master):
                 raise ConfigurationError(

@@ -29,9 +29,7 @@ from rossec.terminal import note, say, say_json
     help="the label of its foreign domain, if that is not the site's own label",
 )  # fmt: skip
 @pass_environment
-def add(
-    environment: Environment, uri: str, label: str, master: str, domain: str | None
-) -> None:
+def add(environment: Environment, uri: str, label: str, master: str, domain: str | None) -> None:
     """Follow the master at URI, and call it LABEL.
 
     A label that is that of a trusted domain means a master of that domain. A running master begins

@@ -84,9 +84,7 @@ def run(
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
-        asyncio.run(
-            _serve(environment, home, config, suites, renewer, federation, as_json=as_json)
-        )
+        asyncio.run(_serve(environment, home, config, suites, renewer, federation, as_json=as_json))
 
 
 def _only_master(directory: Path) -> AbstractContextManager[None]:
