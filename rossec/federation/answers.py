@@ -62,7 +62,8 @@ class SiteCursor:
                 "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
                 "added": list() as added, "removed": list() as removed,
             }:  # fmt: skip
-                revocations, domains = _digest(answer, "revocations"), _digest(answer, "domains")
+                revocations = _digest(answer.get("revocations", b""))
+                domains = _digest(answer.get("domains", b""))
             case _:
                 raise AnswerMalformed("a site's answer that is malformed")
         part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)
@@ -90,8 +91,7 @@ def _joined(parts: list[SiteChange]) -> SiteChange:
     return SiteChange(added, removed, parts[0].whole, last.revocations, last.domains)
 
 
-def _digest(answer: dict[str, object], key: str) -> bytes:
-    value = answer.get(key, b"")
+def _digest(value: object) -> bytes:
     value = b"" if value == "" else value
     if not isinstance(value, bytes) or len(value) not in (0, _DIGEST):
         raise AnswerMalformed("a site's answer that is malformed")

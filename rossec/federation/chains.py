@@ -5,7 +5,6 @@ chain is passed on to them.
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
 from typing import Final
 
 from ca.certificates import Identity
@@ -23,10 +22,10 @@ class Chains:
     def recording(self, verify: Verify[Identity]) -> Verify[Identity]:
         """As `verify`, and what it accepts is kept."""
 
-        def verified(chain: Sequence[bytes], now: int) -> Identity:
+        def verified(chain: tuple[bytes, ...], now: int) -> Identity:
             identity = verify(chain, now)
             self._chains.pop(identity.thumbprint, None)
-            self._chains[identity.thumbprint] = tuple(chain)
+            self._chains[identity.thumbprint] = chain
             if len(self._chains) > MAX_CHAINS:
                 self._chains.popitem(last=False)
             return identity

@@ -8,13 +8,14 @@ newest list from whichever master it meets first.
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import RevocationRefused
+from ca.errors import DomainsRefused, RevocationRefused
 from ca.revocation.state import digest
 from ca.revocation.tree import is_tree
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.federation.own import OwnMaster
-from rossec.master.api.methods import RevocationsChanged
+from rossec.master.api.methods import DomainsChanged, RevocationsChanged
 from rossec.net.rpc.client import RpcClient
+from rossec.ros.names import DOMAINS, UPDATE_DOMAINS
 from rossec.ros.xmlrpc import Fault
 
 _SINCE: Final = "rossec.revocationsSince"
@@ -64,3 +65,31 @@ async def _take(client: RpcClient, own: OwnMaster, peer: Identity, theirs: bytes
     if newer:
         own.effects.deliver(RevocationsChanged(peer.name))
     return True
+
+
+async def settle_domains(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
+    """Of both lists of foreign domains the newer one is in force at both masters afterwards.
+
+    A master that does not know the call has no such list, and gets none.
+
+    Raises:
+        CAError, RossecError: as `settle_revocations`.
+    """
+    domains = own.state.trust.domains
+    try:
+        theirs = await client.ask(DOMAINS, own.name, domains.digest())
+    except _UNKNOWN:
+        return
+    if not isinstance(theirs, bytes):
+        raise AnswerMalformed("a master's answer without a list of domains")
+    if theirs:
+        try:
+            newer = own.state.trust.update_domains(theirs)
+        except DomainsRefused:  # older, most often: then it gets ours
+            newer = None
+        if newer:
+            own.effects.deliver(DomainsChanged(peer.name))
+        if newer is not None:
+            return
+    if domains.anchors.data:
+        await client.ask(UPDATE_DOMAINS, own.name, domains.anchors.data)

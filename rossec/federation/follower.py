@@ -16,10 +16,11 @@ from typing import Any, Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import split_alias
-from ca.errors import CAError, HintedError
+from ca.errors import CAError, HintedError, RevocationsStale
 from rossec.errors import AnswerRefused, IdentityRefused, SiteRefused
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
+from rossec.federation.foreign import ForeignLists
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.federation.states import SILENCE, Effect, Event, Phase, SiteState
@@ -33,6 +34,7 @@ _GATHER: Final = 0.05  # seconds in which wishes of local nodes are gathered
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
+_RANDOM: Final = SystemRandom().random
 Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 
 
@@ -53,7 +55,7 @@ class Follower:
         self,
         settings: SiteSettings,
         own: OwnMaster,
-        rand: Callable[[], float] = SystemRandom().random,
+        rand: Callable[[], float] = _RANDOM,
     ) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
@@ -62,7 +64,7 @@ class Follower:
         self._rand = rand
         self._cursor = SiteCursor()
         self._woken = asyncio.Event()
-        self._peer: Identity | None = None
+        self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
 
     async def run(self) -> None:
         """Follow until cancelled; a failure is tried again."""
@@ -156,29 +158,28 @@ class Follower:
                 "check the address: rossec federation list",
             )
         try:
-            self._own.state.trust.check_master(peer, self._own.state.now())
+            self._own.state.trust.caller(peer, self._own.state.now())
+        except RevocationsStale:  # of its domain: it is asked for them
+            return
         except CAError as error:
             stream.abort("the master's identity is revoked")
             raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
         """Settle the lists, and show what a foreign master wants to see."""
-        if self.settings.domain:
-            await exchange.fetch_foreign(client, self._own, peer, self.settings.domain)
-            await exchange.present(client, self._own, peer)
+        if self._foreign is not None:
+            await self._foreign.greet(client, peer)
         else:
             await exchange.settle_revocations(client, self._own, peer)
             await exchange.settle_domains(client, self._own, peer)
 
     async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
-        if self.settings.domain:
-            await exchange.refresh_foreign(
-                client, self._own, peer, self.settings.domain, change.revocations
-            )
+        if self._foreign is not None:
+            await self._foreign.keep_fresh(client, peer, change.revocations)
             return
         if change.revocations != exchange.held_revocations(self._own):
             await exchange.settle_revocations(client, self._own, peer)
-        if change.domains != exchange.held_domains(self._own):
+        if change.domains != self._own.state.trust.domains.digest():
             await exchange.settle_domains(client, self._own, peer)
 
     async def _next_change(self, client: RpcClient) -> tuple[SiteChange, int]:
@@ -221,6 +222,8 @@ class Follower:
     def _take(self, event: Event) -> None:
         label = self.settings.label
         match self.state.take(event, time.monotonic()):
+            case Effect.NONE:
+                pass
             case Effect.MARK:
                 self._own.state.imports.lose(label)
             case Effect.DROP:

@@ -50,6 +50,7 @@ class Mesh:
         self._warned: dict[str, str] = {}
         self._followers: dict[str, tuple[Follower, asyncio.Task[Any]]] = {}
         self._tasks = TaskSet()
+        own.state.trust.domains.own_sites = self._own_labels
 
     async def run(self) -> None:
         """Follow until cancelled."""
@@ -120,7 +121,7 @@ class Mesh:
         found[each.label] = each
 
     def _check_label(self, each: SiteSettings) -> None:
-        anchors = self._own.state.trust.anchors
+        anchors = self._own.state.trust.domains.anchors
         if each.domain and anchors.listed(each.domain) is None:
             raise ConfigurationError(
                 f"{each.domain} is not a domain that is trusted here", "rossec domain list"
@@ -139,6 +140,11 @@ class Mesh:
         if self._warned.get(where) != text:
             self._warned[where] = text
             _log.warning("%s: %s", where, text)
+
+    def _own_labels(self) -> list[str]:
+        """The labels of other masters of the own domain, whose nodes have aliases here."""
+        found = [follower.settings for follower, _ in self._followers.values()]
+        return [each.label for each in found if not each.domain]
 
     def _source_of(self, label: str) -> str:
         return next(

@@ -102,5 +102,5 @@ class SiteState:
 
     def pause(self, rand: float) -> float:
         """Seconds to wait before the next dial; `rand` is from 0 up to 1."""
-        pause = min(FIRST_PAUSE * 2 ** min(max(self.failures - 1, 0), 16), LONGEST_PAUSE)
+        pause = min(FIRST_PAUSE * 2.0 ** min(max(self.failures - 1, 0), 16), LONGEST_PAUSE)
         return pause * (1 + _SPREAD * (2 * rand - 1))

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import click
 
-from ca.domains.anchors import Anchors
 from ca.domains.aliases import display_name
 from ca.errors import CAError
 from ca.names import MASTER
@@ -14,6 +13,7 @@ from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteSettings, checked_sites
 from rossec.federation.site_file import SiteFile
 from rossec.home import NodeHome
+from rossec.saved_domains import DomainFiles
 from rossec.terminal import note, say, say_json
 
 
@@ -131,12 +131,10 @@ def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
 
 def _foreign(home: NodeHome, label: str) -> str:
     """`label`, if the list of domains that the master holds has it; else empty."""
-    data = home.load_domains() if home.path.is_dir() else None
-    if data is None:
+    if not home.path.is_dir():
         return ""
-    anchors = Anchors(home.anchor())
     try:
-        anchors.update(data)
+        anchors = DomainFiles(home, home.anchor()).anchors()
     except CAError as error:
         raise ConfigurationError(
             f"the list of domains of {home.name} is invalid: {error}", "rossec ca publish"

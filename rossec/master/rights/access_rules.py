@@ -18,6 +18,7 @@ from rossec.master.rights.caller import AddressTaken, Caller, Refused, display
 from rossec.master.state.addresses import endpoint, is_loopback_host
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
+from rossec.ros import names
 from rossec.ros.names import AUTHORITY
 
 ASK_OPERATOR: Final = "ask the authority's operator for a grant"
@@ -32,6 +33,7 @@ class Scope(Enum):
     FILTERED = "the whole graph, filtered by what the caller may see"
     MASTER = "the master itself"
     AUTHORITY = "the authority's own node alone"
+    MEMBER = "nodes of the own domain; no right is needed"
     OPEN = "no right is needed"
 
 
@@ -77,12 +79,12 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "deleteParam": AccessRule(Scope.TREE, Right.PARAM_SET),
     "rossec.watchGraph": AccessRule(Scope.MASTER, Right.GRAPH),  # and the answer is filtered
     "rossec.presentGrants": AccessRule(Scope.OPEN),
-    "rossec.renewGrants": AccessRule(Scope.OPEN),  # only grants of the caller itself are renewed
-    "rossec.renewIdentity": AccessRule(Scope.OPEN),  # the request is signed with the key to renew
-    "rossec.updateDelegation": AccessRule(Scope.OPEN),  # signed by the authority
+    "rossec.renewGrants": AccessRule(Scope.MEMBER),  # only grants of the caller itself are renewed
+    "rossec.renewIdentity": AccessRule(Scope.MEMBER),  # the request is signed with the key to renew
+    "rossec.updateDelegation": AccessRule(Scope.MEMBER),  # signed by the authority
     "rossec.revocations": AccessRule(Scope.OPEN),
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
-    "rossec.updateRevocationTree": AccessRule(Scope.OPEN),
+    "rossec.updateRevocationTree": AccessRule(Scope.MEMBER),
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
@@ -91,7 +93,11 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.fetchGrants": AccessRule(Scope.OPEN),  # only grants of the caller's key are returned
     "rossec.watchGrants": AccessRule(Scope.OPEN),  # as above
     "rossec.trl": AccessRule(Scope.FILTERED),  # all entries with ADMIN on the master
-    "rossec.updateRevocations": AccessRule(Scope.OPEN),  # signed by the authority
+    "rossec.updateRevocations": AccessRule(Scope.MEMBER),  # signed by the authority
+    names.DOMAINS: AccessRule(Scope.MEMBER),
+    names.UPDATE_DOMAINS: AccessRule(Scope.MEMBER),  # signed by the authority
+    names.FOREIGN_REVOCATIONS: AccessRule(Scope.MEMBER),
+    names.FOREIGN_PROOFS: AccessRule(Scope.MEMBER),  # the caller must know an entry to query it
 }
 
 
@@ -157,6 +163,8 @@ class AccessControl:
             require(caller, rule.right, self._master)
         if rule.scope is Scope.AUTHORITY and not caller.is_authority:
             raise Refused(f"only the authority's own node {AUTHORITY} may call this")
+        if rule.scope is Scope.MEMBER and caller.is_foreign:
+            raise Refused("only nodes of the own domain may call this")
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
 
