@@ -60,10 +60,10 @@ class SiteCursor:
             case {
                 "instance": str() as instance, "version": int() as version,
                 "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
-                "added": list() as added, "removed": list() as removed,
+                "added": list() as added, "removed": list() as removed, **lists,
             }:  # fmt: skip
-                revocations = _digest(answer.get("revocations", b""))
-                domains = _digest(answer.get("domains", b""))
+                revocations = _digest(lists.get("revocations", b""))
+                domains = _digest(lists.get("domains", b""))
             case _:
                 raise AnswerMalformed("a site's answer that is malformed")
         part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)

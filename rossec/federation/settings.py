@@ -90,9 +90,12 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
                     f"{other.label} and {each.label} are one master, {each.master}",
                     "follow it once",
                 )
-            if each.domain != other.domain and each.label in (other.domain, other.label):
-                raise ConfigurationError(f"{each.label} is the label of a foreign domain")
         found[each.label] = each
+    domains = {each.domain for each in found.values() if each.domain}
+    if twice := sorted({each.label for each in found.values() if not each.domain} & domains):
+        raise ConfigurationError(
+            f"{twice[0]} is the label of a foreign domain", "give the own master another one"
+        )
     if len(found) > MAX_SITES:
         raise ConfigurationError(f"at most {MAX_SITES} sites can be followed")
     return found
