@@ -123,6 +123,11 @@ class DomainTrust:
         data, word = self._data(domain), self._words.get(domain, ForeignWord())
         return word if word.revocations == data else ForeignWord(data)
 
+    @property
+    def number(self) -> int:
+        """Sequence number of the list of domains; 0: there is none."""
+        return 0 if self.anchors.current is None else self.anchors.current.seq
+
     def digest(self) -> bytes:
         """The digest of the list of domains; empty: there is none."""
         return digest(self.anchors.data) if self.anchors.data else b""

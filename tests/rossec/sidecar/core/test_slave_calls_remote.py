@@ -29,7 +29,7 @@ def foreigner(setup: AgentSetup) -> Identity:
 
 def foreign_call(setup: AgentSetup, method: str, *params: object) -> Layer[object]:
     """A call of the hospital's /viewer, which has every right here."""
-    setup.agent = replace(setup.agent, access=OpenAccess(setup.site.anchor))
+    setup.agent = replace(setup.agent, access=OpenAccess())
     return handle_peer_call(
         setup.agent, SLAVE, foreigner(setup), method, ("/viewer", *params), b"", 0
     )

@@ -37,7 +37,7 @@ def foreign(setup: AgentSetup, name: str) -> Identity:
 def test_a_program_subscribes_to_an_alias_and_the_peer_reads_the_origins_name(
     setup: AgentSetup,
 ) -> None:
-    access = OpenAccess(setup.site.anchor)
+    access = OpenAccess()
     setup.agent = dataclasses.replace(setup.agent, access=access)
     robot, alias = foreign(setup, "/robot"), b"/remote/hospital/word"
     fields = REQUEST | {"callerid": b"/robot", "topic": alias}
@@ -55,7 +55,7 @@ def test_a_program_subscribes_to_an_alias_and_the_peer_reads_the_origins_name(
 
 
 def test_a_program_calls_an_alias_and_the_peer_reads_the_origins_name(setup: AgentSetup) -> None:
-    access = OpenAccess(setup.site.anchor)
+    access = OpenAccess()
     setup.agent = dataclasses.replace(setup.agent, access=access)
     fields = SERVICE | {"callerid": b"/robot", "service": b"/remote/hospital/say"}
     layer = connect_to_peer(
@@ -73,7 +73,7 @@ def test_a_program_calls_an_alias_and_the_peer_reads_the_origins_name(setup: Age
 def test_a_peer_that_answers_with_another_name_than_the_origins_is_refused(
     setup: AgentSetup, topic: bytes
 ) -> None:
-    setup.agent = dataclasses.replace(setup.agent, access=OpenAccess(setup.site.anchor))
+    setup.agent = dataclasses.replace(setup.agent, access=OpenAccess())
     fields = REQUEST | {"callerid": b"/robot", "topic": b"/remote/hospital/word"}
     layer = connect_to_peer(
         setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
@@ -85,7 +85,7 @@ def test_a_peer_that_answers_with_another_name_than_the_origins_is_refused(
 
 
 def test_a_foreign_subscriber_is_known_to_the_program_by_its_alias(setup: AgentSetup) -> None:
-    access = OpenAccess(setup.site.anchor)
+    access = OpenAccess()
     setup.agent = dataclasses.replace(setup.agent, access=access)
     viewer = foreign(setup, "/viewer")
     layer = admit_peer(
@@ -109,7 +109,7 @@ def test_a_foreign_subscriber_is_known_to_the_program_by_its_alias(setup: AgentS
     ids=["topic", "service"],
 )
 def test_a_peer_that_asks_for_an_alias_is_refused(setup: AgentSetup, fields: Fields) -> None:
-    access = OpenAccess(setup.site.anchor)
+    access = OpenAccess()
     setup.agent = dataclasses.replace(setup.agent, access=access)
     local = TOPICS_VIA_API if "topic" in fields else TOPIC_ENDPOINT
     with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
