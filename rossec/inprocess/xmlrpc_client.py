@@ -120,7 +120,8 @@ class XmlRpcClient:
             return self._multicall(params)
         named, key = self._with_own_name(method, params), searched_key(method, params)
         refused = offer_refusal(method, named)
-        if refused is not None:
+        if refused is not None:  # rospy.set_param ignores the answer
+            self._process.reporter.warn(f"{method}: {str(refused[1]).removeprefix(REFUSED)}")
             return refused
         if key is not None and named[0] != params[0]:
             return self._search(str(params[0]), key)

@@ -23,6 +23,7 @@ OFFERS: Final[Mapping[str, str]] = {
     "deleteParam": "deleted",
 }
 """Calls to the master that concern what is here, with what is done to the name."""
+NOT_OFFERED: Final = f"names below {REMOTE} are those of other masters"
 _NAMES: Final = ("topic", "service")
 
 Rename = Callable[[str], str]
@@ -36,7 +37,7 @@ def refuse_offer(name: str, done: str) -> str:
     """
     if is_alias(name):
         raise ConfigurationError(
-            f"{name} cannot be {done} here: names below {REMOTE} are those of other masters",
+            f"{name} cannot be {done} here: {NOT_OFFERED}",
             "take a name outside /remote; the others see it below /remote/LABEL",
         )
     return name

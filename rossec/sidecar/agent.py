@@ -22,6 +22,7 @@ from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.remote_names import NOT_OFFERED
 from rossec.ros.settings import Settings
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.connection_cache import ConnectionCache
@@ -98,7 +99,13 @@ class Agent:
     async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
         """Answer a program's call to its master."""
         await self._ensure_started()
-        return await run_layer(self, master_calls.handle_call(self.state, method, params))
+        answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
+        match answer:
+            case [-1, str(status), *_] if NOT_OFFERED in status:  # rospy.set_param ignores it
+                _log.warning("%s: refused %s: %s", self.name, method, status)
+            case _:
+                pass
+        return answer
 
     async def close(self) -> None:
         """Close every port and every connection."""
