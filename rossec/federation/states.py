@@ -33,7 +33,7 @@ class Event(Enum):
     DUE = "it is time to dial"
     CONNECTED = "there is a connection"
     ANSWERED = "the site has answered, and the answer is taken over"
-    FAILED = "no connection, no answer, or an answer that is none"
+    FAILED = "no connection, no answer, or an invalid one"
     REFUSED = "the site is another one, or refuses"
     EXPIRED = "the facts of a lost site are too old"
     REMOVED = "it is followed no longer"
