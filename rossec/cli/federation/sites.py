@@ -5,17 +5,15 @@ from dataclasses import replace
 import click
 
 from ca.domains.aliases import display_name
-from ca.domains.anchors import Anchors
-from ca.domains.lists import MAX_LIST
 from ca.errors import CAError
 from ca.names import MASTER
-from rossec import files
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.own_master import own_master_of
+from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteSettings, checked_sites
 from rossec.federation.site_file import SiteFile
 from rossec.home import NodeHome
+from rossec.saved_domains import DomainFiles
 from rossec.terminal import note, say, say_json
 
 
@@ -120,7 +118,7 @@ def list_(environment: Environment, *, as_json: bool) -> None:
 
 
 def _home(environment: Environment) -> NodeHome:
-    return NodeHome.of(environment.home, own_master_of(environment.variables))
+    return NodeHome.of(environment.home, own_master(environment.variables))
 
 
 def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
@@ -133,12 +131,10 @@ def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
 
 def _foreign(home: NodeHome, label: str) -> str:
     """`label`, if the list of domains that the master holds has it; else empty."""
-    path = home.path / "domains.cose"
-    if not path.exists():
+    if not home.path.is_dir():
         return ""
-    anchors = Anchors(home.anchor())
     try:
-        anchors.update(files.read_own(path, MAX_LIST, ConfigurationError(f"there is no {path}")))
+        anchors = DomainFiles(home, home.anchor()).anchors()
     except CAError as error:
         raise ConfigurationError(
             f"the list of domains of {home.name} is invalid: {error}", "rossec ca publish"

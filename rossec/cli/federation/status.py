@@ -8,7 +8,7 @@ import click
 from ca.domains.aliases import display_name
 from rossec.cli.master.admin import ADMIN_SOCKET
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.own_master import own_master_of
+from rossec.environment import own_master
 from rossec.home import NodeHome
 from rossec.master.operation.admin import send_command
 from rossec.terminal import note, printable, say, say_json
@@ -22,7 +22,7 @@ _PERIOD: Final = 1.0
 @pass_environment
 def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
     """Show how far each master is followed; the own one must have been started with --admin."""
-    home = NodeHome.of(environment.home, own_master_of(environment.variables))
+    home = NodeHome.of(environment.home, own_master(environment.variables))
     shown: list[str] = []
     while True:
         answer = send_command(home.path / ADMIN_SOCKET, "federation")

@@ -8,7 +8,6 @@ import click
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.lazy import LazyGroup
-from rossec.cli.shared.own_master import MASTER, own_master
 
 _MASTER: Final = {
     "delegate": (
@@ -52,8 +51,8 @@ _MASTER: Final = {
 @click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
 @click.option("--admin", is_flag=True, help="open the local port of an administrator")
 @click.option(
-    "--name", "name", metavar="NAME", envvar="ROSSEC_MASTER", default=MASTER, show_default=True,
-    help="which of the domain's masters: /master, or /master/kitchen",
+    "--name", "name", metavar="NAME",
+    help="which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER",
 )  # fmt: skip
 @click.option(
     "--follow-announced", is_flag=True, help="follow every announced master of the own domain"
@@ -78,7 +77,7 @@ def master(
     config_file: Path | None,
     log: str | None,
     admin: bool,
-    name: str,
+    name: str | None,
     follow_announced: bool,
     announce: bool,
     metrics: int | None,
@@ -90,6 +89,7 @@ def master(
     if context.invoked_subcommand is not None:
         return
     from rossec.cli.master.serve import run  # noqa: PLC0415 - imported when it runs
+    from rossec.environment import OWN_MASTER, own_master  # noqa: PLC0415 - as above
 
     given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
     given |= {"admin": admin or None, "announce": announce or None}  # a flag only switches on
@@ -100,7 +100,7 @@ def master(
         passphrase_file,
         renew_identities=renew_identities,
         post_quantum=post_quantum,
-        name=own_master(name),
+        name=own_master(environment.variables if name is None else {OWN_MASTER: name}),
         follow_announced=follow_announced,
         as_json=as_json,
     )
