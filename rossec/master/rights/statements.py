@@ -205,6 +205,11 @@ class TrustState:
         """How many of the `connected` hold the list in force."""
         return self.held_lists.standing(connected, digest(self._revocations.data), now)
 
+    def list_digests(self) -> tuple[bytes, bytes]:
+        """The digests of the revocation list and of the list of domains; empty: none."""
+        held = self._revocations
+        return b"" if held.current is None else digest(held.data), b""
+
     @property
     def list_number(self) -> tuple[int, int]:
         """Epoch and sequence number of the list in force; zeros: none."""

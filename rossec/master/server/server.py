@@ -172,7 +172,7 @@ class MasterServer:
             imports=state.imports,
         )
         self._answers = CallAnswers(api, state, self._effects, self._turns)
-        self._maintenance.start(api.watch_calls.views.keep_only)
+        self._maintenance.start(api.keep_views)
 
     def _load_deposits(self) -> Deposits | None:
         file = self.state.deposit_file
