@@ -90,6 +90,10 @@ class DomainsRefused(CAError):
     """A list of foreign domains that is malformed, forged, or older than one already seen."""
 
 
+class CardRefused(CAError):
+    """A domain's card that is malformed, forged or expired, or not the one that is meant."""
+
+
 class NotAdmitted(CertificateRefused):
     """A node of a foreign domain that is not listed, not any more, or not with this name."""
 

@@ -134,10 +134,12 @@ def _split_chain(token: bytes) -> tuple[bytes, tuple[bytes, ...]]:
     except EncodingError as error:
         raise GrantMalformed(f"not a chain of narrowings: {error}") from None
     match value:
-        case [bytes() as single, [*items]] if 0 < len(items) <= MAX_NARROWINGS:
+        case [bytes() as single, [*items]] if single[:1] != _ARRAY_OF_2 and items:
             narrowings = tuple(item for item in items if isinstance(item, bytes))
         case _:
             raise GrantMalformed(f"a chain is [token, [1 to {MAX_NARROWINGS} narrowings]]")
+    if len(items) > MAX_NARROWINGS:
+        raise GrantMalformed(f"more than {MAX_NARROWINGS} narrowings")
     if len(narrowings) != len(items) or not all(0 < len(n) <= MAX_NARROWING for n in narrowings):
         raise GrantMalformed("a narrowing is empty, too large, or not bytes")
     return single, narrowings

@@ -10,6 +10,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.domains.lists import DomainList, open_domains
 from ca.errors import RevocationRefused
 from ca.keys import key_files
 from ca.keys.hsm import KeyUri, TokenSigner
@@ -192,6 +193,16 @@ class AuthorityHome:
         data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
         TreeEntries.read(data).check(tree)
         return data
+
+    def domain_list(self) -> tuple[bytes, DomainList] | None:
+        """The newest signed list of domains, and what it says; None: there is none.
+
+        Raises:
+            DomainsRefused: it is not signed by the authority.
+        """
+        with contextlib.closing(self.store()) as store:
+            data = store.domains.newest_list()
+        return (data, open_domains(data, self.anchor())) if data else None
 
     def has_delegated(self, now: int) -> bool:
         """Whether the master can renew grants at `now`, by a delegation of this authority."""

@@ -11,7 +11,7 @@ import contextlib
 import secrets
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from ca.certificates import Identity, IdentityRequest
 from ca.errors import CertificateExpired
@@ -23,6 +23,7 @@ from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
 from rossec.authority import renewals
+from rossec.authority.domain_operations import DomainOperations
 from rossec.authority.grant_delivery import GrantDelivery
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import RemoteSigner, running_signer
@@ -42,10 +43,23 @@ _RENEW: Final = "renew it with: rossec ca refresh"
 _DELEGATE: Final = "it is signed and stored in {}; start the master and run this again"
 
 
+class _Signed(NamedTuple):
+    """What was revoked, and the numbers of the next lists, at some moment."""
+
+    revoked: frozenset[bytes]
+    revocations: tuple[int, int]
+    domains: tuple[int, int]
+
+
+def _signed(authority: SigningAuthority) -> _Signed:
+    store = authority.store
+    return _Signed(store.revoked_entries(), store.next_number(), store.domains.next_number())
+
+
 __all__ = ["AuthorityService", "Decided", "MasterCall", "SignedGrant"]
 
 
-class AuthorityService(GrantDelivery, PolicyOperations):
+class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     Args:
@@ -70,7 +84,7 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         self._now = now
         self._find_signer = find_signer
         self._unlocked: SigningAuthority | None = None
-        self._before: tuple[frozenset[bytes], tuple[int, int]] = frozenset(), (0, 0)
+        self._before = _Signed(frozenset(), (0, 0), (0, 0))
 
     @property
     def home(self) -> AuthorityHome:
@@ -90,7 +104,7 @@ class AuthorityService(GrantDelivery, PolicyOperations):
             home = self.home
             signer = self._find_signer(home)
             authority = home.unlock(self._passphrase()) if signer is None else home.open(signer)
-            self._before = authority.store.revoked_entries(), authority.store.next_number()
+            self._before = _signed(authority)
             self._unlocked = authority
         return self._unlocked
 
@@ -168,10 +182,15 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         return self.unlock().revoke_identity(name, reason, self._now())
 
     def refresh(self) -> tuple[RevocationList, int | None]:
-        """Sign the list anew; returns it, and the end of the own node's identity if renewed."""
+        """Sign the list anew; returns it, and the end of the own node's identity if renewed.
+
+        The list of domains, if there is one, is signed anew as well.
+        """
         authority, at = self.unlock(), self._now()
         due = renewals.own_node_is_due(authority, at)
         renewed = renewals.renew_own_node(authority, at) if due else None
+        if authority.store.domains.newest_list():
+            authority.sign_domains(at)
         return authority.sign_list(at), renewed
 
     def complete_list(self) -> None:
@@ -182,13 +201,19 @@ class AuthorityService(GrantDelivery, PolicyOperations):
     def has_revoked(self) -> bool:
         """Whether something was revoked since the key was unlocked: the master must be told."""
         opened = self._unlocked
-        return opened is not None and opened.store.revoked_entries() != self._before[0]
+        return opened is not None and _signed(opened).revoked != self._before.revoked
 
     @property
     def has_signed_list(self) -> bool:
         """Whether a list was signed since the key was unlocked: the master should get it."""
         opened = self._unlocked
-        return opened is not None and opened.store.next_number() != self._before[1]
+        return opened is not None and _signed(opened).revocations != self._before.revocations
+
+    @property
+    def has_signed_domains(self) -> bool:
+        """Whether a list of domains was signed since the key was unlocked: likewise."""
+        opened = self._unlocked
+        return opened is not None and _signed(opened).domains != self._before.domains
 
     def sign_head(self) -> bytes:
         """Sign the head of the log."""
@@ -233,7 +258,7 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         return self.unlock().revoke_delegations(reason, self._now())
 
     def publish(self) -> None:
-        """Deliver the newest list to the master.
+        """Deliver the newest list to the master, and the list of domains if there is one.
 
         Raises:
             ConfigurationError: the list has expired: no grant is valid under it.
@@ -252,6 +277,7 @@ class AuthorityService(GrantDelivery, PolicyOperations):
         statement = (data, entries) if entries else (data,)
         soon = note if at >= expires - _EXPIRES_SOON else ""
         self.deliver(MasterCall(home.node(), method, statement, "the list", _PUBLISH, soon))
+        self.publish_domains()
 
     def deliver(self, call: MasterCall) -> object:
         """Deliver a statement to the master; returns the value of its answer.

@@ -31,6 +31,7 @@ _TABLE: Final = {
         "node.doctor:doctor",
         "Check the set-up of NODE on this machine: identity, grants, master, what is plain.",
     ),
+    "domain": ("domain.group:domain", "Trust other domains, as far as you say."),
     "explain": (
         "policy.explain:explain",
         "Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why.",

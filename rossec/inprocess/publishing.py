@@ -14,6 +14,7 @@ from rospy.core import is_shutdown
 from rospy.exceptions import ROSException
 from rospy.msg import serialize_message
 
+from ca.domains.aliases import shown
 from grants.errors import GrantError
 from grants.filters.codegen import Buffer
 from grants.guard import Guard
@@ -142,7 +143,8 @@ def _filter(topic: Any, connection: RosConnection, samples: Samples, moment: int
             pieces = guard.apply(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
-            withheld_log.warn(_log, withheld_log.SENT, name, connection.stream.peer.name, error)
+            peer = shown(connection.stream.peer.name)
+            withheld_log.warn(_log, withheld_log.SENT, name, peer, error)
             continue
         if pieces is not None:
             if topic.is_latch:

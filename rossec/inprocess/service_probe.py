@@ -6,6 +6,7 @@ writes its header itself. `rosservice` probes in the same way, and reads the ans
 
 import socket
 
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec.channel.records import Bytes
 from rossec.inprocess import headers
@@ -54,5 +55,5 @@ class ServiceProbe(RosSocket):
             admit_provider(answer, self.peer, service, local_identity.access, now())
             self._answer = header.encode(headers.for_rospy(fields_here(answer, self.peer)))
         except HintedError as error:
-            self._process.reporter.warn(f"cannot call {service}", error)
+            self._process.reporter.warn(f"cannot call {shown(service)}", error)
             raise

@@ -7,6 +7,7 @@ from typing import Any, Final
 import rospy
 from rospy.exceptions import TransportInitError
 
+from ca.domains.aliases import shown
 from grants.errors import GrantError
 from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.genpy_types import max_message_size
@@ -96,7 +97,7 @@ class SubscriptionLoop:
                 content = connection.guard(message, now())
             except GrantError as error:
                 self._process.reporter.warn(
-                    f"withheld a message on {connection.decision.name}", error
+                    f"withheld a message on {shown(connection.decision.name)}", error
                 )
             else:
                 filtered += [] if content is None else [b"".join(content)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from grants.memory import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.net.aio import SecureStream
@@ -49,4 +50,4 @@ class NodeContext:
         try:
             yield
         except AnswerRefused as error:
-            _log.warning("%s: %s is not registered again: %s", self.name, what, error)
+            _log.warning("%s: %s is not registered again: %s", self.name, shown(what), error)

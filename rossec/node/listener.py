@@ -12,6 +12,7 @@ from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError, RevocationsStale
 from rossec import clock
 from rossec.errors import ConnectionHeaderRefused
@@ -131,10 +132,10 @@ class Listener:
                 fields = header.decode(await first_frame(stream))
             serve = self._admit(fields, stream)
         except TimeoutError:
-            _log.info("%s sent no connection header", stream.peer.name)
+            _log.info("%s sent no connection header", shown(stream.peer.name))
             return
         except HintedError as error:
-            _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
+            _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
             await stream.send(header.error_header(f"rossec: {error}"))
             return
         await serve()
@@ -169,7 +170,7 @@ class Listener:
 
 
 def _refused(peer: Identity, error: HintedError) -> list[object]:
-    _log.warning("refused %s: %s (%s)", peer.name, error, error.hint)
+    _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
     return [-1, f"rossec: {error}", 0]
 
 

@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from copy import deepcopy
 from typing import Any, Final
 
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
 from rossec.node.context import NodeContext
@@ -220,7 +221,7 @@ class ParameterSubscription:
 
 def _unset(key: str) -> ParameterUnset:
     return ParameterUnset(
-        f"the parameter {key} is not set", "rossec param list shows those that are"
+        f"the parameter {shown(key)} is not set", "rossec param list shows those that are"
     )
 
 

@@ -13,6 +13,7 @@ from collections.abc import Hashable, Sequence
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.filters.layout import Layout
@@ -188,7 +189,7 @@ class Publisher:
                 self._send_latched(connection, queue)
                 await queue.run()
         except* RossecError as group:
-            _log.info("%s: %s left: %s", self.topic, stream.peer.name, group.exceptions[0])
+            _log.info("%s: %s left: %s", self.topic, shown(stream.peer.name), group.exceptions[0])
         finally:
             del self.links[connection]
             self._changed.set()
@@ -208,7 +209,7 @@ class Publisher:
             pieces = connection.guard.apply(sample.data, now, sample.mark)
         except GrantError as error:
             withheld_log.warn(
-                _log, withheld_log.SENT, self.topic, connection.stream.peer.name, error
+                _log, withheld_log.SENT, self.topic, shown(connection.stream.peer.name), error
             )
             return None
         if self.latch and pieces is not None:

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias
 from weakref import WeakValueDictionary
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from grants.decision import Decision
 from grants.errors import GrantError
 from rossec import clock
@@ -145,7 +146,7 @@ class Service:
                 while persistent:
                     await self._answer(connection, share, await receive_request(stream, wait=True))
         except RossecError as error:
-            _log.info("%s: %s left: %s", self.name, stream.peer.name, error)
+            _log.info("%s: %s left: %s", self.name, shown(stream.peer.name), error)
         finally:
             self.links.discard(connection)
 
@@ -175,13 +176,13 @@ class Service:
             return wire.failure(str(error))
         except (ServiceRefused, GrantError) as error:
             withheld_log.warn(
-                _log, withheld_log.REFUSED, self.name, connection.stream.peer.name, error
+                _log, withheld_log.REFUSED, self.name, shown(connection.stream.peer.name), error
             )
             return wire.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
             withheld_log.warn(
-                _log, withheld_log.REFUSED, self.name, connection.stream.peer.name, took
+                _log, withheld_log.REFUSED, self.name, shown(connection.stream.peer.name), took
             )
             return wire.failure("the service took too long")
 

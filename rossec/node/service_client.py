@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Final, Self, TypeAlias
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from grants.decision import Decision
 from rossec import clock
 from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
@@ -158,12 +159,12 @@ class ServiceClient:
             HintedError: as `__call__`.
         """
         if self._closed:
-            raise ChannelClosed(f"the client of {self.service} is closed")
+            raise ChannelClosed(f"the client of {shown(self.service)} is closed")
         try:
             async with asyncio.timeout(self._deadline), self._connection() as connection:
                 return await self._exchange(connection, request)
         except TimeoutError:
-            raise ServiceFailed(f"{self.service} did not answer in time") from None
+            raise ServiceFailed(f"{shown(self.service)} did not answer in time") from None
 
     async def close(self) -> None:
         """Close the connections; calls in progress fail. Safe to call twice."""

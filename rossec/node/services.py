@@ -11,6 +11,7 @@ from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec import clock
 from rossec.errors import (
@@ -109,7 +110,7 @@ class Services:
                 await self._wait_for_probe(name)
         except TimeoutError:
             raise ServiceUnavailable(
-                f"no node provided {name} within {within:g} s", "is its provider running?"
+                f"no node provided {shown(name)} within {within:g} s", "is its provider running?"
             ) from None
 
     async def _wait_for_probe(self, name: str) -> None:
@@ -148,7 +149,7 @@ class Services:
             if str(error) != _ABSENT:
                 raise
             raise ServiceUnavailable(
-                f"no node provides {name}", "start its provider, or wait for the service"
+                f"no node provides {shown(name)}", "start its provider, or wait for the service"
             ) from error
         return str(uri)
 

@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from grants.errors import GrantError
 from grants.guard import Guard
@@ -95,7 +96,7 @@ class Subscriber:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
                 withheld_log.warn(
-                    _log, "%(where)s: dropped a message: %(cause)s", self.topic, "", error
+                    _log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error
                 )
             else:
                 yield message
@@ -173,7 +174,7 @@ class Subscriber:
     def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
         if connection.guard is not None:
             messages = self._filtered(
-                connection.guard, messages, connection.stream.peer.name, clock.now()
+                connection.guard, messages, shown(connection.stream.peer.name), clock.now()
             )
         if messages:
             self.received += len(messages)
@@ -187,7 +188,7 @@ class Subscriber:
             try:
                 pieces = guard(message, now)
             except GrantError as error:
-                withheld_log.warn(_log, withheld_log.RECEIVED, self.topic, peer, error)
+                withheld_log.warn(_log, withheld_log.RECEIVED, shown(self.topic), peer, error)
             else:
                 filtered += [] if pieces is None else [b"".join(pieces)]
         return filtered
@@ -196,7 +197,7 @@ class Subscriber:
         """Log a failure; the same one again at level INFO only, as every attempt may repeat it."""
         if isinstance(error, HintedError):
             self.refusals.append(error)
-        reason = f"{self.topic} from {uri}: {str(error) or type(error).__name__}"
+        reason = f"{shown(self.topic)} from {uri}: {str(error) or type(error).__name__}"
         unexpected = not isinstance(error, HintedError | OSError)
         level = logging.INFO if reason == self._last_reason else logging.WARNING
         _log.log(level, "%s", reason, exc_info=error if unexpected else None)

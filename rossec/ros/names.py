@@ -18,6 +18,12 @@ MASTER: Final = names.MASTER  # the name a domain's first master is certified fo
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
 PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node
+DOMAINS: Final = "rossec.domains"  # to the master
+UPDATE_DOMAINS: Final = "rossec.updateDomains"
+FOREIGN_REVOCATIONS: Final = "rossec.foreignRevocations"
+FOREIGN_PROOFS: Final = "rossec.foreignRevocationProofs"
+DOMAINS_UPDATE: Final = "rossec.domainsUpdate"  # from the master to a node
+FOREIGN_UPDATE: Final = "rossec.foreignRevocationUpdate"
 
 
 def canonical(name: str) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.opening import WireProtocol
@@ -160,7 +161,7 @@ class Egress:
         after_answer: bytes,
     ) -> None:
         connection = AuthorizedConnection(stream, admitted.decision, admitted.guard)
-        with self._connections.track(connection), pump.log_end(stream.peer.name):
+        with self._connections.track(connection), pump.log_end(shown(stream.peer.name)):
             await program.send(header.encode(admitted.answer))
             if admitted.service:
                 await pump.exchange(program, stream, after_request, after_answer)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.opening import WireProtocol
@@ -135,7 +136,7 @@ class Ingress:
             except HangUp:
                 raise
             except HintedError as error:
-                _log.warning("refused %s: %s (%s)", peer.name, error, error.hint)
+                _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
                 return [-1, f"rossec: {error}", 0]
 
         try:
@@ -167,7 +168,7 @@ class Ingress:
             except HangUp:
                 raise
             except HintedError as error:
-                _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
+                _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
                 await stream.send(header.error_header(f"rossec: {error}"))
                 return
             if executor.program is not None:
@@ -175,7 +176,7 @@ class Ingress:
                     admitted, executor.program, stream, after_request, executor.after_header
                 )
         except (HangUp, ChannelClosed) as error:
-            _log.info("%s: %s", stream.peer.name, error)
+            _log.info("%s: %s", shown(stream.peer.name), error)
         finally:
             await executor.close()
 
@@ -188,13 +189,13 @@ class Ingress:
         after_answer: bytes,
     ) -> None:
         connection = AuthorizedConnection(stream, admitted.decision, admitted.guard)
-        with self._connections.track(connection), pump.log_end(stream.peer.name):
+        with self._connections.track(connection), pump.log_end(shown(stream.peer.name)):
             await stream.send(header.encode(admitted.answer))
             if admitted.service:
                 stream.raise_unit_limit()
                 await pump.exchange(program, stream, after_answer, after_request)
             elif after_request:
-                _log.warning("%s sends data where it subscribes", stream.peer.name)
+                _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
             else:
                 now, latching = clock.now(), admitted.latching
                 with self._copies.share(admitted.guard, now, latching=latching) as (

@@ -14,6 +14,7 @@ from collections.abc import Coroutine, Iterator
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from grants.errors import GrantError
 from rossec import clock
@@ -144,7 +145,7 @@ async def send_filtered(
         LimitExceeded: a message does not arrive in time.
     """
     framing = Framing(FrameReader(max_length))
-    (peer,) = (end.peer.name for end in (source, sink) if not isinstance(end, PlainStream))
+    (peer,) = (shown(end.peer.name) for end in (source, sink) if not isinstance(end, PlainStream))
     messages = framing.feed(initial, clock.now())
     while True:
         now = clock.now()
@@ -168,7 +169,7 @@ async def send_filtered_nowait(
     while True:
         now = clock.now()
         guard.check(now)
-        pieces = [] if peer.lags else _filter_messages(guard, messages, peer.peer.name, now)
+        pieces = [] if peer.lags else _filter_messages(guard, messages, shown(peer.peer.name), now)
         if pieces:
             peer.write_nowait(b"".join(pieces))
         messages = await next_messages(program, framing)

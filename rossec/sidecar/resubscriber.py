@@ -9,6 +9,7 @@ import logging
 import time
 from typing import Final
 
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
@@ -34,8 +35,9 @@ class Resubscriber:
     def on_topic_ended(self, topic: str, began: float) -> None:
         """A connection for `topic`, made at `began` of the monotonic clock, has ended."""
         self._to_resubscribe.add(topic, began, time.monotonic())
+        name = shown(topic)
         if not self._may_subscribe(topic):
-            _log.warning("%s: no grant for subscribe on %s any more", self._services.name, topic)
+            _log.warning("%s: no grant for subscribe on %s any more", self._services.name, name)
 
     async def run(self) -> None:
         """Resubscribe periodically until cancelled."""
@@ -54,4 +56,5 @@ class Resubscriber:
         try:
             await run_layer(self._services, layer)
         except (HintedError, OSError, Fault) as error:
-            _log.info("%s: cannot subscribe again: %s: %s", self._services.name, subject, error)
+            what = shown(subject)
+            _log.info("%s: cannot subscribe again: %s: %s", self._services.name, what, error)

@@ -43,6 +43,11 @@ TYPE, URI = "a/B", "urn:ietf:params:oauth:ckt:sha-256:"
 CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "sibling claim": (put(-70000, {"filters": 1}), "unknown claim -70000"),
     "sibling claim with a text key": (put("filters", 1), "unknown claim filters"),
+    "no narrowings": (put(-70034, 0), "says it allows no narrowings"),
+    "too many narrowings": (put(-70034, 4), "allows at most 3 narrowings"),
+    "negative narrowings": (put(-70034, -1), "allows at most 3 narrowings"),
+    "narrowings are true": (put(-70034, True), "may_narrow of a grant is of a wrong type"),
+    "narrowings are text": (put(-70034, "1"), "may_narrow of a grant is of a wrong type"),
     "not a map": (lambda claims: [claims], "not a map"),
     "missing exp": (without(4), "claim 4 is missing"),
     "missing cnf": (without(8), "claim 8 is missing"),
@@ -122,6 +127,15 @@ def test_invalid_claims_are_refused(name: str) -> None:
     change, message = CLAIMS[name]
     with pytest.raises(GrantMalformed, match=message):
         document.open_grant(signed_claims(change(payload())), CA.public_key, NOW)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_how_often_it_may_be_narrowed_is_read_by_either_check(count: int) -> None:
+    made = replace(DRAFT, may_narrow=count)
+    data = document.sign(CA, made)
+    assert document.open_grant(data, CA.public_key, NOW).may_narrow == count
+    long = replace(made, domain="\u00e4")  # not in ASCII: read by the general check
+    assert document.open_grant(document.sign(CA, long), CA.public_key, NOW).may_narrow == count
 
 
 def test_claims_of_unusual_length_are_read() -> None:

@@ -1,5 +1,6 @@
 """Values that exist are well-formed."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -114,6 +115,8 @@ def test_permissions_cover_names_and_are_checked() -> None:
         ({"expires": 1}, "not_before < expires <= cap"),
         ({"cap": 1}, "not_before < expires <= cap"),
         ({"permissions": ()}, "permits nothing"),
+        ({"may_narrow": 4}, "at most 3 narrowings"),
+        ({"may_narrow": -1}, "at most 3 narrowings"),
     ],
 )
 def test_invalid_drafts_are_refused(changes: Any, message: str) -> None:
@@ -125,6 +128,29 @@ def test_a_grant_is_a_draft_with_id_and_issuer() -> None:
     grant = Grant.of(Draft(**DRAFT), id=b"\xab" * 16, issuer=bytes(32))
     assert grant == Grant(**DRAFT, id=b"\xab" * 16, issuer=bytes(32))
     assert grant.short_id == "abababab"
+
+
+def test_every_link_of_a_chain_must_cover() -> None:
+    base = Grant.of(Draft(**DRAFT), id=bytes(16), issuer=bytes(32))
+    narrow = replace(
+        base, id=b"n" * 16, via=(b"v",), holder=b"h" * 32,
+        permissions=(Permission("/a", Right.CALL | Right.PUBLISH),),
+    )  # fmt: skip
+    chain = replace(base, permissions=base.permissions, chain=(base, narrow))
+    assert (base.links, chain.links) == ((base,), (base, narrow))
+    assert base.revocable == (base.id,)
+    assert chain.revocable == (b"n" * 16, b"v", base.id, base.holder, b"h" * 32)
+    for right in Right:
+        for name in ("/a", "/a/b"):
+            both = all(link.covers(right, name) for link in chain.links)
+            assert chain.covers(right, name) == both
+    draft = Draft(**DRAFT)
+    assert all(draft.covers(right, "/a") == base.covers(right, "/a") for right in Right)
+
+
+def test_layers_come_one_after_the_other() -> None:
+    early, late = Restriction(rate=9), Restriction(rate=1, layer=1)
+    assert merge([late, early, late]) == merge([early, late]) == (early, late)
 
 
 def test_keep_when_stale_does_not_restrict_messages() -> None:

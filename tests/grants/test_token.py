@@ -12,11 +12,12 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import KeySigner
 from grants import document
 from grants.decision import authorize
-from grants.errors import GrantExpired, GrantMalformed, GrantRevoked, RenewalForOther
+from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantRevoked, RenewalForOther
 from grants.model import Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
-from grants.token import TokenParts, Verifier, pack, unpack
-from tests.grants.authority import CA, DRAFT, HOLDER, NOW
+from grants.token import TokenParts, Verifier, pack, pack_chain, peek, unpack
+from tests.grants.authority import CA, DRAFT, HOLDER, NOW, OTHER_CA, draft
+from tests.grants.chains import A, B, Made, first, key_of
 
 MASTER = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 DATA = document.sign(CA, DRAFT)
@@ -91,3 +92,82 @@ def test_a_renewal_by_a_revoked_delegation_or_delegate_is_refused(which: int) ->
 def test_an_invalid_token_is_refused(broken: bytes) -> None:
     with pytest.raises(GrantMalformed, match="renewed grant"):
         unpack(broken)
+
+
+def test_a_chain_is_its_first_token_and_the_narrowings() -> None:
+    base = first()
+    longer = base.narrowed(A).narrowed(B)
+    parts = unpack(longer.token)
+    assert (parts.grant, parts.ticket, len(parts.narrowings)) == (base.token, b"", 2)
+    assert pack_chain(base.token, parts.narrowings) == longer.token
+    assert longer.token[0] == 0x82
+    grant = VERIFIER.open(longer.token, NOW)
+    assert grant == peek(longer.token)
+    assert [link.subject for link in grant.links] == ["/remote/hospital/a", "/b", "/c"]
+
+
+def test_the_end_of_a_chain_below_a_renewed_grant_is_that_of_the_ticket() -> None:
+    base = document.sign(CA, draft(holder=key_of(A), subject="/a", may_narrow=1, expires=NOW + 10))
+    opened = document.peek(base)
+    ticket = sign_ticket(MASTER, Ticket(opened.id, NOW + 5, NOW + 300, seq=7))
+    made = Made(pack(base, ticket, DELEGATION), opened).narrowed(A, expires=NOW + 900)
+    parts = unpack(made.token)
+    assert (parts.ticket, parts.delegation, len(parts.narrowings)) == (ticket, DELEGATION, 1)
+    grant = VERIFIER.open(made.token, NOW + 20)
+    assert (grant.expires, grant.cap) == (NOW + 300, NOW + 300)
+    assert set(grant.links[0].via) <= set(grant.revocable)
+    with pytest.raises(RenewalForOther):
+        replace(VERIFIER, delegates=()).open(made.token, NOW + 20)
+
+
+def test_the_signature_and_the_end_of_the_first_link_count() -> None:
+    made = first().narrowed(A)
+    other = replace(VERIFIER, ca_key=OTHER_CA.public_key)
+    with pytest.raises(GrantForged):
+        other.open(made.token, NOW)
+    with pytest.raises(GrantForged):
+        replace(VERIFIER, domain="work").open(made.token, NOW)
+    with pytest.raises(GrantExpired):
+        VERIFIER.open(first(expires=NOW, cap=NOW).narrowed(A).token, NOW)
+
+
+def nested(*narrowings: Any, single: Any = b"\xd2") -> bytes:
+    return encode([single, [*narrowings]])
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        nested(),
+        nested(*[b"n"] * 4),
+        nested(b""),
+        nested(5),
+        nested(b"n", single=5),
+        nested(b"n") + b"\0",
+        nested(bytes(16 * 1024 + 1)),
+        nested(*[bytes(16 * 1024)] * 3, single=bytes(16 * 1024)),  # above 64 KiB
+        b"\x82" + bytes(64 * 1024),
+        b"\x82",
+        encode([b"\xd2", b"n"]),
+        encode([b"\xd2", [[b"n"]]]),
+    ],
+    ids=len,
+)
+def test_an_invalid_chain_is_refused(broken: bytes) -> None:
+    for reading in (unpack, peek, lambda token: VERIFIER.open(token, NOW)):
+        with pytest.raises(GrantMalformed):
+            reading(broken)
+
+
+def test_a_chain_inside_a_chain_is_refused() -> None:
+    inside = first().narrowed(A).token
+    with pytest.raises(GrantMalformed):
+        VERIFIER.open(nested(unpack(inside).narrowings[0], single=inside), NOW)
+
+
+def test_a_chain_may_have_64_kib_and_no_more() -> None:
+    largest = nested(*[bytes(16 * 1024)] * 3, single=bytes(16 * 1024 - 14))
+    assert len(largest) == 64 * 1024
+    assert len(unpack(largest).narrowings) == 3
+    with pytest.raises(GrantMalformed, match="not a chain"):
+        pack_chain(bytes(16 * 1024), [bytes(16 * 1024)] * 3)

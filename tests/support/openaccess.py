@@ -2,8 +2,7 @@
 
 import time
 
-from ca.certificates import Identity, TrustAnchor
-from ca.revocation.state import Revocations
+from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec.participant.access import FIELD, Access
@@ -12,10 +11,9 @@ PROOF = {FIELD: b"proof"}
 
 
 class OpenAccess(Access):
-    """Rights on every name, also on aliases."""
+    """Rights on every name, also on aliases; it holds and verifies nothing."""
 
-    def __init__(self, anchor: TrustAnchor) -> None:
-        super().__init__(anchor, Revocations(anchor.public_key))
+    def __init__(self) -> None:
         self.presented: list[tuple[str, str]] = []
         self.authorized: list[tuple[str, str, str]] = []
 

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 from cryptography import x509
 
 from ca.cose import Profile
+from ca.domains.cards import CARD
 from ca.domains.lists import DOMAINS
 from ca.errors import CertificateRefused, EncodingError, SignatureError
 from ca.revocation.lists import LIST_PROFILE, MAX_LIST
@@ -29,6 +30,7 @@ _STATEMENTS: Final[Mapping[str, Profile]] = {
     "a revocation tree": TREE,
     "a head of the log": HEAD_PROFILE,
     "a list of domains": DOMAINS,
+    "a card of its domain": CARD,
 }
 _HINT: Final = "the program that asked is of another version of rossec, or not rossec"
 

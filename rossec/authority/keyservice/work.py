@@ -58,6 +58,7 @@ class AuthorityWork:
         self._now = now
         self._applied: tuple[object, int] = None, 0
         self.published = b""  # the list that the master has from here
+        self._published_domains = b""
 
     @property
     def is_locked(self) -> bool:
@@ -161,11 +162,12 @@ class AuthorityWork:
             _log.warning("maintenance of the authority: %s", printable(error))
 
     def _publish(self, service: AuthorityService) -> None:
-        """Deliver the newest list, whoever signed it, until the master has taken it."""
-        newest = service.home.revocation_list()
-        if newest != self.published:
+        """Deliver the newest lists, whoever signed them, until the master has taken them."""
+        found = service.home.domain_list()
+        newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
+        if (newest, domains) != (self.published, self._published_domains):
             service.publish()
-            self.published = newest
+            self.published, self._published_domains = newest, domains
 
     @contextlib.contextmanager
     def service(self, purpose: str) -> Iterator[AuthorityService]:

@@ -8,6 +8,7 @@ from typing import Final
 
 import click
 
+from ca.domains.aliases import is_alias, shown
 from ca.errors import CertificateExpired, HintedError
 from rossec.channel.edhoc.credentials import Credentials, LiveCredentials
 from rossec.cli.shared.context import Environment, now, pass_environment
@@ -120,7 +121,7 @@ def _print_change(view: GraphView, change: ObservedChange, as_json: bool) -> Non
         return
     for sign, facts in (("-", change.removed), ("+", change.added)):
         for fact in facts:
-            say(f"{sign} {printable(' '.join(fact))}")
+            say(f"{sign} {printable(' '.join(map(shown, fact)))}")
 
 
 def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
@@ -140,14 +141,17 @@ def describe(facts: frozenset[Fact]) -> list[str]:
     for kind, name, value in sorted(facts):
         nodes[kind, name].append(value)
     lines: list[str] = []
-    for topic in sorted({name for kind, name, _ in facts if kind in _HEADINGS}):
-        lines.append(f"{topic} ({types[topic]})" if topic in types else topic)
+    for topic in sorted({name for kind, name, _ in facts if kind in _HEADINGS}, key=_own_first):
+        lines.append(f"{shown(topic)} ({types[topic]})" if topic in types else shown(topic))
         lines += [
-            f"  {heading} {', '.join(nodes[kind, topic])}"
+            f"  {heading} {', '.join(map(shown, nodes[kind, topic]))}"
             for kind, heading in _HEADINGS.items()
             if nodes[kind, topic]
         ]
-    for kind, name in sorted(nodes):
-        if kind == "service":
-            lines.append(f"{name} provided by {', '.join(nodes[kind, name])}")
+    for name in sorted({name for kind, name in nodes if kind == "service"}, key=_own_first):
+        lines.append(f"{shown(name)} provided by {', '.join(map(shown, nodes['service', name]))}")
     return [printable(line) for line in lines]
+
+
+def _own_first(name: str) -> tuple[bool, str]:
+    return is_alias(name), name

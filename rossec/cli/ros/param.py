@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ca.domains.aliases import local_name, shown
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import parse_message
 from rossec.errors import ConfigurationError
@@ -27,13 +28,13 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 def list_(environment: Environment, namespace: str, node: str, as_json: bool) -> None:
     """List the parameters that NODE may read, of all or of one NAMESPACE."""
     names = _run(environment, node, lambda params: params.names())
-    prefix = namespace.rstrip("/") + "/"
-    shown = sorted(name for name in names if f"{name}/".startswith(prefix))
+    prefix = local_name(namespace).rstrip("/") + "/"
+    found = sorted(name for name in names if f"{name}/".startswith(prefix))
     if as_json:
-        say_json(shown)
+        say_json(found)
         return
-    for name in shown:
-        say(printable(name))
+    for name in found:
+        say(printable(shown(name)))
 
 
 @click.command()
@@ -43,7 +44,8 @@ def list_(environment: Environment, namespace: str, node: str, as_json: bool) ->
 @pass_environment
 def get(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Print the parameter NAME, or a namespace with all in it."""
-    value = _run(environment, node, lambda params: params.get(name))
+    key = local_name(name)
+    value = _run(environment, node, lambda params: params.get(key))
     if as_json:
         say_json(_encodable(value))
     else:
@@ -62,7 +64,8 @@ def set_(environment: Environment, name: str, value: str, node: str) -> None:
         raise ConfigurationError(
             "a parameter cannot be null", f"rossec param delete {name} unsets it"
         )
-    _run(environment, node, lambda params: params.set(name, content))
+    key = local_name(name)
+    _run(environment, node, lambda params: params.set(key, content))
 
 
 @click.command()
@@ -71,7 +74,8 @@ def set_(environment: Environment, name: str, value: str, node: str) -> None:
 @pass_environment
 def delete(environment: Environment, name: str, node: str) -> None:
     """Unset the parameter NAME and everything below it."""
-    _run(environment, node, lambda params: params.delete(name))
+    key = local_name(name)
+    _run(environment, node, lambda params: params.delete(key))
 
 
 def _run(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from ca.domains.aliases import local_name, shown
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, plain, render
 from rossec.cli.shared.running import run_until_node_ends
@@ -12,6 +13,7 @@ from rossec.errors import ConfigurationError
 from rossec.node import Node, ServiceClient, register_service_type, service_type
 from rossec.participant.header_fields import text
 from rossec.participant.message_types import Message
+from rossec.participant.remote_names import caller_here
 from rossec.terminal import printable, say, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
@@ -90,27 +92,28 @@ async def _list(environment: Environment, node: str, as_json: bool) -> None:
         say_json(known)
         return
     for name in sorted(known):
-        say(printable(name))
+        say(printable(shown(name)))
 
 
-async def _info(environment: Environment, name: str, node: str, as_json: bool) -> None:
-    async with Node(node, environ=environment.variables) as running:
-        name = running.settings.resolve(name)
+async def _info(environment: Environment, name: str, own: str, as_json: bool) -> None:
+    async with Node(own, environ=environment.variables) as running:
+        name = running.settings.resolve(local_name(name))
         uri = await running.services.lookup(name)
         fields, provider = await running.services.probe(name)
+    node = caller_here(provider, text(fields, "callerid"))
     found = {
-        "node": text(fields, "callerid"),
+        "node": node,
         "uri": uri,
         "type": text(fields, "type"),
         "md5sum": text(fields, "md5sum"),
     }
-    if text(fields, "callerid") != provider.name:
+    if node != provider.name:
         found["identity"] = provider.name
     if as_json:
         say_json(found)
         return
     for key, value in found.items():
-        say(f"{key}: {printable(value)}")
+        say(f"{key}: {printable(shown(value))}")
 
 
 async def _call(
@@ -122,6 +125,7 @@ async def _call(
     timeout: float,  # noqa: ASYNC109 - as the option
     as_json: bool,
 ) -> None:
+    name = local_name(name)
     async with Node(node, environ=environment.variables) as running:
         if type_name is None:
             fields, _ = await running.services.probe(running.settings.resolve(name))

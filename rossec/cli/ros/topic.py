@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from ca.domains.aliases import local_name
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, render
 from rossec.cli.shared.running import run_until_node_ends
@@ -57,7 +58,7 @@ async def _echo(
     environment: Environment, name: str, type_name: str, node: str, count: int | None
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
-        subscriber = await running.subscriber(name, type_name)
+        subscriber = await running.subscriber(local_name(name), type_name)
         await run_until_node_ends(running, _print(subscriber, count))
 
 
@@ -81,7 +82,7 @@ async def _pub(
     count: int | None,
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
-        publisher = await running.publisher(name, type_name)
+        publisher = await running.publisher(local_name(name), type_name)
         note(f"waiting for a subscriber of {publisher.topic}")
         await run_until_node_ends(running, _publish(publisher, message, period, count))
 

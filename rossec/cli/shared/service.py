@@ -23,7 +23,7 @@ from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, say
 
 _SIGNED_ANEW: Final = (
-    "the revocation list was due and is signed anew; deliver it with: rossec ca publish"
+    "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
 )
 
 
@@ -95,17 +95,27 @@ def publish_list(service: AuthorityService) -> None:
 
 
 def publish_if_revoked(service: AuthorityService) -> None:
-    """Deliver the list if a replaced key was revoked; else print a note if it was signed anew."""
+    """Deliver the list if a replaced key was revoked, and that of domains if a master is new in it.
+
+    Else print a note if one was signed anew.
+    """
     if service.has_revoked:
         say("the replaced key is revoked")
         publish_list(service)
         return
-    remind_to_publish(service)
+    if not service.has_signed_domains:
+        remind_to_publish(service)
+        return
+    try:
+        service.publish_domains()
+        say("the master has the new list of domains, with the keys of all masters")
+    except (NotDelivered, ConfigurationError) as error:
+        note(f"{error}; {error.hint}")
 
 
 def remind_to_publish(service: AuthorityService) -> None:
-    """Print a note if the list was signed anew."""
-    if service.has_signed_list:
+    """Print a note if a list was signed anew."""
+    if service.has_signed_list or service.has_signed_domains:
         note(_SIGNED_ANEW)
 
 

@@ -12,6 +12,7 @@ from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused
 from rossec.master.api.authority_calls import AuthorityCalls
 from rossec.master.api.deposit_calls import DepositCalls
+from rossec.master.api.domain_calls import DomainCalls
 from rossec.master.api.graph_calls import GraphCalls
 from rossec.master.api.methods import (
     Administered,
@@ -91,6 +92,7 @@ class MasterApi:
             **self.watch_calls.methods(),
             **self.site_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),
+            **DomainCalls(statements).methods(),
             **DepositCalls(statements, deposits).methods(),
             **AuthorityCalls(statements, denials, connected).methods(),
             **self._own_methods(),

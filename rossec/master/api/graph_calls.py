@@ -82,9 +82,9 @@ class GraphCalls:
         return Reply(done.removed, done.status, events=tuple(events))
 
     def _unregister_service(self, request: CallRequest) -> Reply:
-        name, service, service_uri = (request.text(i) for i in range(3))
+        caller, service, service_uri = request.caller, request.text(1), request.text(2)
         done = self._registry.unregister_service(
-            service, name, service_uri, request.caller.thumbprint
+            service, caller.name, service_uri, caller.thumbprint
         )
         return Reply(done.removed, done.status)
 

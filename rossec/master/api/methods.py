@@ -53,6 +53,13 @@ class RevocationsChanged:
 
 
 @dataclass(frozen=True)
+class DomainsChanged:
+    """A newer list of domains, delivered by `by`, is in force: enforce it and distribute it."""
+
+    by: str
+
+
+@dataclass(frozen=True)
 class Administered:
     """An administrative change to the master or to another node's registrations: for the audit."""
 
@@ -97,6 +104,7 @@ MasterEvent = (
     | GrantsPresented
     | GrantsDeposited
     | RevocationsChanged
+    | DomainsChanged
     | Denied
     | CallDenied
     | Administered

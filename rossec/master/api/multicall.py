@@ -9,7 +9,12 @@ import xmlrpc.client
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from rossec.master.api.methods import GrantsPresented, MasterEvent, RevocationsChanged
+from rossec.master.api.methods import (
+    DomainsChanged,
+    GrantsPresented,
+    MasterEvent,
+    RevocationsChanged,
+)
 from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
 from rossec.master.rights.access_rules import RULES, Scope
 from rossec.master.state.parameter_values import encoded_size
@@ -24,7 +29,7 @@ MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 requests for one
 MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswith("rossec."))
 
 
-_RIGHTS_CHANGED: Final = (RevocationsChanged, GrantsPresented)
+_RIGHTS_CHANGED: Final = (RevocationsChanged, DomainsChanged, GrantsPresented)
 BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
 """Answers one call, or begins to, or raises `Fault`."""
 

@@ -15,6 +15,7 @@ class MasterLimits:
         body: bytes of one call, and of one answer.
         parameters: bytes of all parameters together.
         connections_per_identity: open at a time; a node has two, and one for each watched graph.
+        connections_per_domain: open at a time, of all nodes of one foreign domain.
         nodes_per_identity: registered at a time; only a wildcard identity can have several.
         handshake_seconds: from the first byte of a connection to an authenticated peer.
         request_seconds: from the first byte of a call to its last.
@@ -25,6 +26,7 @@ class MasterLimits:
     body: int = BODY_LIMIT
     parameters: int = SIZE_LIMIT
     connections_per_identity: int = 32
+    connections_per_domain: int = 256
     nodes_per_identity: int = NODES_LIMIT
     handshake_seconds: int = 5
     request_seconds: int = 10

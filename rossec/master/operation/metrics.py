@@ -24,6 +24,9 @@ _GAUGES: Final = {
     "registrations": "Registrations of all kinds.",
     "connections": "Open connections, handshakes included.",
     "revocation_number": "Sequence number of the revocation list in force.",
+    "domains": "Foreign domains listed.",
+    "domains_number": "Sequence number of the list of domains in force.",
+    "foreign_connections": "Open connections of nodes of other domains.",
 }
 
 Status = Callable[[], Mapping[str, Any]]

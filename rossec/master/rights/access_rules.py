@@ -15,10 +15,12 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.master.rights.caller import AddressTaken, Caller, Refused, display
-from rossec.master.state.addresses import endpoint, is_loopback_host
+from rossec.master.state.addresses import endpoint, is_loopback_host, is_reachable_from_here
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
+from rossec.ros import names
 from rossec.ros.names import AUTHORITY
+from rossec.ros.text import printable
 
 ASK_OPERATOR: Final = "ask the authority's operator for a grant"
 
@@ -32,6 +34,7 @@ class Scope(Enum):
     FILTERED = "the whole graph, filtered by what the caller may see"
     MASTER = "the master itself"
     AUTHORITY = "the authority's own node alone"
+    MEMBER = "nodes of the own domain; no right is needed"
     OPEN = "no right is needed"
 
 
@@ -44,18 +47,20 @@ class AccessRule:
         right: the right needed on the argument at `name` (or, for MASTER, on the master's name).
         name: index of that argument, counted from the caller_id.
         api: index of the caller's slave API URI, which must not be another node's.
+        service: index of the URI of a service it provides.
     """
 
     scope: Scope
     right: Right | None = None
     name: int = 1
     api: int | None = None
+    service: int | None = None
 
 
 RULES: Final[Mapping[str, AccessRule]] = {
     "registerPublisher": AccessRule(Scope.NAMED, Right.PUBLISH, api=3),
     "registerSubscriber": AccessRule(Scope.NAMED, Right.SUBSCRIBE, api=3),
-    "registerService": AccessRule(Scope.NAMED, Right.PROVIDE, api=3),
+    "registerService": AccessRule(Scope.NAMED, Right.PROVIDE, api=3, service=2),
     "unregisterPublisher": AccessRule(Scope.OWN),
     "unregisterSubscriber": AccessRule(Scope.OWN),
     "unregisterService": AccessRule(Scope.OWN),
@@ -78,12 +83,12 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.watchGraph": AccessRule(Scope.MASTER, Right.GRAPH),  # and the answer is filtered
     "rossec.followSite": AccessRule(Scope.MASTER, Right.GRAPH),  # as above
     "rossec.presentGrants": AccessRule(Scope.OPEN),
-    "rossec.renewGrants": AccessRule(Scope.OPEN),  # only grants of the caller itself are renewed
-    "rossec.renewIdentity": AccessRule(Scope.OPEN),  # the request is signed with the key to renew
-    "rossec.updateDelegation": AccessRule(Scope.OPEN),  # signed by the authority
+    "rossec.renewGrants": AccessRule(Scope.MEMBER),  # only grants of the caller itself are renewed
+    "rossec.renewIdentity": AccessRule(Scope.MEMBER),  # the request is signed with the key to renew
+    "rossec.updateDelegation": AccessRule(Scope.MEMBER),  # signed by the authority
     "rossec.revocations": AccessRule(Scope.OPEN),
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
-    "rossec.updateRevocationTree": AccessRule(Scope.OPEN),
+    "rossec.updateRevocationTree": AccessRule(Scope.MEMBER),
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
@@ -92,7 +97,11 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.fetchGrants": AccessRule(Scope.OPEN),  # only grants of the caller's key are returned
     "rossec.watchGrants": AccessRule(Scope.OPEN),  # as above
     "rossec.trl": AccessRule(Scope.FILTERED),  # all entries with ADMIN on the master
-    "rossec.updateRevocations": AccessRule(Scope.OPEN),  # signed by the authority
+    "rossec.updateRevocations": AccessRule(Scope.MEMBER),  # signed by the authority
+    names.DOMAINS: AccessRule(Scope.MEMBER),
+    names.UPDATE_DOMAINS: AccessRule(Scope.MEMBER),  # signed by the authority
+    names.FOREIGN_REVOCATIONS: AccessRule(Scope.MEMBER),
+    names.FOREIGN_PROOFS: AccessRule(Scope.MEMBER),  # the caller must know an entry to query it
 }
 
 
@@ -158,8 +167,12 @@ class AccessControl:
             require(caller, rule.right, self._master)
         if rule.scope is Scope.AUTHORITY and not caller.is_authority:
             raise Refused(f"only the authority's own node {AUTHORITY} may call this")
+        if rule.scope is Scope.MEMBER and caller.is_foreign:
+            raise Refused("only nodes of the own domain may call this")
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
+        if rule.service is not None and caller.is_foreign:
+            _require_foreign_address(str(arguments[rule.service]), is_local=is_local)
 
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
         """Which of the nodes registered for `key` the caller may see."""
@@ -206,10 +219,22 @@ def require_address(registry: Registry, caller: Caller, uri: str, *, is_local: b
             "this slave API URI is on the master's host, and the caller is not: "
             "set ROS_IP or ROS_HOSTNAME to an address that is reachable from other hosts"
         )
+    if caller.is_foreign:
+        _require_foreign_address(uri, is_local=is_local)
     owner = registry.owner(uri)
     node = None if owner is None or owner == caller.name else registry.node(owner)
     if node is not None:
         raise AddressTaken(node)
+
+
+def _require_foreign_address(uri: str, *, is_local: bool) -> None:
+    """Raise `Refused` for an address that a node of another network cannot have.
+
+    A link-local one names another machine in each network.
+    """
+    host = endpoint(uri)[0]
+    if not is_reachable_from_here(host) and not (is_local and is_loopback_host(host)):
+        raise Refused(f"a node of another domain cannot be at {printable(host)}")
 
 
 def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:

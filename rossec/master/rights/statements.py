@@ -1,9 +1,8 @@
 """The authority's revocations and the nodes' grants, as the master holds them. Pure.
 
-The master is its own source of freshness: it confirms the list it holds, and signs the timestamps
-that prove to nodes that no newer list is being withheld. Without a list, or with an expired one,
-identities may still connect (one of them may deliver a list), but no grant is valid. Grants are
-stored per key, verified once, bounded in number and size.
+Without a list, or with an expired one, identities may still connect (one of them may deliver a
+list), but no grant is valid. Grants are stored per key, verified once, bounded in number and size.
+Those of a foreign domain are verified with its key, and count for names of that domain alone.
 """
 
 import hashlib
@@ -12,37 +11,39 @@ from dataclasses import replace
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
+from ca.domains.aliases import is_alias
+from ca.domains.anchors import Anchors
+from ca.domains.standing import Standing
+from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signer import Signer
-from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
-from ca.revocation.tree import TreeEntries, is_tree, open_tree
+from ca.revocation.state import Revocations, digest
 from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.narrowing import check_one_domain
-from grants.token import Verifier
+from grants.token import Verifier, peek
 from rossec.master.rights.access_rules import is_authority
-from rossec.master.rights.caller import Caller, Peer
+from rossec.master.rights.caller import Caller, Peer, display
 from rossec.master.rights.delegation import Delegate, discard
-from rossec.master.rights.held_lists import HeldLists, ListStanding
+from rossec.master.rights.domain_trust import DomainTrust
+from rossec.master.rights.list_in_force import ListInForce
+from rossec.master.rights.pertaining import entries_of, pertaining
 from rossec.master.rights.presented_grants import (
     FAILURE_WINDOW,
     MAX_HELD,
     NOT_EVALUATED,
     EvaluationContext,
+    Judge,
     Presented,
     PresentedGrants,
     Renewed,
 )
 
-_PUBLISH: Final = "deliver it with: rossec ca publish"
-
-
 Renewer = Callable[[bytes, int, RevocationCheck], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 
-class TrustState:
+class TrustState(ListInForce):
     """Revocations and presented grants: who is still trusted, and for what.
 
     Args:
@@ -53,6 +54,7 @@ class TrustState:
         delegate: renews grants; by default without a delegation.
         renewer: renews identities; None: this master renews none.
         persist_entries: makes the entries of a tree durable, before the tree itself.
+        domains: foreign domains and their revocations; by default none is listed.
     """
 
     def __init__(
@@ -64,20 +66,18 @@ class TrustState:
         delegate: Delegate | None = None,
         persist_entries: Callable[[bytes], None] = discard,
         renewer: Renewer | None = None,
+        domains: DomainTrust | None = None,
     ) -> None:
-        self._anchor = anchor
-        self._signer = signer
-        self._revocations = revocations
-        self._persist = persist
-        self._persist_entries = persist_entries
+        super().__init__(anchor, signer, revocations, persist, persist_entries)
         self._renewer = renewer
-        self._listing: TreeEntries | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
+        self.domains: Final = domains or DomainTrust(Standing(Anchors(anchor), revocations))
+        self._judge = Judge(anchor.domain, self._check_grant, self.domains.domain_of)
         self._held: dict[bytes, PresentedGrants] = {}
+        self._held_by_foreigners: dict[tuple[str, bytes], PresentedGrants] = {}
+        self._foreigners: dict[tuple[str, bytes], Identity] = {}  # by alias and key
         self._revoked_grants: dict[bytes, Grant] = {}
-        self.held_lists = HeldLists()
         self._identity_keys: dict[bytes, tuple[bytes, ...]] = {}  # by the identity's own key
-        self._timestamp_cache: tuple[int, bytes] = (-1, b"")
         self._context = NOT_EVALUATED
 
     def caller(self, peer: Identity, now: int) -> Caller:
@@ -85,18 +85,70 @@ class TrustState:
 
         Raises:
             Revoked: the key is revoked, or that of the intermediate that issued its certificate.
+            CAError: of a foreigner, as `DomainTrust.check_connected`.
         """
         keys = self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(keys):
-            raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        caller = self._caller(peer, now, wildcard=peer.wildcard)
+            shown = display(peer.name)
+            raise Revoked(f"the key of {shown} is revoked", "enroll the node with a new key")
+        if peer.is_foreign:
+            return self._foreign_caller(peer, now)
+        caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
+        if self.domains.is_own_master(peer):
+            return replace(caller, is_own_master=True)
         return replace(caller, is_authority=True) if is_authority(peer) else caller
+
+    def admit(self, peer: Identity, now: int) -> None:
+        """Return if `peer` may connect; raises as `caller`, or `DomainTrust.admit`."""
+        self.caller(peer, now)
+        if peer.is_foreign:
+            self.domains.admit(peer, now)
+
+    def _foreign_caller(self, peer: Identity, now: int) -> Caller:
+        self.domains.check_connected(peer, now)
+        self._foreigners[peer.name, peer.thumbprint] = peer
+
+        def check(domain: str, entry: bytes, now: int) -> None:
+            self._check_grant(domain, entry, now)
+            self.domains.check_known(peer.domain, entry, now)
+
+        exported = self.domains.exported(peer.domain)
+        return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
+
+    def _check_grant(self, domain: str, entry: bytes, now: int) -> None:
+        """The own list counts for every grant here, that of its domain for a foreign one too."""
+        self._revocations.check(entry, now)
+        if domain != self._anchor.domain:
+            self.domains.check_known(domain, entry, now)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """A name and key seen before, with its rights now; None: the key is revoked."""
         if self._is_revoked(self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))):
             return None
-        return self._caller(peer, now)
+        if not is_alias(peer.name):
+            return self._caller(peer, now, self._judge)
+        foreigner = self._foreigners.get((peer.name, peer.thumbprint))
+        try:
+            return None if foreigner is None else self._foreign_caller(foreigner, now)
+        except CAError:
+            return None
+
+    def update_domains(self, data: bytes) -> bool:
+        """Take a list of domains; returns whether it differs from the one held.
+
+        Grants of domains that are gone, or trusted under other terms, are discarded.
+
+        Raises:
+            DomainsRefused: not of the own authority, or older than one seen.
+        """
+        before = {each.entry.domain: each.anchor for each in self.domains.anchors.all_listed}
+        if not self.domains.update(data):
+            return False
+        kept = {each.entry.domain: each.anchor for each in self.domains.anchors.all_listed}
+        ended = {domain for domain, anchor in before.items() if kept.get(domain) != anchor}
+        for held in self._held.values() if ended else ():
+            held.drop_domains(ended)
+        return True
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and store grants; a refused one does not affect the others.
@@ -120,26 +172,12 @@ class TrustState:
         held = self._held.get(holder)
         return held is not None and any(each.id == grant_id for each in held.grants.values())
 
-    def revoked(self) -> frozenset[bytes]:
-        """All revoked entries."""
-        return self._revocations.entries
-
     def pertaining(
         self, caller: Caller, names: Iterable[str]
     ) -> Generator[None, None, frozenset[bytes]]:
-        """The revoked entries that pertain to a caller that is registered for `names`.
-
-        Its own grants; grants of any holder for these names, and the keys of these holders; the
-        delegation of renewal. Only grants that were presented to the master are considered: it
-        does not know the others. Yields where other calls may be answered.
-        """
-        keys, entries = frozenset(names), self._revocations.entries
-        pertaining = {caller.thumbprint, self._delegate.id}
-        revoked = [item for item in self._known_grants() if not entries.isdisjoint(_entries(item))]
-        for grant in revoked:
-            if grant.holder == caller.thumbprint or (yield from _names_any(grant, keys)):
-                pertaining |= _entries(grant)
-        return entries & pertaining
+        """The revoked entries that pertain to a caller, see `pertaining.pertaining`."""
+        own = caller.thumbprint, self._delegate.id
+        return pertaining(self._revocations.entries, self._known_grants(), own, names)
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Renewed tokens, in the same order, empty where one is refused."""
@@ -169,6 +207,7 @@ class TrustState:
         held = self._held_by(caller)
         self._check_failures(held, now)
         try:
+            _refuse_foreigner(caller)
             return self._renewer(request, now, self._revocations.check)
         except HintedError:
             held.count_failure(now)
@@ -187,84 +226,21 @@ class TrustState:
         """
         return self._delegate.take(data)
 
-    def current(self, now: int) -> tuple[bytes, bytes]:
-        """The list and a timestamp of this second; empty while there is no list."""
-        revocations = self._revocations.current
-        if revocations is None:
-            return b"", b""
-        if self._timestamp_cache[0] != now:
-            self._timestamp_cache = now, sign_timestamp(self._signer, self._timestamp(now))
-        return self._revocations.data, self._timestamp_cache[1]
-
-    def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
-        """As `current`, but without the list if the node has said that it holds it."""
-        data, stamp = self.current(now)
-        return (b"" if self.held_lists.holds(peer, digest(data)) else data), stamp
-
-    def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
-        """How many of the `connected` hold the list in force."""
-        return self.held_lists.standing(connected, digest(self._revocations.data), now)
-
     def list_digests(self) -> tuple[bytes, bytes]:
         """The digests of the revocation list and of the list of domains; empty: none."""
         held = self._revocations
-        return b"" if held.current is None else digest(held.data), b""
-
-    @property
-    def list_number(self) -> tuple[int, int]:
-        """Epoch and sequence number of the list in force; zeros: none."""
-        current = self._revocations.current
-        return (0, 0) if current is None else current.number
-
-    @property
-    def number(self) -> int:
-        """Sequence number of the list in force; 0: none."""
-        return 0 if self._revocations.current is None else self._revocations.current.seq
-
-    def update(self, data: bytes, now: int) -> bool:
-        """Accept a list signed by the authority; returns whether it differs from the one held.
-
-        Raises:
-            RevocationRefused: forged, malformed, or older than one seen.
-        """
-        if is_tree(data):
-            raise RevocationRefused("a revocation tree needs its entries", _PUBLISH)
-        before = self._revocations.data
-        self._revocations.update(data, now, self._persist)
-        self._listing = None
-        return self._list_replaced(before)
-
-    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
-        """Accept a tree signed by the authority, with all its entries; as `update`."""
-        signed = open_tree(data, self._anchor.public_key)  # first: the sender may be unauthorized
-        listing = TreeEntries.read(entries)
-        listing.check(signed)
-        before = self._revocations.data
-
-        def persist(data: bytes) -> None:
-            self._persist_entries(entries)
-            self._persist(data)
-
-        if data == before:  # after a restart without the entries
-            self._persist_entries(entries)
-        self._revocations.update(data, now, persist)
-        self._revocations.set_entries(listing)
-        self._listing = listing
-        return self._list_replaced(before)
-
-    def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
-        """The proof of each entry in the tree in force; empty while a list is in force."""
-        return [] if self._listing is None else [self._listing.prove(item) for item in entries]
+        own = b"" if held.current is None else digest(held.data)
+        return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:
         """Reset what depends on the list; returns whether it differs from `before`."""
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
-            if not self._revocations.entries.isdisjoint(_entries(grant))
+            if not self._revocations.entries.isdisjoint(entries_of(grant))
         }
-        self._timestamp_cache, self._context = (-1, b""), NOT_EVALUATED
-        return self._revocations.data != before
+        self._context = NOT_EVALUATED
+        return super()._list_replaced(before)
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Discard the grants of all other keys, and the expired grants of these."""
@@ -273,18 +249,30 @@ class TrustState:
         self._identity_keys = {
             key: keys for key, keys in self._identity_keys.items() if key in thumbprints
         }
-        for held in self._held.values():
+        foreign = self._held_by_foreigners
+        self._held_by_foreigners = {key: foreign[key] for key in foreign if key[1] in thumbprints}
+        self._foreigners = {
+            key: peer for key, peer in self._foreigners.items() if key[1] in thumbprints
+        }
+        self.domains.keep_only(thumbprints)
+        for held in (*self._held.values(), *self._held_by_foreigners.values()):
             held.drop_expired(now)
 
     def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
         return not self._revocations.entries.isdisjoint(keys)
 
-    def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
+    def _caller(self, peer: Peer, now: int, judge: Judge, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
-        return self._held_by(peer).caller(peer, self._context, self._revocations, wildcard=wildcard)
+        return self._held_by(peer).caller(peer, self._context, judge, wildcard=wildcard)
 
     def _held_by(self, peer: Peer) -> PresentedGrants:
-        """The grants of a key, until `keep_only` discards them."""
+        """The grants of a key, until `keep_only` discards them.
+
+        One key may be certified in several domains, where it is another peer.
+        """
+        if is_alias(peer.name):
+            place = peer.name.split("/")[2], peer.thumbprint
+            return self._held_by_foreigners.setdefault(place, PresentedGrants())
         held = self._held.get(peer.thumbprint)
         if held is None:
             held = self._held[peer.thumbprint] = PresentedGrants()
@@ -293,7 +281,7 @@ class TrustState:
     def _known_grants(self) -> Iterator[Grant]:
         """The grants held, and those that the list in force has revoked."""
         yield from self._revoked_grants.values()
-        for held in self._held.values():
+        for held in (*self._held.values(), *self._held_by_foreigners.values()):
             yield from held.grants.values()
 
     def _add(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
@@ -303,7 +291,7 @@ class TrustState:
         self._check_failures(held, now)
         if held.is_full_for(len(token)):
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = self._verifier().open(token, now)
+        grant = self._verifier_of(token, caller).open(token, now)
         if grant.holder != caller.thumbprint:
             raise GrantNotHeld(
                 "the grant is bound to another key", f"it was issued to {grant.subject}"
@@ -313,6 +301,7 @@ class TrustState:
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)
+        _refuse_foreigner(caller)
         check = self._revocations.check
         grant, renewed = self._delegate.renew(
             token, caller.thumbprint, now, seq=self.number, check=check
@@ -328,34 +317,38 @@ class TrustState:
                 "too many grants of this node were refused", f"wait {FAILURE_WINDOW} s"
             )
 
-    def _verifier(self) -> Verifier:
-        anchor = self._anchor
-        return Verifier(
-            anchor.public_key, anchor.domain, (self._signer.public_key,), self.number,
-            self._revocations.check,
-        )  # fmt: skip
+    def _verifier_of(self, token: bytes, caller: Caller) -> Verifier:
+        """With the key of the domain the token says it is of; a foreigner has only own grants."""
+        anchor, domains = self._anchor, self.domains
+        if domains.anchors.all_listed and not caller.is_foreign:
+            domain = peek(token).domain
+            if domains.anchors.listed_domain(domain) is not None:
+                return domains.verifier(domain)
+        delegates = (self._signer.public_key, *domains.own_delegates())
+        check = self._revocations.check
+        return Verifier(anchor.public_key, anchor.domain, delegates, self.number, check)
+
+    def _label_of(self, domain: str) -> str:
+        listed = self.domains.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
 
     def _confirm(self, now: int) -> None:
         """Confirm the list to this process, once in each second and for each list."""
         context, revocations = self._context, self._revocations
-        if context.now != now or context.revocations is not revocations.data:
+        elsewhere = self.domains.generation
+        if (
+            context.now != now
+            or context.revocations is not revocations.data
+            or context.elsewhere != elsewhere
+        ):
             if revocations.current is not None:
                 revocations.confirm(self._timestamp(now), now)
-            self._context = EvaluationContext(now, revocations.data, revocations.fresh_until)
-
-    def _timestamp(self, now: int) -> Timestamp:
-        return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
+            fresh_until = revocations.fresh_until
+            self._context = EvaluationContext(now, revocations.data, fresh_until, elsewhere)
 
 
-def _entries(grant: Grant) -> frozenset[bytes]:
-    """The ids of a grant and of its links, and the keys they are for."""
-    links = (entry for link in grant.links for entry in (link.id, link.holder))
-    return frozenset((grant.holder, *links))
-
-
-def _names_any(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
-    for permission in grant.permissions:
-        if any(permission.matches(name, permission.rights) for name in names):
-            return True
-        yield
-    return False
+def _refuse_foreigner(caller: Caller) -> None:
+    if caller.is_foreign:
+        raise RenewalRefused(
+            "nothing is renewed for a node of another domain", "ask the authority for a new grant"
+        )

@@ -11,11 +11,18 @@ from typing import Final
 
 from ca.certificates import Identity
 from rossec.errors import CallerMismatch, RossecError
+from rossec.master.rights.caller import display
 from rossec.master.server.updates import CALL_DEADLINE
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.settings import parse_uri
+
+
+def is_node(peer: Identity, node: NodeRef) -> bool:
+    """Whether `peer` is the node that registered: a foreigner is registered under its alias."""
+    named = peer.name == node.name if peer.is_foreign else peer.covers(node.name)
+    return named and peer.thumbprint == node.thumbprint
 
 
 class SlaveDialer:
@@ -44,10 +51,11 @@ class SlaveDialer:
         """
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._context, WireProtocol.HTTP)
-        if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
+        if not is_node(stream.peer, node):
             stream.abort("not the node that was registered")
             self._on_mismatch(node, stream.peer)
-            raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
+            other, name = display(stream.peer.name), display(node.name)
+            raise CallerMismatch(f"{other} answers at the slave API of {name}")
         return RpcClient(stream)
 
     async def probe(self, node: NodeRef) -> None:

@@ -7,18 +7,20 @@ enforced before the call that delivered it is answered, except for what would ta
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import is_alias
 from ca.errors import HintedError
 from ca.revocation.state import digest
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
     Denied,
+    DomainsChanged,
     GrantsDeposited,
     GrantsPresented,
     MasterEvent,
@@ -30,7 +32,7 @@ from rossec.master.api.methods import (
 from rossec.master.api.turns import CallOutcome
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
-from rossec.master.rights.caller import Peer
+from rossec.master.rights.caller import Peer, display
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
@@ -44,7 +46,7 @@ from rossec.master.server.updates import Updates
 from rossec.master.state.imports import Imports, TypeContradicted
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
-from rossec.ros.names import REVOCATION_UPDATE
+from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
 from rossec.ros.text import printable
 
 _audit = logging.getLogger("rossec.audit")
@@ -148,7 +150,8 @@ class Effects:
         """
         self.updates.drop(node)
         if self._state.registry.is_current(node):
-            _denials.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
+            gone, other = display(node.name), display(found.name)
+            _denials.warning("%s is removed: %s answers at %s", gone, other, node.uri)
             for event in self._state.registry.remove_node(node.name):
                 self.deliver(event)
             self._state.notify()
@@ -163,9 +166,8 @@ class Effects:
                 self._notify(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
                 self._notify(node, "shutdown", f"[{node.name}] Reason: {reason}")
-            case RevocationsChanged(by):
-                _audit.info("%s delivered revocation list %d", by, self._state.trust.number)
-                self._enforce_list()
+            case RevocationsChanged() | DomainsChanged():
+                self._list_changed(event)
                 self._state.notify_all()
             case GrantsDeposited(by, holders, count):
                 _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
@@ -183,6 +185,17 @@ class Effects:
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
+
+    def _list_changed(self, event: RevocationsChanged | DomainsChanged) -> None:
+        trust = self._state.trust
+        match event:
+            case RevocationsChanged(by):
+                _audit.info("%s delivered revocation list %d", by, trust.number)
+                self._enforce_list()
+            case DomainsChanged(by):
+                _audit.info("%s delivered list of domains %d", by, trust.domains.number)
+                self._enforce_list()
+                self.send_domains()
 
     def _record(self, event: _Recorded) -> None:
         match event:
@@ -230,7 +243,8 @@ class Effects:
             try:
                 self._state.trust.caller(stream.peer, now)
             except HintedError as error:
-                _audit.warning("%s is disconnected: %s", stream.peer.name, printable(error))
+                name = display(stream.peer.name)
+                _audit.warning("%s is disconnected: %s", name, printable(error))
                 self._state.streams.discard(stream)  # its handler ends in a later iteration
                 stream.abort(str(error))
         for node in self.updates.nodes:
@@ -253,7 +267,43 @@ class Effects:
     def send_revocations(self) -> None:
         """Send every node a timestamp of the list, and the list to nodes that do not hold it."""
         now, key = self._state.now(), (REVOCATION_UPDATE, "")
-        for node in self._state.registry.nodes():
+        for node in self._own_nodes(now):
             revocations, timestamp = self._state.trust.revocations_for(node, now)
-            if timestamp and self._state.trust.caller_of(node, now) is not None:
+            if timestamp:
                 self.updates.post(node, key, self._state.name, revocations, timestamp)
+
+    def send_domains(self) -> None:
+        """Send every node of the own domain the list of domains."""
+        data = self._state.trust.domains.anchors.data
+        for node in self._own_nodes(self._state.now()):
+            self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
+
+    def take_foreign(
+        self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]
+    ) -> None:
+        """Take what a foreign domain's master says; a newer list is enforced and sent at once.
+
+        Raises:
+            CAError: as `Standing.take_foreign`; a valid list counts even if its timestamp does not.
+        """
+        domains = self._state.trust.domains
+        before = domains.generation
+        try:
+            domains.take(domain, revocations, timestamp, chain, self._state.now())
+        finally:
+            if domains.generation != before:
+                self.foreign_revocations_changed(domain)
+
+    def foreign_revocations_changed(self, domain: str) -> None:
+        """Enforce what is newly revoked in a foreign domain, and send its list to every node."""
+        self._enforce_list()
+        word, key = self._state.trust.domains.word(domain), (FOREIGN_UPDATE, domain)
+        params = (domain, word.revocations, word.timestamp, list(word.chain))
+        for node in self._own_nodes(self._state.now()) if word.revocations else ():
+            self.updates.post(node, key, self._state.name, *params)
+
+    def _own_nodes(self, now: int) -> list[NodeRef]:
+        """The registered nodes of the own domain; foreigners hear from their own master."""
+        trust, nodes = self._state.trust, self._state.registry.nodes()
+        own = [node for node in nodes if not is_alias(node.name)]
+        return [node for node in own if trust.caller_of(node, now) is not None]

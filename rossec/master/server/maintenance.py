@@ -67,8 +67,13 @@ class Maintenance:
             except Exception:  # noqa: BLE001 - one failure must not end freshness and enforcement
                 _log.exception("maintenance failed; it is tried again")
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._interval):
+                async with asyncio.timeout(self._pause()):
                     await self._effects.list_changed.wait()
+
+    def _pause(self) -> float:
+        """Seconds to the next round, which the end of the trust in a domain does not wait for."""
+        end = self._state.trust.domains.next_end(self._state.now())
+        return self._interval if end is None else min(self._interval, end - self._state.clock())
 
     async def _run_once(self) -> None:
         if self._setbacks.any_new():

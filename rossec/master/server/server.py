@@ -30,6 +30,7 @@ from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
+from rossec.master.rights.caller import display
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import CallAnswers
@@ -123,6 +124,7 @@ class MasterServer:
             name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
         )  # fmt: skip
+        trust.domains.own_sites = state.imports.own_sites
         self._effects = Effects(
             state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
@@ -195,6 +197,9 @@ class MasterServer:
             "registrations": sum(len(names) for _, names in entries),
             "connections": 0 if self._server is None else self._server.connections,
             "revocation_number": self.state.trust.number,
+            "domains": len(self.state.trust.domains.anchors.all_listed),
+            "domains_number": self.state.trust.domains.number,
+            "foreign_connections": sum(stream.peer.is_foreign for stream in self.state.streams),
         }
 
     def stop(self, reason: str) -> None:
@@ -216,18 +221,19 @@ class MasterServer:
                 file.close()
 
     async def _handle(self, stream: SecureStream[Identity]) -> None:
-        state, key = self.state, stream.peer.thumbprint
-        open_connections = sum(other.peer.thumbprint == key for other in state.streams)
-        if open_connections >= self._limits.connections_per_identity:
-            _denials.warning("%s has too many connections", stream.peer.name)
+        state, name = self.state, display(stream.peer.name)
+        if not self._has_room_for(stream.peer):
+            _denials.warning("%s has too many connections", name)
             stream.abort("too many connections of one identity")
             return
         try:
-            state.trust.caller(stream.peer, state.now())
+            state.trust.admit(stream.peer, state.now())
         except HintedError as error:
-            _denials.warning(
-                "%s is sent only the revocation list: %s", stream.peer.name, printable(error)
-            )
+            if stream.peer.is_foreign:  # its own master tells it what is revoked
+                _denials.warning("%s is refused: %s", name, printable(error))
+                stream.abort(str(error))
+                return
+            _denials.warning("%s is sent only the revocation list: %s", name, printable(error))
             await self._serve_revoked(stream)
             return
         state.streams.add(stream)  # until its socket is closed: a lingering one counts
@@ -240,6 +246,16 @@ class MasterServer:
             request_deadline=self._limits.request_seconds,
             idle_deadline=self._limits.idle_seconds,
         )
+
+    def _has_room_for(self, peer: Identity) -> bool:
+        """Whether one more connection is within the limits; a foreign authority has any key."""
+        peers = [stream.peer for stream in self.state.streams]
+        if peer.is_foreign:
+            of_domain = sum(other.is_foreign and other.domain == peer.domain for other in peers)
+            if of_domain >= self._limits.connections_per_domain:
+                return False
+        of_key = sum(other.thumbprint == peer.thumbprint for other in peers)
+        return of_key < self._limits.connections_per_identity
 
     async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
         """Answer for a few seconds; not one of the streams, so it is sent no updates."""

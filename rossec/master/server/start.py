@@ -71,7 +71,7 @@ def master_of(
         own_identity.renew = partial(_renew_own, renewer, trust)
     return MasterServer(
         own_identity.credentials,
-        anchor.verify,
+        trust.domains.anchors.verify,
         trust,
         name=home.name,
         host=host if host is not None and is_loopback(host) else None,

@@ -25,7 +25,6 @@ class Pair:
         site = Site(root, clock=lambda: NOW)
         site.grant("/door", Right.PROVIDE, SERVICE)
         site.grant("/hall", Right.CALL, SERVICE)
-        self.anchor = site.anchor
         self.door, self.hall = site.identity("/door"), site.identity("/hall")
         self.door_access, self.hall_access = (
             self._access(site, "/door"),
@@ -150,7 +149,7 @@ ALIAS = "/remote/hospital/door/open"
 
 
 def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair: Pair) -> None:
-    access = OpenAccess(pair.anchor)
+    access = OpenAccess()
     fields = service_handshake.client_header("/hall", ALIAS, service_handshake.ANY, access, NOW)
     assert fields["service"] == b"/door/open"
     assert access.presented == [("call", ALIAS)]
@@ -159,7 +158,7 @@ def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair:
 
 
 def test_a_client_that_asks_for_an_alias_is_refused(pair: Pair) -> None:
-    access = OpenAccess(pair.anchor)
+    access = OpenAccess()
     fields = pair.request() | {"service": ALIAS.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
         service_handshake.admit_caller(fields, pair.hall, access, NOW)

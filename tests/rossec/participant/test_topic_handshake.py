@@ -27,7 +27,6 @@ class Pair:
         site = Site(root, clock=lambda: NOW)
         site.publish("/robot", ENDPOINT.topic)
         site.subscribe("/viewer", ENDPOINT.topic)
-        self.anchor = site.anchor
         self.robot, self.viewer = site.identity("/robot"), site.identity("/viewer")
         self.robot_access = self._access(site, "/robot")
         self.viewer_access = self._access(site, "/viewer")
@@ -167,7 +166,7 @@ ALIAS = TopicEndpoint("/remote/hospital/robot/pose", ENDPOINT.type)
 
 
 def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair: Pair) -> None:
-    access = OpenAccess(pair.anchor)
+    access = OpenAccess()
     fields = topic_handshake.subscriber_header("/viewer", ALIAS, access, NOW)
     assert fields["topic"] == b"/robot/pose"
     assert access.presented == [("subscribe", ALIAS.topic)]
@@ -180,13 +179,11 @@ def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair:
 def test_a_publisher_answers_with_the_origins_name(pair: Pair, topic: str) -> None:
     answer = pair.answer() | {"topic": topic.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="another topic than hospital:/robot/pose"):
-        topic_handshake.admit_publisher(
-            answer, pair.robot, ALIAS.expected, OpenAccess(pair.anchor), NOW
-        )
+        topic_handshake.admit_publisher(answer, pair.robot, ALIAS.expected, OpenAccess(), NOW)
 
 
 def test_a_subscriber_that_asks_for_an_alias_is_refused(pair: Pair) -> None:
-    access = OpenAccess(pair.anchor)
+    access = OpenAccess()
     fields = pair.request() | {"topic": ALIAS.topic.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
         topic_handshake.admit_subscriber(fields, pair.viewer, access, NOW)

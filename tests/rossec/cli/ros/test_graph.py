@@ -175,3 +175,18 @@ async def test_without_a_master_watching_fails(site: Site) -> None:
         await module._print_changes(
             Environment(site.environ), site.enroll("/desk"), "http://127.0.0.1:1/", as_json=False
         )
+
+
+def test_names_of_other_origins_are_printed_with_their_label() -> None:
+    """Own names first; a machine gets the local names."""
+    pose, robot = "/remote/hospital/robot/pose", "/remote/hospital/robot"
+    facts = frozenset({
+        ("publisher", pose, robot), ("subscriber", pose, "/viewer"), ("type", pose, POSE),
+        ("publisher", "/word", "/remote/kitchen/robot"), ("service", "/say", "/robot"),
+        ("service", "/remote/hospital/lamp", robot),
+    })  # fmt: skip
+    assert describe(facts) == [
+        "/word", "  published by kitchen:/robot", f"hospital:/robot/pose ({POSE})",
+        "  published by hospital:/robot", "  subscribed by /viewer",
+        "/say provided by /robot", "hospital:/lamp provided by hospital:/robot",
+    ]  # fmt: skip

@@ -93,3 +93,14 @@ def test_a_wrong_call_is_refused(
     err = said(site, capsys, *words, node=node, code=1)
     assert error in err
     assert hint in err
+
+
+@pytest.mark.parametrize("name", ["hospital:/speed", "/remote/hospital/speed"])
+def test_parameters_of_other_masters_are_not_written(
+    site: Site, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    for words, done in ((("set", name, "1"), "set"), (("delete", name), "deleted")):
+        reason = said(site, capsys, *words, code=1)
+        assert f"/remote/hospital/speed cannot be {done} here" in reason
+        assert "hint: take a name outside /remote" in reason
+    assert "is not a label" in said(site, capsys, "get", "a b:/speed", code=1)

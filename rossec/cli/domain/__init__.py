@@ -1,0 +1,1 @@
+"""`rossec domain`: which foreign domains are trusted, how far, and until when."""

@@ -1,0 +1,273 @@
+"""Foreign domains as the master knows them: the list of domains, and their revocations. Pure.
+
+The master relays what other authorities say, and judges its own callers by it. A foreigner connects
+only while its domain's revocations are fresh; a connection that stands ends `GRACE` seconds after
+they are stale. What is known to be revoked ends at once. For grants staleness does not count here:
+nodes judge each other at every connection, and the master gives no more than addresses.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Final, NamedTuple
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import Identity
+from ca.domains.anchors import ListedDomain
+from ca.domains.standing import Standing, is_master_name
+from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
+from ca.keys.publickey import thumbprint
+from ca.revocation.state import digest
+from ca.revocation.tree import is_tree
+from grants.decision import RevocationCheck
+from grants.model import Permission, Right
+from grants.reach import Reach
+from grants.token import Verifier
+from rossec.master.rights.caller import OWN_DOMAIN
+from rossec.master.rights.delegation import discard
+
+GRACE: Final = 60  # seconds that a connection stands while revocations are stale
+MAX_PROOFS: Final = 16 * 1024  # of one foreign tree, and entries that wait for one
+
+PersistForeign = Callable[[str, bytes], None]
+"""Makes the revocation list of a foreign domain durable."""
+
+
+def discard_foreign(_domain: str, _data: bytes) -> None:
+    """Persist nothing."""
+
+
+class ForeignWord(NamedTuple):
+    """What a foreign domain's master said last: to be relayed, and verified by who gets it."""
+
+    revocations: bytes = b""
+    timestamp: bytes = b""
+    chain: tuple[bytes, ...] = ()
+
+    def digest(self) -> bytes:
+        """The digest of the list; empty: there is none."""
+        return digest(self.revocations) if self.revocations else b""
+
+
+class DomainTrust:
+    """The list of domains, and the revocations of those that are listed.
+
+    Args:
+        standing: of this master; shared with nobody else.
+        persist: makes a list of domains durable; called before it takes effect.
+        persist_foreign: the same for a foreign revocation list.
+
+    Attributes:
+        generation: grows with every change of what is trusted or revoked elsewhere.
+        own_sites: the labels of other masters of the own domain.
+    """
+
+    def __init__(
+        self,
+        standing: Standing,
+        persist: Callable[[bytes], None] = discard,
+        persist_foreign: PersistForeign = discard_foreign,
+    ) -> None:
+        self.standing: Final = standing
+        self.anchors: Final = standing.anchors
+        self._persist = persist
+        self._persist_foreign = persist_foreign
+        self.generation = 0
+        self.own_sites: Callable[[], Iterable[str]] = tuple
+        self._own_masters: frozenset[bytes] = frozenset()
+        self._words: dict[str, ForeignWord] = {}
+        self._proofs: dict[str, dict[bytes, bytes]] = {}
+        self._wanted: dict[str, dict[bytes, None]] = {}
+        self._stale_since: dict[bytes, int] = {}  # by key
+        self._exports: dict[str, Reach | None] = {}
+        self._list_replaced(frozenset())
+
+    def update(self, data: bytes) -> bool:
+        """Take a list of domains; returns whether it differs from the one held.
+
+        Raises:
+            DomainsRefused: not of the own authority, or older than one seen.
+            HintedError: it could not be persisted; nothing has changed.
+        """
+        before = self.anchors.data
+        ended = self.anchors.update(data, self._persist)
+        if self.anchors.data == before:
+            return False
+        self._list_replaced(ended)
+        return True
+
+    def take(
+        self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
+    ) -> None:
+        """Take a foreign domain's revocations; arguments and errors as `Standing.take_foreign`.
+
+        A valid list is in force even if the timestamp is refused: `generation` has grown then.
+        """
+        before = self._data(domain)
+        persist = partial(self._persist_foreign, domain)
+        try:
+            self.standing.take_foreign(domain, revocations, timestamp, chain, now, persist)
+            self._words[domain] = ForeignWord(self._data(domain), timestamp, tuple(chain))
+        finally:
+            if self._data(domain) != before:
+                self._proofs.pop(domain, None)
+                self.generation += 1
+
+    def restore(self, domain: str, revocations: bytes, now: int) -> bool:
+        """Take a saved list, not confirmed; returns whether it is of the present root."""
+        return self.standing.restore(domain, revocations, now)
+
+    def word(self, domain: str) -> ForeignWord:
+        """The newest list of a foreign domain, and the last word on it, as far as there is one."""
+        data, word = self._data(domain), self._words.get(domain, ForeignWord())
+        return word if word.revocations == data else ForeignWord(data)
+
+    @property
+    def number(self) -> int:
+        """Sequence number of the list of domains; 0: there is none."""
+        return 0 if self.anchors.current is None else self.anchors.current.seq
+
+    def digest(self) -> bytes:
+        """The digest of the list of domains; empty: there is none."""
+        return digest(self.anchors.data) if self.anchors.data else b""
+
+    def proofs(self, domain: str, entries: Sequence[bytes]) -> list[bytes]:
+        """The proof of each entry in a foreign tree; empty where it is not known yet.
+
+        What is not known is asked of that domain's master (`wanted_proofs`): ask again.
+        """
+        if not is_tree(self._data(domain)):
+            return []
+        known, wanted = self._proofs.get(domain, {}), self._wanted.setdefault(domain, {})
+        for entry in entries:
+            if entry not in known and len(wanted) < MAX_PROOFS:
+                wanted[entry] = None
+        return [known.get(entry, b"") for entry in entries]
+
+    def wanted_proofs(self, domain: str) -> list[bytes]:
+        """The entries of a foreign tree whose proofs are to be fetched."""
+        held = self.standing.foreign(domain)
+        unproved = () if held is None else held.unproved
+        return list(dict.fromkeys((*unproved, *self._wanted.get(domain, ()))))
+
+    def add_proof(self, domain: str, entry: bytes, proof: bytes) -> None:
+        """Take a proof that was fetched.
+
+        Raises:
+            RevocationRefused: it proves nothing about `entry` in the tree held.
+        """
+        held = self.standing.foreign(domain)
+        if held is None or not is_tree(held.data):
+            raise RevocationRefused("a proof, but there is no such tree")
+        before = len(held.entries)
+        held.add_proof(entry, proof)
+        known = self._proofs.setdefault(domain, {})
+        if len(known) >= MAX_PROOFS:
+            known.clear()
+        known[entry] = proof
+        self._wanted.get(domain, {}).pop(entry, None)
+        self.generation += len(held.entries) != before
+
+    def admit(self, peer: Identity, now: int) -> None:
+        """Return if a foreigner may open a connection; raises as `Standing.check_peer`.
+
+        The own master is the source of the own list's freshness: that it is held is enough.
+        """
+        self.check_connected(peer, now)
+        for key in peer.keys:
+            self.standing.check(peer.domain, key, now)
+
+    def check_connected(self, peer: Identity, now: int) -> None:
+        """Return if a connection of a foreigner may stand.
+
+        Raises:
+            NotAdmitted: the trust in its domain has ended, or no longer extends to its name.
+            Revoked: one of its keys is revoked, by either authority.
+            RevocationsStale: its domain's revocations have been stale for too long.
+        """
+        self.standing.check_trust(peer, now)
+        stale: RevocationsStale | None = None
+        for key in peer.keys:
+            try:
+                self.standing.check(peer.domain, key, now)
+            except RevocationsStale as error:
+                stale = stale or error
+        if stale is None:
+            self._stale_since.pop(peer.thumbprint, None)
+        elif now - self._stale_since.setdefault(peer.thumbprint, now) >= GRACE:
+            raise stale
+
+    def check_known(self, domain: str, entry: bytes, now: int) -> None:
+        """Raise if `entry` is known to be revoked by `domain`, or `domain` is not listed."""
+        with suppress(RevocationsStale):
+            self.standing.check(domain, entry, now)
+
+    def domain_of(self, label: str) -> str | None:
+        """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
+        listed = self.anchors.listed(label)
+        if listed is not None:
+            return listed.entry.domain
+        return OWN_DOMAIN if label in self.own_sites() else None
+
+    def is_own_master(self, peer: Identity) -> bool:
+        """Whether a peer is a listed master of the own domain."""
+        return (
+            peer.name.startswith("/master")
+            and not peer.is_foreign
+            and not peer.wildcard
+            and is_master_name(peer.name)
+            and peer.thumbprint in self._own_masters
+        )
+
+    def exported(self, domain: str) -> Reach | None:
+        """What a foreign domain is shown and given at all; None: what grants allow."""
+        return self._exports.get(domain)
+
+    def verifier(self, domain: str) -> Verifier:
+        """Opens grants of a listed foreign domain.
+
+        Raises:
+            NotAdmitted: it is not listed.
+        """
+        listed, held = self.anchors.listed_domain(domain), self.standing.foreign(domain)
+        if listed is None or held is None:
+            raise NotAdmitted(f"domain {domain!a} is not listed here")
+        seq = 0 if held.current is None else held.current.seq
+        check: RevocationCheck = partial(self.check_known, domain)
+        delegates = self.standing.delegates(domain)
+        return Verifier(listed.anchor.public_key, domain, delegates, seq, check)
+
+    def own_delegates(self) -> tuple[ec.EllipticCurvePublicKey, ...]:
+        """The keys of the listed own masters, unless revoked: their tickets count."""
+        return self.standing.delegates(self.anchors.own.domain)
+
+    def keep_only(self, thumbprints: frozenset[bytes]) -> None:
+        """Discard what is known of all other keys."""
+        self._stale_since = {
+            key: since for key, since in self._stale_since.items() if key in thumbprints
+        }
+
+    def next_end(self, now: int) -> int | None:
+        """When the trust in a listed domain ends next; None: never."""
+        ends = [each.entry.until for each in self.anchors.all_listed if each.entry.until > now]
+        return min(ends, default=None)
+
+    def _data(self, domain: str) -> bytes:
+        held = self.standing.foreign(domain)
+        return b"" if held is None else held.data
+
+    def _list_replaced(self, ended: frozenset[str]) -> None:
+        for domain in ended:
+            for held in (self._words, self._proofs, self._wanted):
+                held.pop(domain, None)
+        self._own_masters = frozenset(map(thumbprint, self.anchors.masters))
+        self._exports = {each.entry.domain: _exported(each) for each in self.anchors.all_listed}
+        self.generation += 1
+
+
+def _exported(listed: ListedDomain) -> Reach | None:
+    rules = listed.entry.exported
+    if rules is None:
+        return None
+    return Reach(Permission(pattern, Right(rights)) for pattern, rights in rules)
