@@ -124,6 +124,7 @@ class MasterServer:
             name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
         )  # fmt: skip
+        trust.domains.own_sites = state.imports.own_sites
         self._effects = Effects(
             state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
@@ -183,7 +184,7 @@ class MasterServer:
             imports=state.imports,
         )
         self._answers = CallAnswers(api, state, self._effects, self._turns)
-        self._maintenance.start(api.watch_calls.views.keep_only)
+        self._maintenance.start(api.keep_views)
 
     def _load_deposits(self) -> Deposits | None:
         file = self.state.deposit_file
