@@ -136,11 +136,16 @@ def test_of_a_domain_that_is_gone_nothing_is_relayed(master: Master) -> None:
 
 
 def test_a_saved_list_is_restored_unconfirmed(master: Master) -> None:
-    other = DomainTrust(Standing(Anchors(master.home.anchor), master.standing.own))
+    saved = {DOMAIN: revoked(master.hospital, master.robot.identity.thumbprint, seq=2)}
+    standing = Standing(Anchors(master.home.anchor), master.standing.own)
+    other = DomainTrust(standing, load_foreign=saved.get)
     other.update(master.list)
-    assert other.restore(DOMAIN, revoked(master.hospital, master.robot.identity.thumbprint), NOW)
     with pytest.raises(Revoked):
         other.check_connected(master.peer(), NOW)
+    with pytest.raises(RevocationsStale):
+        other.admit(master.peer(master.speaker), NOW)
+    with pytest.raises(RollbackRefused):
+        other.take(DOMAIN, master.data, b"", [], NOW)
 
 
 def test_a_foreigner_connects_while_its_domains_revocations_are_fresh(master: Master) -> None:
