@@ -68,11 +68,20 @@ def prepare(home: World, hospital: World) -> None:
     home.enroll("/tool", graph="/**", publish="/**", param_set="/**", provide="/**")
     for right in (Right.SUBSCRIBE, Right.CALL, Right.GRAPH):
         share(hospital.site, home.site, "/tool", right, "/**")
-    home.site.enroll("/master")
     share(hospital.site, home.site, "/master", Right.GRAPH, "/**")
+    share(home.site, hospital.site, "/master", Right.GRAPH, "/master")
     for side in (home, hospital):
-        side.site.enroll("/master")
         carry(side.site)
+
+
+def follow(other: World) -> tuple[str, ...]:
+    """Options of a master that follows that of the other domain."""
+    label, config = other.site.anchor.domain, other.directory / "followed.yaml"
+    config.write_text(
+        "federation:\n  sites:\n"
+        f"    {label}: {{uri: 'http://127.0.0.1:{other.port}', domain: {label}}}\n"
+    )
+    return "--config", str(config)
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +89,9 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
     directory = tmp_path_factory.mktemp("foreign")
     home, hospital = world(directory, "home"), world(directory, "hospital")
     prepare(home, hospital)
-    config = directory / "master.yaml"
-    config.write_text(
-        "federation:\n  sites:\n"
-        f"    hospital: {{uri: 'http://127.0.0.1:{hospital.port}', domain: hospital}}\n"
-    )
     with contextlib.ExitStack() as stack:
-        stack.enter_context(hospital.master())
-        stack.enter_context(home.master("--config", str(config)))
+        stack.enter_context(hospital.master(*follow(home)))
+        stack.enter_context(home.master(*follow(hospital)))
 
         def start(side: World, kind: str, source: str, *more: str) -> Running:
             line = command(kind, sys.executable, ROSSEC, source, *more)
