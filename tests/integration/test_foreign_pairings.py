@@ -25,6 +25,7 @@ from tests.support.trust import accept, carry, share
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 LABEL: Final = "remote/hospital"
+TOOL: Final = ("--as", "/rostopic")
 PAIRS: Final = tuple(itertools.product(KINDS, KINDS))
 pairs = pytest.mark.parametrize(
     ("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS]
@@ -41,7 +42,7 @@ class Cast:
 
     def tool(self, *words: str) -> str:
         """The output of a stock tool of the home."""
-        return self.home.tool(*words, options=("--as", "/tool"))
+        return self.home.tool(*words, options=TOOL)
 
 
 def world(directory: Path, domain: str) -> World:
@@ -65,9 +66,13 @@ def prepare(home: World, hospital: World) -> None:
         ):  # fmt: skip
             share(hospital.site, home.site, listener, right, pattern)
         share(hospital.site, home.site, listener, Right.SUBSCRIBE, "/*/pose", coarse())
-    home.enroll("/tool", graph="/**", publish="/**", param_set="/**", provide="/**")
-    for right in (Right.SUBSCRIBE, Right.CALL, Right.GRAPH):
-        share(hospital.site, home.site, "/tool", right, "/**")
+    every = {"graph": "/**", "publish": "/**", "param_set": "/**", "provide": "/**"}
+    home.enroll("/rostopic", wildcard=True, **every)  # anonymous, as rostopic is
+    home.enroll("/tool", **every)
+    for right, name in itertools.product(
+        (Right.SUBSCRIBE, Right.CALL, Right.GRAPH), ("/tool", "/rostopic")
+    ):
+        share(hospital.site, home.site, name, right, "/**")
     share(hospital.site, home.site, "/master", Right.GRAPH, "/**")
     share(home.site, hospital.site, "/master", Right.GRAPH, "/master")
     for side in (home, hospital):
@@ -143,7 +148,7 @@ def test_stock_tools_receive_foreign_messages(cast: Cast) -> None:
     for kind in KINDS:
         said = cast.tool("rostopic", "echo", "-n", "1", f"/{LABEL}/{kind}/latched")
         assert f'data: "{kind} kept"' in said
-    line = (ROSSEC, "run", "--as", "/tool", "--", "rostopic", "hz", f"/{LABEL}/sidecar/words")
+    line = (ROSSEC, "run", *TOOL, "--", "rostopic", "hz", f"/{LABEL}/sidecar/words")
     with cast.home.started(cast.home.hosts.far, *line) as running:
         running.wait_for("average rate: ")
 
@@ -189,7 +194,7 @@ def test_stock_tools_describe_foreign_nodes(cast: Cast) -> None:
 def test_stock_tools_offer_nothing_below_remote(
     cast: Cast, words: tuple[str, ...], reason: str
 ) -> None:
-    done = cast.home.run(cast.home.hosts.far, *words, options=("--as", "/tool"))
+    done = cast.home.run(cast.home.hosts.far, *words, options=TOOL)
     said = done.stdout + done.stderr
     assert f"{reason} here: names below /remote are those of other masters" in said
     assert "take a name outside /remote" in said
