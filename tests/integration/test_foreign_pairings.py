@@ -66,13 +66,13 @@ def prepare(home: World, hospital: World) -> None:
         ):  # fmt: skip
             share(hospital.site, home.site, listener, right, pattern)
         share(hospital.site, home.site, listener, Right.SUBSCRIBE, "/*/pose", coarse())
-    every = {"graph": "/**", "publish": "/**", "param_set": "/**", "provide": "/**"}
-    home.enroll("/rostopic", wildcard=True, **every)  # anonymous, as rostopic is
-    home.enroll("/tool", **every)
-    for right, name in itertools.product(
-        (Right.SUBSCRIBE, Right.CALL, Right.GRAPH), ("/tool", "/rostopic")
-    ):
-        share(hospital.site, home.site, name, right, "/**")
+    for name in ("/tool", "/rostopic"):  # one name, and any: rostopic makes one up
+        home.enroll(
+            name, wildcard=name == "/rostopic",
+            graph="/**", publish="/**", param_set="/**", provide="/**",
+        )  # fmt: skip
+        for right in (Right.SUBSCRIBE, Right.CALL, Right.GRAPH):
+            share(hospital.site, home.site, name, right, "/**")
     share(hospital.site, home.site, "/master", Right.GRAPH, "/**")
     share(home.site, hospital.site, "/master", Right.GRAPH, "/master")
     for side in (home, hospital):
