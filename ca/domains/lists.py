@@ -10,6 +10,8 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any, Final, NamedTuple, Self
 
+from cryptography.hazmat.primitives.asymmetric import ec
+
 from ca.certificates import TrustAnchor
 from ca.cose import Profile
 from ca.domains.aliases import check_label
@@ -68,7 +70,9 @@ class ForeignDomain:
             check_pattern(pattern)
         for rules in (self.exported, self.imported):
             _check_rules(rules or ())
-        if not LEAST_FRESH <= self.fresh <= MOST_FRESH or not 0 < self.until < _INT_LIMIT:
+        whole = type(self.fresh) is int and type(self.until) is int
+        times = LEAST_FRESH <= self.fresh <= MOST_FRESH and 0 < self.until < _INT_LIMIT
+        if not (whole and times):
             raise DomainsRefused(
                 f"the times of domain {self.domain} are out of range", "30 seconds to 7 days"
             )
@@ -168,17 +172,25 @@ def open_domains(data: bytes, own: TrustAnchor) -> DomainList:
     Raises:
         DomainsRefused: not signed by the root, malformed, or not a valid list.
     """
+    domains = verify_domains(data, own.public_key)
+    _check_own(domains, own.domain, to_coordinates(own.public_key))
+    return domains
+
+
+def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
+    """As `open_domains`, for a list that may name the domain whose root key `key` is.
+
+    Raises:
+        DomainsRefused: not signed by `key`, malformed, or not a valid list.
+    """
     try:
-        payload = DOMAINS.open(data, own.public_key, limit=MAX_LIST)
-        domains = _read(payload)
+        return _read(DOMAINS.open(data, key, limit=MAX_LIST))
     except (SignatureError, EncodingError) as error:
         raise DomainsRefused(f"not a list of domains of this authority: {error}") from None
     except DomainsRefused:
         raise
     except CAError as error:
         raise DomainsRefused(f"in the list of domains: {error}", error.hint) from error
-    _check_own(domains, own.domain, to_coordinates(own.public_key))
-    return domains
 
 
 def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:

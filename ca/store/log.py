@@ -1,8 +1,8 @@
 """The log in the authority's record: written with every change, and audited as a whole.
 
 `audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
-record with its log entry, replays the transitions of every request and the approvals of persons,
-and checks each signed head.
+record with its log entry, replays the transitions of every request, the approvals of persons and
+the foreign domains, and checks each signed head.
 """
 
 from itertools import zip_longest
@@ -15,6 +15,7 @@ from ca.revocation.merkle import Tree, root_of
 from ca.store import schema
 from ca.store.approval_replay import RESTORED, replay_approvals
 from ca.store.database import Database
+from ca.store.domain_replay import KINDS, replay_domains
 from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.log_entries import (
     Head,
@@ -106,6 +107,7 @@ class AuthorityLog:
             self._check_rows(what, [entry for entry in entries if entry.what == what])
         self._check_requests(entries)
         replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
+        replay_domains(entries, {what: self._rows_of(what) for what in KINDS}, key)
         newest = Head(0, root_of(()), 0)
         for data in (*self.heads(), *more):
             head = open_head(data, key)

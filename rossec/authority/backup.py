@@ -3,8 +3,8 @@
 A restore verifies the backup first, next to its target: the key opens and matches its certificate,
 the log verifies. An existing authority is replaced only if the operator names its trust domain, and
 newer log entries are lost only if the operator gives their number. The backup lacks what was signed
-after it, so a new epoch of revocation lists begins, and a signed list from the master or a node
-restores the missing revocations.
+after it, so a new epoch of lists begins, and signed lists from the master or a node restore the
+missing revocations, and the domains that are trusted; without one no foreign domain is.
 """
 
 import contextlib
@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
+from ca.domains.lists import ForeignDomain, open_domains
+from ca.errors import BackupRefused, DomainsRefused, HintedError, LogDamaged, PassphraseRefused
 from ca.revocation.state import open_list
 from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from ca.store import backup
@@ -43,6 +44,7 @@ class Restored:
     entries: int
     restored_revocations: int  # revocations added from a newer list
     ended_phones: int = 0  # passkeys that could approve
+    ended_domains: int = 0  # foreign domains that were trusted
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
@@ -70,6 +72,7 @@ def restore(
     forget: int = 0,
     newest_list: bytes | None = None,
     entries: bytes | None = None,
+    newest_domains: bytes | None = None,
 ) -> Restored:
     """Restore an authority into ROSSEC_HOME `home`.
 
@@ -83,11 +86,13 @@ def restore(
         forget: the number of its log entries that the backup lacks, and that may be lost.
         newest_list: a signed revocation list, or tree, that may be newer than the backup.
         entries: those of the tree, which does not contain them.
+        newest_domains: a signed list of domains that may be newer than the backup.
 
     Raises:
         ConfigurationError: the authority's service runs.
         BackupRefused: not a backup, incomplete, or `over` or `forget` do not match.
         RevocationRefused: the list, tree or entries are not the authority's.
+        DomainsRefused: the list of domains is not, or is older than the backup.
         PassphraseRefused: the passphrase is wrong.
         LogDamaged: the backup's own log does not verify.
     """
@@ -98,11 +103,14 @@ def restore(
         authority = _open_verified(AuthorityHome(staging), secret or passphrase)
         size = authority.store.log.head(now).size
         newest = _revoked_by(newest_list, entries, authority)
+        domains = _listed_by(newest_domains, authority)
         with _locked(target):
             if target.exists():
                 _check_replacement(AuthorityHome(target), authority, over, forget)
             phones = _end_what_was_open(authority, size, now)
-            revived = _start_new_epoch(authority, newest, now)
+            with authority.store.transaction():
+                ended = _end_domains(authority, domains, now)
+                revived = _start_new_epoch(authority, newest, now)
             authority.store.close()
             if target.exists():
                 aside = (target.with_name(f"ca.replaced.{number}") for number in count(now))
@@ -111,7 +119,7 @@ def restore(
     except BaseException:
         shutil.rmtree(staging, ignore_errors=True)
         raise
-    return Restored(AuthorityHome(target), size, revived, phones)
+    return Restored(AuthorityHome(target), size, revived, phones, ended)
 
 
 def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
@@ -214,6 +222,34 @@ def _revoked_by(
     return listing.entries
 
 
+def _listed_by(data: bytes | None, authority: SigningAuthority) -> tuple[ForeignDomain, ...]:
+    """The domains that a signed list names, if there is one."""
+    if data is None:
+        return ()
+    anchor = authority.authority.anchor
+    found, held = open_domains(data, anchor), authority.store.domains.newest_list()
+    if held and found.number < open_domains(held, anchor).number:
+        raise DomainsRefused("the list of domains is older than the backup", "give a newer one")
+    return found.domains
+
+
+def _end_domains(authority: SigningAuthority, newest: tuple[ForeignDomain, ...], now: int) -> int:
+    """Trust the domains of the newest list, with its terms; returns how many are trusted no more.
+
+    One may have been removed since the backup: without a list, none is trusted.
+    """
+    domains, wanted = authority.store.domains, {each.terms: each for each in newest}
+    ended = [row for row in domains.accepted() if row.terms not in wanted]
+    for row in ended:
+        domains.end(row.label, _REASON, now)
+    held = {row.terms for row in domains.accepted()}
+    for terms, each in wanted.items():
+        if terms not in held:
+            domains.accept(each, now)
+    named = {each.domain for each in newest}
+    return sum(row.domain not in named for row in ended)
+
+
 def _end_what_was_open(authority: SigningAuthority, entries: int, now: int) -> int:
     """Note the restore, and end what the backup does not know enough of; returns how many passkeys.
 
@@ -235,4 +271,6 @@ def _start_new_epoch(authority: SigningAuthority, newest: frozenset[bytes], now:
         for entry in sorted(missing):
             authority.store.revoke(entry, "from a list newer than the backup", now)
         authority.sign_list(now, new_epoch=True)
+        if authority.store.domains.newest_list() or authority.store.domains.accepted():
+            authority.sign_domains(now, new_epoch=True)
     return len(missing)

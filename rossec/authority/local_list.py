@@ -1,4 +1,4 @@
-"""The newest revocation list of an authority on the master's host, read without a delivery.
+"""The newest lists of an authority on the master's host, read without a delivery.
 
 The authority's modules are imported only if there is one: other masters load neither the database
 nor the policy's reader.
@@ -21,6 +21,7 @@ class LocalList:
     def __init__(self, home: Path) -> None:
         self._home = home
         self._seen: _Stamp = ()
+        self._seen_domains: _Stamp = ()
 
     def newest(self) -> tuple[bytes, bytes] | None:
         """The newest list or tree, with the entries of a tree; None: there is no authority.
@@ -39,6 +40,20 @@ class LocalList:
     def newest_if_changed(self) -> tuple[bytes, bytes] | None:
         """As `newest`, if the record was written since the last call."""
         return self.newest() if self._stamp() != self._seen else None
+
+    def domains(self) -> bytes:
+        """The newest list of domains; empty: there is no authority, or it has signed none."""
+        authority = self._authority()
+        if authority is None:
+            return b""
+        stamp = self._stamp()
+        found = authority.domain_list()
+        self._seen_domains = stamp
+        return b"" if found is None else found[0]
+
+    def domains_if_changed(self) -> bytes:
+        """As `domains`, if the record was written since the last call; else empty."""
+        return self.domains() if self._stamp() != self._seen_domains else b""
 
     def _authority(self) -> "AuthorityHome | None":
         if not (self._home / "ca" / "ca.pem").exists():

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from ca.domains.aliases import is_alias, origin_of, shown
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
@@ -31,12 +32,14 @@ def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
         wait: how long to wait for the answer; 0: do not wait.
 
     Raises:
-        ConfigurationError: not secured, without a name yet, or an unknown right.
+        ConfigurationError: not secured, without a name yet, an unknown right, or one that another
+            domain's authority gives.
         GrantError: an invalid pattern, or a reason that is too long.
     """
     local_identity = secured().local_identity
     wanted = _right(right)
     if not local_identity.access.holds(wanted, name, now()):
+        _check_own(wanted, name, local_identity.name)
         _send(local_identity, wanted, name, why)
     end = time.monotonic() + wait
     while not (held := local_identity.access.holds(wanted, name, now())) and time.monotonic() < end:
@@ -50,6 +53,16 @@ def _right(label: str) -> Right:
     except KeyError:
         known = ", ".join(one.label for one in Right)
         raise ConfigurationError(f"there is no right {label!r}", f"rights are {known}") from None
+
+
+def _check_own(right: Right, name: str, own: str) -> None:
+    """Only the origin's authority gives rights on its names, and it takes no request from here."""
+    if is_alias(name) and right is not Right.GRAPH:
+        raise ConfigurationError(
+            f"rights on {shown(name)} are given by the authority of that domain",
+            f"there: rossec grant sign LABEL:{own} --{right.label} {origin_of(name)}"
+            " --certificate FILE",
+        )
 
 
 def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> None:

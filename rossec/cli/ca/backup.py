@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from ca.domains.lists import MAX_LIST as MAX_DOMAINS
 from ca.revocation.lists import MAX_LIST
 from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
 from ca.store.backup import MAX_BACKUP
@@ -47,6 +48,10 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     "--entries", type=options.FILE,
     help="of that list where it is a tree; by default revocations.entries beside it",
 )  # fmt: skip
+@click.option(
+    "--domains", type=options.FILE,
+    help="a newer list of domains, for example a node's domains.cose; else no domain is trusted",
+)  # fmt: skip
 @passphrase.option
 @pass_environment
 def restore(
@@ -56,6 +61,7 @@ def restore(
     forget: int,
     newest: Path | None,
     entries: Path | None,
+    domains: Path | None,
     passphrase_file: Path | None,
 ) -> None:
     """Prove the backup FILE and put its authority back.
@@ -70,11 +76,14 @@ def restore(
     found = backups.restore(
         environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
         entries=None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE),
+        newest_domains=None if domains is None else files.read(domains, MAX_DOMAINS),
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
     if found.ended_phones:
         note("no phone can approve any more: register phones again: rossec console phone")
+    if found.ended_domains:
+        note(f"{found.ended_domains} domains are trusted no more: see rossec domain list --all")
     if found.home.is_intermediate:  # it signs no lists
         return
     if newest is None:

@@ -15,9 +15,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
 from ca.domains.anchors import ListedDomain
-from ca.domains.standing import Standing, is_master_name
+from ca.domains.standing import Standing
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
 from ca.keys.publickey import thumbprint
+from ca.names import is_master_name
 from ca.revocation.state import digest
 from ca.revocation.tree import is_tree
 from grants.decision import RevocationCheck

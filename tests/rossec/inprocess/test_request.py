@@ -108,3 +108,11 @@ def test_an_unknown_right_or_name_is_refused(site: Site) -> None:
     with pytest.raises((PatternRefused, NameRefused)):
         request.ask("publish", "scan*", why="")
     assert requests(site, "nodes/robot/requests") == []
+
+
+@pytest.mark.usefixtures("process")
+def test_rights_on_names_of_other_domains_are_not_requested_here() -> None:
+    with pytest.raises(ConfigurationError, match="hospital:/pose are given by the authority") as no:
+        request.ask("subscribe", "/remote/hospital/pose", why="to look")
+    assert "rossec grant sign LABEL:/" in no.value.hint
+    assert "--subscribe /pose --certificate FILE" in no.value.hint

@@ -8,6 +8,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.authority import Authority, create_root
 from ca.certificates import build_request
 from ca.cose import Profile
+from ca.domains.cards import Card, sign_card
+from ca.domains.lists import DomainList, sign_domains
 from ca.encoding import encode
 from ca.intermediates import build_intermediate_request
 from ca.renewal import PROFILE as RENEWAL
@@ -81,6 +83,15 @@ def head(recorder: Recorder) -> None:
     sign_head(recorder, Head(5, b"r" * 32, NOW))
 
 
+def list_of_domains(recorder: Recorder) -> None:
+    sign_domains(recorder, DomainList(1, 1, NOW, NOW + 60), "home")
+
+
+def card(recorder: Recorder) -> None:
+    root = ROOT.anchor.certificate
+    sign_card(recorder, Card(root, ("/**",), ("http://h:11311",), NOW, NOW + 60))
+
+
 @pytest.mark.parametrize(
     ("make", "kind"),
     [
@@ -91,6 +102,8 @@ def head(recorder: Recorder) -> None:
         (largest_list, "a revocation list"),
         (tree, "a revocation tree"),
         (head, "a head of the log"),
+        (list_of_domains, "a list of domains"),
+        (card, "a card of its domain"),
     ],
 )
 def test_what_an_authority_signs_is_recognized(make: object, kind: str) -> None:
