@@ -27,7 +27,7 @@ from rossec.cli.shared.tokens import read_token
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.participant.access import MAX_PRESENTED
+from rossec.participant.token_opening import MAX_PRESENTED
 from rossec.terminal import printable, say
 
 MAX_DAYS: Final = 365

@@ -115,7 +115,7 @@ def test_the_other_node_is_of_the_same_domain(
     fleet: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     abroad = Shell(tmp_path / "abroad", capsys)
-    assert abroad.unlocked("ca", "init").code == 0
+    assert abroad.unlocked("ca", "init", "home").code == 0
     abroad.enroll("/rounds/robot7")
     out = fleet.root / "new.grant"
     given = [*arguments(fleet, "held", "/rounds/robot3", out), "--subscribe", "/robot/pose"]
