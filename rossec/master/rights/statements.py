@@ -16,7 +16,7 @@ from ca.domains.anchors import Anchors
 from ca.domains.standing import Standing
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signer import Signer
-from ca.revocation.state import Revocations
+from ca.revocation.state import Revocations, digest
 from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
@@ -225,6 +225,12 @@ class TrustState(ListInForce):
             GrantError: not signed by the authority, or not for this master.
         """
         return self._delegate.take(data)
+
+    def list_digests(self) -> tuple[bytes, bytes]:
+        """The digests of the revocation list and of the list of domains; empty: none."""
+        held = self._revocations
+        own = b"" if held.current is None else digest(held.data)
+        return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:
         """Reset what depends on the list; returns whether it differs from `before`."""
