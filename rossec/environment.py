@@ -1,10 +1,14 @@
-"""ROSSEC_HOME, the directory of all files of rossec, from the environment."""
+"""From the environment: ROSSEC_HOME, the directory of all files of rossec, and ROSSEC_MASTER."""
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from ca.keys import ownership
+from ca.names import MASTER, is_master_name
 from rossec.errors import ConfigurationError
+
+OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
 
 
 def rossec_home(environ: Mapping[str, str]) -> Path:
@@ -35,3 +39,18 @@ def own_home(environ: Mapping[str, str]) -> Path:
     path = rossec_home(environ)
     ownership.check_directory(path)
     return path
+
+
+def own_master(environ: Mapping[str, str]) -> str:
+    """ROSSEC_MASTER, the certified name of a node's own master; by default `/master`.
+
+    Raises:
+        ConfigurationError: not the name of a master.
+    """
+    name = environ.get(OWN_MASTER) or MASTER
+    if not is_master_name(name):
+        raise ConfigurationError(
+            f"{OWN_MASTER} is {name!r}, which is not the name of a master",
+            f"masters are called {MASTER}, or {MASTER}/kitchen with a word of one's own",
+        )
+    return name

@@ -18,19 +18,13 @@ from ca.certificates import Identity
 from ca.domains.anchors import Anchors, ListedDomain
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
 from ca.keys.publickey import thumbprint
+from ca.names import is_master_name
 from ca.patterns import covers
 from ca.revocation.state import Revocations, open_timestamp
 
-MASTER: Final = "/master"
 MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
 _HINT: Final = "at this side's authority: rossec domain list, rossec domain accept"
 _SILENT: Final = "does this side's master reach that domain's? rossec federation status"
-
-
-def is_master_name(name: str) -> bool:
-    """Whether a master may be called `name`: `/master`, or `/master/` and one segment."""
-    first, *rest = name[1:].split("/")
-    return first == MASTER[1:] and len(rest) <= 1 and name.startswith("/")
 
 
 @dataclass

@@ -6,17 +6,16 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import CAError
-from ca.names import MASTER, check_name
+from ca.names import check_name
 from rossec import clock
 from rossec.discovery.candidates import Candidate
 from rossec.discovery.finder import PATIENCE, find
-from rossec.environment import own_home
+from rossec.environment import OWN_MASTER, own_home, own_master
 from rossec.errors import ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
 from rossec.saved_revocations import saved_revocations
 
 VARIABLE: Final = "ROS_MASTER_URI"
-OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
 DISCOVER: Final = "discover:"
 
 
@@ -32,7 +31,7 @@ async def discover_master(environ: Mapping[str, str], identity: str | None) -> d
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
-    wanted = environ.get(OWN_MASTER) or MASTER
+    wanted = own_master(environ)
     found = await masters(own_home(environ), identity)
     best = next((one for one in found if one.name == wanted), None)
     if best is None:

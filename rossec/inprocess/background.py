@@ -59,10 +59,10 @@ class BackgroundLoop:
         )
         access = local_identity.access
         self.connections: ConnectionTable[RosSocket] = ConnectionTable(
-            local_identity.revocations, access.lock, PEER_CONNECTIONS
+            local_identity.standing, access.lock, PEER_CONNECTIONS, local_identity.master
         )
         self.membership = Membership(
-            local_identity, access, self.connections, registrations.publishers, self
+            local_identity, access, self.connections, registrations.publishers, self, access.lock
         )
         self._thread = Thread(target=self._run, name="rossec background", daemon=True)
         self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None

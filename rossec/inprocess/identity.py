@@ -18,6 +18,7 @@ from rossec.home import NodeHome
 from rossec.net.context import SecureContext
 from rossec.participant.access import Access
 from rossec.participant.membership import LoadedIdentity
+from rossec.ros.names import MASTER
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -59,6 +60,12 @@ class LockedAccess:
         with self.lock:
             return self._access.unproved
 
+    @property
+    def foreign_domains(self) -> frozenset[str]:
+        """See `Access.foreign_domains`."""
+        with self.lock:
+            return self._access.foreign_domains
+
     hold = _locked(Access.hold)
     hold_renewed = _locked(Access.hold_renewed)
     held_grants = _locked(Access.held_grants)
@@ -68,6 +75,7 @@ class LockedAccess:
     current = _locked(Access.current)
     present = _locked(Access.present)
     holds = _locked(Access.holds)
+    is_master = _locked(Access.is_master)
     check_peer = _locked(Access.check_peer)
     authorize = _locked(Access.authorize)
 
@@ -76,14 +84,20 @@ class LocalIdentity(LoadedIdentity):
     """The enrolled node that this process is.
 
     Args:
-        home, name: as of `LoadedIdentity`, which raises the same errors.
+        home, name, master: as of `LoadedIdentity`, which raises the same errors.
         suites: of its channels, by the post-quantum policy.
     """
 
-    def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
-        super().__init__(home, name)
-        self.live_context = SecureContext(self.live_credentials, self.anchor.verify, suites=suites)
-        self.access = LockedAccess(Access(self.anchor, self.revocations))
+    def __init__(
+        self,
+        home: NodeHome,
+        name: str,
+        suites: tuple[int, ...] = PRODUCTION,
+        master: str = MASTER,
+    ) -> None:
+        super().__init__(home, name, master)
+        self.live_context = SecureContext(self.live_credentials, self.anchors.verify, suites=suites)
+        self.access = LockedAccess(Access(self.standing, master=master))
 
     @property
     def credentials(self) -> Credentials:

@@ -17,6 +17,7 @@ from ca.errors import HintedError
 from ca.keys import ownership
 from rossec import files
 from rossec.channel.suite_selection import post_quantum
+from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.allow_plain import PlainPeers
@@ -108,7 +109,7 @@ class _Secured:
 
     def _load_identity(self, name: str) -> LocalIdentity:
         home = NodeHome.find(self.options.home, name)
-        return LocalIdentity(home, name, post_quantum(os.environ))
+        return LocalIdentity(home, name, post_quantum(os.environ), own_master(os.environ))
 
     def _begin(self, local_identity: LocalIdentity) -> None:
         self.hooks.hook_tools(self.process)

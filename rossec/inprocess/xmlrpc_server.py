@@ -27,7 +27,7 @@ from rossec.participant.slave_api import refusal, topic_offer
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.ros import names
 from rossec.ros.http import HttpServer
-from rossec.ros.names import MASTER, REVOCATION_UPDATE
+from rossec.ros.names import SIGNED_UPDATES
 from rossec.ros.xmlrpc import Fault, dump_response, load_call
 
 _FAULT_CODE: Final = 1
@@ -79,7 +79,7 @@ class XmlRpcServer:
     def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
         """Serve one connection: the master's without a deadline, another node's with one."""
         http, presented = HttpServer(), PresentedGrants()
-        end = None if peer.name == MASTER else time.monotonic() + slave_api.DEADLINE
+        end = None if self._is_master(peer) else time.monotonic() + slave_api.DEADLINE
         try:
             while not http.closing:
                 body = _next_request(http, stream, end)
@@ -125,7 +125,8 @@ class XmlRpcServer:
                 case _:
                     pass
             authorized = self._is_authorized(method, peer, presented)
-            refused = refusal(method, params, peer, authorized=authorized)
+            master = self._process.local_identity.master
+            refused = refusal(method, params, peer, authorized=authorized, master=master)
             if refused is not None:
                 self._process.reporter.warn(f"refused {shown(peer.name)}: {method}: {refused[1]}")
                 return refused
@@ -142,8 +143,11 @@ class XmlRpcServer:
         try:
             self._process.local_identity.access.check_peer(peer, now())
         except RevocationsStale:
-            if method != REVOCATION_UPDATE:  # the call that ends it must pass
+            if method not in SIGNED_UPDATES:  # one of them ends it
                 raise
+
+    def _is_master(self, peer: Identity) -> bool:
+        return self._process.local_identity.access.is_master(peer)
 
     def _is_authorized(self, method: str, peer: Identity, presented: PresentedGrants) -> bool:
         """Whether grants that `peer` has presented on this connection authorize it for the call.
@@ -151,7 +155,7 @@ class XmlRpcServer:
         Raises:
             HintedError: those it has presented do not.
         """
-        if presented.grants is None or method not in SLAVE_CALLS or peer.name == MASTER:
+        if presented.grants is None or method not in SLAVE_CALLS or self._is_master(peer):
             return False
         local_identity = self._process.local_identity
         check_slave_call(
@@ -160,8 +164,8 @@ class XmlRpcServer:
         return True
 
     def _run(self, server: Any, method: str, params: Params, peer: Identity) -> object:
-        if method == REVOCATION_UPDATE:
-            self._process.membership.update_revocations(params[1], params[2], peer)
+        if method in SIGNED_UPDATES:
+            self._process.membership.take_push(method, params[1:], peer)
             return [1, "", 0]
         if method == "requestTopic":
             start_tcpros_server()

@@ -33,7 +33,7 @@ from rossec.participant.topic_handshake import (
     requested_topic,
 )
 from rossec.ros import header, names
-from rossec.ros.names import MASTER, REVOCATION_UPDATE
+from rossec.ros.names import SIGNED_UPDATES
 from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
@@ -93,7 +93,7 @@ class Listener:
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """Serve calls: without a time limit for the master, within `DEADLINE` for other peers."""
-        limit = None if stream.peer.name == MASTER else slave_api.DEADLINE
+        limit = None if self._access.is_master(stream.peer) else slave_api.DEADLINE
         presented: list[bytes] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit):
@@ -116,11 +116,11 @@ class Listener:
                     return [1, "", 0]
                 case _:
                     pass
-            if presented and method in SLAVE_CALLS and peer.name != MASTER:
+            if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
                 check_slave_call(method, peer, self._name, presented[0], self._access, now)
                 authorized = True
         except RevocationsStale as error:
-            if method != REVOCATION_UPDATE:  # the update that ends the staleness must be accepted
+            if method not in SIGNED_UPDATES:  # one of them ends the staleness
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)

@@ -16,7 +16,7 @@ from ca.certificates import Identity
 from rossec import clock
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.suite_selection import post_quantum
-from rossec.environment import own_home
+from rossec.environment import own_home, own_master
 from rossec.errors import AnswerMalformed, NodeShutdown
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
@@ -64,17 +64,21 @@ class Node:
     ) -> None:
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        loaded = LoadedIdentity(NodeHome.find(own_home(environ), self.name), self.name)
+        loaded = LoadedIdentity(
+            NodeHome.find(own_home(environ), self.name), self.name, own_master(environ)
+        )
         self.home, self.anchor, self.identity = loaded.home, loaded.anchor, loaded.identity
         self.credentials, self.revocations = loaded.live_credentials, loaded.revocations
-        self.access = Access(self.anchor, self.revocations)
+        self.access = Access(loaded.standing, master=loaded.master)
         secure = SecureContext(
-            self.credentials, self.anchor.verify,
+            self.credentials, loaded.anchors.verify,
             suites=post_quantum(environ), known=KnownCertificates(),
         )  # fmt: skip
         own_addresses = OwnAddresses()
         self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses)
-        connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(self.revocations)
+        connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            loaded.standing, master=loaded.master
+        )
         grace = PublisherGrace(clock.counter())
         self._membership = Membership(loaded, self.access, connections, grace, self)
         self._context = context = NodeContext(
@@ -91,7 +95,7 @@ class Node:
         self.params = NodeParameters(context, self.settings.resolve)
         self._listener = Listener(
             self.name, secure, self.access, self._topics.publishers, self.services,
-            SlaveApi(self), connections, own_addresses,
+            SlaveApi(self, loaded.master), connections, own_addresses,
         )  # fmt: skip
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -238,6 +242,10 @@ class Node:
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take a newer list and a fresh timestamp, then close connections that must end."""
         self._membership.update_revocations(revocations, timestamp, master)
+
+    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
+        """Take what else the master pushes, then close connections that must end."""
+        self._membership.take_push(method, params, master)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator shut it down."""

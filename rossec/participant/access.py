@@ -1,37 +1,35 @@
 """The grants a node holds, and the authorization of its peers, which happens here only.
 
 Pure: grants, revocations and `now` in; a `Decision` or an error out. Least disclosure: of the
-grants this node holds, a peer receives only those that cover the request.
+grants this node holds, a peer receives only those that cover the request. A name may be an alias: a
+right on it is the right on the origin's name, and only grants of the origin's domain prove it,
+whoever holds them; what a foreign authority signs counts for nothing else.
 """
 
-from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
-from hashlib import sha256
+from dataclasses import dataclass, replace
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
-from ca.certificates import Identity, TrustAnchor
-from ca.encoding import Value, decode, encode
-from ca.errors import CAError, EncodingError, RevocationsStale
-from ca.revocation.state import Revocations, open_timestamp
+from ca.certificates import Identity
+from ca.domains.aliases import shown, split_alias
+from ca.domains.standing import Standing
+from ca.encoding import Value, encode
+from ca.errors import CAError, NotAdmitted, RevocationsStale
+from ca.revocation.state import open_timestamp
 from grants.decision import Decision, authorize
-from grants.errors import GrantError, GrantMalformed, GrantMissing
-from grants.model import Grant, Right
-from grants.narrowing import check_one_domain
-from grants.token import Verifier, peek
+from grants.errors import GrantMissing
+from grants.model import MESSAGE_RIGHTS, Grant, Right
+from grants.token import peek
+from rossec.participant.presentation import fitting
+from rossec.participant.token_opening import TokenOpener
+from rossec.ros.names import MASTER
 
 FIELD: Final = "rossec_grants"
 NO_LIST: Final = (
     "the master has no revocation list yet",
     "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
 )
-MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
-MAX_GRANTS: Final = 16
-CACHE_SIZE: Final = 1024
-_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
 
 
 @dataclass(frozen=True)
@@ -52,16 +50,23 @@ class HeldGrant:
 
 
 class Access:
-    """Holds the grants of a node and checks those of its peers."""
+    """Holds the grants of a node and checks those of its peers.
+
+    Args:
+        standing: which authorities count, and what they have revoked.
+        held: the grants of this node.
+        master: the certified name of its own master.
+    """
 
     def __init__(
-        self, anchor: TrustAnchor, revocations: Revocations, held: Iterable[bytes] = ()
+        self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER
     ) -> None:
-        self._anchor = anchor
-        self._revocations = revocations
+        self._standing = standing
+        self._revocations: Final = standing.own
+        self._anchor: Final = standing.anchors.own
+        self._master = master
         self._held: dict[bytes, HeldGrant] = {}
-        self._verified: OrderedDict[bytes, Grant] = OrderedDict()
-        self._delegate: ec.EllipticCurvePublicKey | None = None
+        self._tokens = TokenOpener(standing)
         for data in held:
             self.hold(data)
 
@@ -76,7 +81,8 @@ class Access:
         Raises:
             GrantError: it is invalid, or this node does not hold the grant.
         """
-        grant = self._verifier().open(token, now)
+        domain = peek(token).domain
+        grant = self._tokens.open(token, domain, now)
         known = self._held.get(grant.id)
         if known is None:
             raise GrantMissing(f"the renewed grant {grant.short_id} is not held by this node")
@@ -84,8 +90,26 @@ class Access:
 
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
-        revoked = self._revocations.entries
-        return [held for held in self._held.values() if revoked.isdisjoint(held.grant.revocable)]
+        own, others = self._revocations.entries, self._domains_held() - {self._anchor.domain}
+        revoked = {domain: own | self._standing.revoked(domain) for domain in others}
+        return [
+            held
+            for held in self._held.values()
+            if revoked.get(held.grant.domain, own).isdisjoint(held.grant.revocable)
+        ]
+
+    def _domains_held(self) -> set[str]:
+        return {held.grant.domain for held in self._held.values()}
+
+    @property
+    def foreign_domains(self) -> frozenset[str]:
+        """The listed foreign domains whose grants this node holds."""
+        listed = self._standing.anchors.listed_domain
+        return frozenset(domain for domain in self._domains_held() if listed(domain) is not None)
+
+    def is_master(self, peer: Identity) -> bool:
+        """Whether `peer` is this node's own master."""
+        return peer.name == self._master and not peer.is_foreign
 
     @property
     def epoch(self) -> int:
@@ -123,11 +147,11 @@ class Access:
             self.check_peer(master, now)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
         self.check_peer(master, now)
-        self._delegate = master.public_key
+        self._tokens.own_master = master.public_key
 
     def expire_confirmation(self, until: int) -> None:
-        """End the confirmation of the list at `until`: the clock it was received by went back."""
-        self._revocations.expire_confirmation(until)
+        """End the confirmation of every list at `until`: the clock went back."""
+        self._standing.expire_confirmations(until)
 
     @property
     def unproved(self) -> list[bytes]:
@@ -139,20 +163,61 @@ class Access:
         self._revocations.add_proof(entry, proof)
 
     def current(self, now: int) -> list[bytes]:
-        """The grants that are valid now and not known to be revoked, the latest expiry first."""
-        return [held.token for held in self._current(now)]
+        """The grants that are valid now and not known to be revoked, the latest expiry first.
+
+        Of a domain that is not listed none: nobody here could verify them.
+        """
+        known = {self._anchor.domain, *self.foreign_domains}
+        return [held.token for held in self._current(now) if held.grant.domain in known]
 
     def present(self, right: Right, name: str, now: int) -> bytes:
         """Header field that proves `right` on `name`: the array of the grants that cover it.
 
         A peer accepts a limited number and size; those that expire last are sent.
+
+        Raises:
+            NotAdmitted, NameRefused: an alias of no domain.
         """
-        covering = [held.token for held in self._current(now) if held.grant.covers(right, name)]
-        return encode(list[Value](_fitting(covering)))
+        covering = [held.token for held in self._covering(right, name, now)]
+        return encode(list[Value](fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
-        return any(held.grant.covers(right, name) for held in self._current(now))
+        try:
+            return bool(self._covering(right, name, now))
+        except CAError:
+            return False
+
+    def _covering(self, right: Right, name: str, now: int) -> list[HeldGrant]:
+        domain, origin = self._origin(right, name)
+        return [
+            held
+            for held in self._current(now)
+            if held.grant.domain == domain and held.grant.covers(right, origin)
+        ]
+
+    def _origin(self, right: Right, name: str) -> tuple[str, str]:
+        """The domain whose grants decide on `name`, and the name there.
+
+        An alias of no listed domain may be that of another master of the own one, which has only
+        nodes and parameters below `/remote`: no topic and no service.
+
+        Raises:
+            NotAdmitted, NameRefused: an alias of no domain.
+        """
+        found = split_alias(name)
+        if found is None:
+            return self._anchor.domain, name
+        label, origin = found
+        listed = self._standing.anchors.listed(label)
+        if listed is not None:
+            return listed.entry.domain, origin
+        if right & MESSAGE_RIGHTS:
+            raise NotAdmitted(
+                f"{shown(name)}: no domain is called {label} here",
+                "at this side's authority: rossec domain list",
+            )
+        return self._anchor.domain, origin
 
     def _current(self, now: int) -> list[HeldGrant]:
         usable = [
@@ -161,19 +226,11 @@ class Access:
         return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """Raise a `CAError` when the identity of `peer` is revoked, or this is not known.
+        """Raise a `CAError` when `peer` is revoked, not trusted any more, or this is not known.
 
-        All its keys are checked: stale data on the first must not hide that its intermediate is
-        revoked.
+        See `Standing.check_peer`.
         """
-        stale: RevocationsStale | None = None
-        for key in peer.keys:
-            try:
-                self._revocations.check(key, now)
-            except RevocationsStale as error:
-                stale = stale or error
-        if stale is not None:
-            raise stale
+        self._standing.check_peer(peer, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
@@ -185,78 +242,20 @@ class Access:
             CAError: the peer or one of its grants is revoked, or revocations are stale.
         """
         self.check_peer(peer, now)
+        domain, origin = self._origin(right, name)
         if presented is None:
             raise GrantMissing(
-                f"{peer.name} shows no grant to {right.label} {name}",
-                (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
+                f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
+                (f"sign one: rossec grant sign {shown(peer.name)} --{right.label} {origin}",),
             )
-        grants, refusals = self._verify_all(_unpack(presented), peer, now)
+        grants, refusals = self._tokens.open_all(presented, domain, peer, now)
+        check = self._tokens.check_of(domain, peer.domain)
         try:
-            return authorize(
-                grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
+            decision = authorize(
+                grants, right, origin, holder=peer.thumbprint, now=now, check=check
             )
         except GrantMissing:
             if refusals:  # "expired" or "forged" says more than "missing"
                 raise refusals[0] from None
             raise
-
-    def _verify_all(
-        self, presented: list[bytes], peer: Identity, now: int
-    ) -> tuple[list[Grant], list[GrantError]]:
-        """The valid grants, and the errors of the others: one that is refused is left out."""
-        grants: list[Grant] = []
-        refusals: list[GrantError] = []
-        for data in presented:
-            try:
-                grant = self._verify(data, now)
-                check_one_domain(grant, "", peer.name)
-                grants.append(grant)
-            except GrantError as error:
-                refusals.append(error)
-        return grants, refusals
-
-    def _verify(self, data: bytes, now: int) -> Grant:
-        """Verify a grant once; the signature of one seen before is not checked again."""
-        digest = sha256(data).digest()
-        known = self._verified.get(digest)
-        if known is not None and known.not_before <= now < known.expires:
-            self._verified.move_to_end(digest)
-            return known
-        grant = self._verifier().open(data, now)
-        self._verified[digest] = grant
-        if len(self._verified) > CACHE_SIZE:
-            self._verified.popitem(last=False)
-        return grant
-
-    def _verifier(self) -> Verifier:
-        held = self._revocations.current
-        return Verifier(
-            self._anchor.public_key,
-            self._anchor.domain,
-            () if self._delegate is None else (self._delegate,),
-            0 if held is None else held.seq,
-            self._revocations.check,
-        )
-
-
-def _unpack(presented: bytes) -> list[bytes]:
-    try:
-        value = decode(presented, limit=MAX_PRESENTED)
-    except EncodingError as error:
-        raise GrantMalformed(f"unreadable list of grants: {error}") from error
-    if not isinstance(value, list) or len(value) > MAX_GRANTS:
-        raise GrantMalformed(f"expected a list of at most {MAX_GRANTS} grants")
-    grants = [item for item in value if isinstance(item, bytes)]
-    if len(grants) != len(value):
-        raise GrantMalformed("the list of grants has an item that is not bytes")
-    return grants
-
-
-def _fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
-    """The first of them that a header field has room for, with what CBOR adds to each."""
-    room, left = MAX_PRESENTED - _ARRAY_HEAD, MAX_GRANTS
-    for token in tokens:
-        size = len(token) + _BYTES_HEAD
-        if left and size <= room:
-            room, left = room - size, left - 1
-            yield token
+        return decision if origin == name else replace(decision, name=name)

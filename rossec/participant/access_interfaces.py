@@ -14,6 +14,9 @@ class HandshakeAccess(Protocol):
     def present(self, right: Right, name: str, now: int) -> bytes:
         """See `Access.present`."""
 
+    def is_master(self, peer: Identity) -> bool:
+        """See `Access.is_master`."""
+
     def check_peer(self, peer: Identity, now: int) -> None:
         """See `Access.check_peer`."""
 

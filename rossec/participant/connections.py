@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from threading import Lock
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from ca.certificates import Identity
-from ca.errors import RevocationsStale, Revoked
-from ca.revocation.state import Revocations
+from ca.domains.aliases import shown, split_alias
+from ca.domains.standing import Standing
+from ca.errors import NotAdmitted, RevocationsStale, Revoked
 from grants.decision import Decision
 from rossec import clock
 from rossec.errors import ChannelClosed, LimitExceeded
@@ -63,35 +65,60 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
     def __post_init__(self) -> None:
         self.ends = min(self.decision.expires, self.stream.peer.not_after)
 
-    def termination_reason(self, revocations: Revocations, now: int) -> str | None:
+    def termination_reason(self, standing: Standing, now: int) -> str | None:
         """Why it must be closed now; None while it may stay open.
 
-        Missing revocation data closes it after `STALE_GRACE`, unless every permission used says
-        `on_stale: keep`: an emergency stop must not depend on it. A revocation always closes it.
+        The peer's keys count on the own list and on that of its domain; the grants' entries also on
+        that of the domain the name is of. Missing revocation data closes it after `STALE_GRACE`,
+        unless every permission used says `on_stale: keep`: an emergency stop must not depend on it.
+        A revocation, and the end of the trust in a domain, always close it.
         """
         if now >= self.ends:
             return "its grant or its certificate has expired"
-        entries = (*self.stream.peer.keys, *self.decision.grant_ids)
-        errors = {entry: _revocation_error(entry, revocations, now) for entry in entries}
+        errors = {entry: _error_of(*entry, standing, now) for entry in self._entries(standing)}
         for error in errors.values():  # all of them before staleness, which the first may have too
-            if isinstance(error, Revoked):
+            if isinstance(error, Revoked | NotAdmitted):
                 return str(error)
+        try:
+            standing.check_trust(self.stream.peer, now)
+            _check_label(self.decision, standing)
+        except NotAdmitted as error:
+            return str(error)
         if self.decision.keep_when_stale:
             return None
-        for entry, error in errors.items():
-            if error is not None and now >= revocations.status_valid_until(entry) + STALE_GRACE:
-                return str(error)
+        for entry, stale in errors.items():
+            if stale is not None and now >= standing.status_valid_until(*entry) + STALE_GRACE:
+                return str(stale)
         return None
 
+    def _entries(self, standing: Standing) -> Iterator[tuple[str, bytes]]:
+        """What ends it when revoked, with the domain whose list says so."""
+        peer, own = self.stream.peer, standing.anchors.own.domain
+        of_peer = dict.fromkeys((own, peer.domain))
+        of_grants = of_peer | dict.fromkeys(grant.domain for grant in self.decision.grants)
+        yield from product(of_peer, peer.keys)
+        yield from product(of_grants, self.decision.grant_ids)
 
-def _revocation_error(
-    entry: bytes, revocations: Revocations, now: int
-) -> Revoked | RevocationsStale | None:
+
+def _error_of(
+    domain: str, entry: bytes, standing: Standing, now: int
+) -> Revoked | NotAdmitted | RevocationsStale | None:
     try:
-        revocations.check(entry, now)
-    except (Revoked, RevocationsStale) as error:
+        standing.check(domain, entry, now)
+    except (Revoked, NotAdmitted, RevocationsStale) as error:
         return error
     return None
+
+
+def _check_label(decision: Decision, standing: Standing) -> None:
+    """Return while the label in an alias stands for the domain of the grants."""
+    found = split_alias(decision.name)
+    if found is None:
+        return
+    listed = standing.anchors.listed(found[0])
+    domain = None if listed is None else listed.entry.domain
+    if any(grant.domain != domain for grant in decision.grants):
+        raise NotAdmitted(f"{found[0]} is no longer the domain it was")
 
 
 class _Accepted(NamedTuple):
@@ -106,20 +133,23 @@ class ConnectionTable(Generic[StreamT]):
     """The connections of one identity.
 
     Args:
-        revocations: what ends them.
-        lock: held while `revocations` are read, if threads share them.
+        standing: what ends them.
+        lock: held while `standing` is read, if threads share it.
         most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
+        master: the name of the own master, which may have more.
     """
 
     def __init__(
         self,
-        revocations: Revocations,
+        standing: Standing,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
         most: int | None = None,
+        master: str = MASTER,
     ) -> None:
-        self._revocations = revocations
-        self._revocations_lock = lock
+        self._standing = standing
+        self._standing_lock = lock
         self._most = most
+        self._master = master
         self._lock = Lock()  # never held together with the other one
         self._accepted: dict[object, _Accepted] = {}
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
@@ -135,9 +165,11 @@ class ConnectionTable(Generic[StreamT]):
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
-                self.accept(stream, stream.peer, stream.abort, limited=stream.peer.name != MASTER)
+                self.accept(
+                    stream, stream.peer, stream.abort, limited=stream.peer.name != self._master
+                )
             except LimitExceeded:
-                _log.warning("%s has too many connections", stream.peer.name)
+                _log.warning("%s has too many connections", shown(stream.peer.name))
                 stream.abort("too many connections of one identity")
                 return
             stream.when_closed(partial(self.forget, stream))  # one that lingers counts
@@ -162,7 +194,7 @@ class ConnectionTable(Generic[StreamT]):
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited and sum(other.source == source for other in self._accepted.values()) >= most:
-                raise LimitExceeded(f"{name} has {most} connections already")
+                raise LimitExceeded(f"{shown(name)} has {most} connections already")
             self._accepted[key] = _Accepted(source, peer, abort)
 
     def forget(self, key: object) -> None:
@@ -175,6 +207,14 @@ class ConnectionTable(Generic[StreamT]):
     def __iter__(self) -> Iterator[AuthorizedConnection[StreamT, Any]]:
         with self._lock:
             return iter(tuple(self._authorized))
+
+    @property
+    def domains(self) -> frozenset[str]:
+        """The trust domains of the peers that are connected."""
+        with self._lock:
+            peers = [each.peer for each in self._accepted.values()]
+            peers += [each.stream.peer for each in self._authorized]
+        return frozenset(peer.domain for peer in peers if not isinstance(peer, str))
 
     @property
     def next_expiry(self) -> int | None:
@@ -217,8 +257,8 @@ class ConnectionTable(Generic[StreamT]):
         Raises:
             ChannelClosed: it must end, and is aborted.
         """
-        with self._revocations_lock:
-            reason = connection.termination_reason(self._revocations, clock.now())
+        with self._standing_lock:
+            reason = connection.termination_reason(self._standing, clock.now())
         reason = self._closed or reason
         if reason is not None:
             connection.stream.abort(reason)
@@ -227,23 +267,39 @@ class ConnectionTable(Generic[StreamT]):
     # -- what must end
 
     def cut_ended(self, now: int) -> None:
-        """Cut every connection that must end at `now`, and every one of a revoked identity."""
+        """Cut every connection that must end at `now`, and every one of a revoked identity.
+
+        Also those of a domain that is not trusted any more, authorized or not.
+        """
         connections = tuple(self)
-        with self._revocations_lock:
-            ended = [
-                (each, each.termination_reason(self._revocations, now)) for each in connections
-            ]
-            revoked = self._revocations.entries
+        with self._lock:
+            accepted = tuple(self._accepted.values())
+        with self._standing_lock:
+            ended = [(each, each.termination_reason(self._standing, now)) for each in connections]
+            refused = [(each, self._refusal(each.peer, now)) for each in accepted]
         for connection, reason in ended:
             if reason is not None and self.discard(connection):
                 connection.stream.abort(reason)
                 name, right = connection.stream.peer.name, connection.decision.name
-                _log.warning("closed the connection with %s (%s): %s", name, right, reason)
-        with self._lock:
-            accepted = tuple(self._accepted.values())
-        for _, peer, abort in accepted:
-            if not isinstance(peer, str) and not revoked.isdisjoint(peer.keys):
-                abort("the peer's identity is revoked")
+                _log.warning(
+                    "closed the connection with %s (%s): %s", shown(name), shown(right), reason
+                )
+        for each, reason in refused:
+            if reason is not None:
+                each.abort(reason)
+
+    def _refusal(self, peer: Identity | str, now: int) -> str | None:
+        """Why no connection with `peer`, authorized or not, may stand; None: it may."""
+        if isinstance(peer, str):
+            return None
+        domains = dict.fromkeys((self._standing.anchors.own.domain, peer.domain))
+        if not all(self._standing.revoked(each).isdisjoint(peer.keys) for each in domains):
+            return "the peer's identity is revoked"
+        try:
+            self._standing.check_trust(peer, now)
+        except NotAdmitted as error:
+            return str(error)
+        return None
 
     def close(self, reason: str) -> None:
         """Cut every connection, and admit none any more: nothing would cut it."""

@@ -14,8 +14,8 @@ from secrets import SystemRandom
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
+from ca.domains.standing import Standing
 from ca.errors import HintedError
-from ca.revocation.state import Revocations
 from grants import document
 from grants.errors import GrantError, GrantExpired, GrantNotHeld
 from grants.model import Grant
@@ -46,7 +46,7 @@ class GrantDelivery:
     """Takes what the master has for one node.
 
     Args:
-        anchor: the authority, and the domain that grants must be for.
+        standing: the authorities that may have signed one, and what they have revoked.
         holder: the thumbprint of the node's key.
         access, directory: where the grants are held, and stored by `save`.
 
@@ -57,15 +57,13 @@ class GrantDelivery:
 
     def __init__(
         self,
-        anchor: TrustAnchor,
+        standing: Standing,
         holder: bytes,
-        revocations: Revocations,
         access: HeldGrants,
         directory: GrantDirectory,
     ) -> None:
-        self._anchor = anchor
+        self._standing = standing
         self._holder = holder
-        self._revocations = revocations
         self._access = access
         self._directory = directory
         self._received: dict[bytes, None] = {}  # ids, valid or not: not again in this session
@@ -160,14 +158,20 @@ class GrantDelivery:
         Raises:
             GrantError: forged, malformed, of another key, or at its end for good.
         """
-        grant = document.verify(data, self._anchor.public_key, domain=self._anchor.domain)
+        anchor = self._anchor_of(document.peek(data).domain)
+        grant = document.verify(data, anchor.public_key, domain=anchor.domain)
         if grant.holder != self._holder:
             raise GrantNotHeld("the grant is bound to another key", f"it is for {grant.subject}")
         if now >= grant.cap:
             raise GrantExpired(f"the grant {grant.short_id} has expired")
-        if grant.id in self._revocations.entries:
+        if grant.id in self._standing.own.entries | self._standing.revoked(grant.domain):
             raise GrantError(f"the grant {grant.short_id} is revoked")
         return grant
+
+    def _anchor_of(self, domain: str) -> TrustAnchor:
+        """Whose key a grant must be signed by: its domain only selects it."""
+        listed = self._standing.anchors.listed_domain(domain)
+        return self._standing.anchors.own if listed is None else listed.anchor
 
 
 class GrantWatch:
@@ -177,6 +181,7 @@ class GrantWatch:
         name: the node's own name, the `caller_id` of every call.
         dial: opens a secure stream to the master.
         is_open: whether the session is open.
+        master: the certified name of the node's own master.
     """
 
     def __init__(
@@ -185,11 +190,13 @@ class GrantWatch:
         delivery: GrantDelivery,
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
         is_open: Callable[[], bool],
+        master: str = MASTER,
     ) -> None:
         self._name = name
         self._delivery = delivery
         self._dial = dial
         self._is_open = is_open
+        self._master = master
         self._client: RpcClient | None = None
 
     async def session_opened(self) -> None:
@@ -216,7 +223,7 @@ class GrantWatch:
 
     async def _watch(self, retry: Retry) -> None:
         stream = await self._dial()
-        if stream.peer.name != MASTER:
+        if stream.peer.name != self._master:
             stream.abort("not the master")
             raise ConfigurationError(f"{stream.peer.name} answers at the master's address")
         client = self._client = RpcClient(stream, deadline=WATCH_DEADLINE)

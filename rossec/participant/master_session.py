@@ -1,6 +1,6 @@
 """A node's session with its master: one control connection, opened again whenever it is lost.
 
-On every connection the node checks that the peer is `/master` of its own trust domain, loads
+On every connection the node checks that the peer is its master in its own trust domain, loads
 revocations, presents its grants and registers everything again, so that a master can restart
 without the node's program noticing. The heartbeat fetches revocations as well: pushed updates alone
 could be suppressed unnoticed (RFC 9770 section 11 requires the same). A master whose list was
@@ -15,10 +15,12 @@ from secrets import SystemRandom
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import CAError, ClocksDisagree, HintedError, RevocationRefused, RevocationsStale
 from ca.revocation.state import digest, open_timestamp
 from ca.revocation.tree import is_tree
 from rossec import clock
+from rossec.environment import OWN_MASTER
 from rossec.errors import AnswerRefused, ConfigurationError, RossecError
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import RpcClient
@@ -43,6 +45,8 @@ class MasterSession:
         restore: makes every registration again; called on each new connection.
         held: the signed revocation list this node holds, which the master then need not send.
         prove: requests the proofs that are wanted; returns how many were accepted.
+        master: the certified name of the node's own master.
+        follow: called after each heartbeat, for what else the node keeps current.
     """
 
     def __init__(
@@ -53,6 +57,8 @@ class MasterSession:
         restore: Callable[["MasterSession"], Awaitable[None]],
         held: Callable[[], bytes],
         prove: Callable[[MasterCall], Awaitable[int]],
+        master: str = MASTER,
+        follow: Callable[[MasterCall], Awaitable[None]] | None = None,
     ) -> None:
         self._name = name
         self._dial = dial
@@ -60,6 +66,8 @@ class MasterSession:
         self._restore = restore
         self._held = held
         self._prove = prove
+        self._master = master
+        self._follow = follow
         self._client: RpcClient | None = None
         self._stream: SecureStream[Identity] | None = None
         self._is_restored = False
@@ -97,11 +105,12 @@ class MasterSession:
             HintedError, OSError: the master is out of reach, is not the master, or refuses.
         """
         stream = await self._dial()
-        if stream.peer.name != MASTER:
+        if stream.peer.name != self._master:
             stream.abort("not the master")
+            found = shown(stream.peer.name)
             raise ConfigurationError(
-                f"the node at the master's address is {stream.peer.name}, not {MASTER}",
-                "check ROS_MASTER_URI",
+                f"the node at the master's address is {found}, not {self._master}",
+                f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
             )
         await self._disconnect()
         self._client, self._stream = RpcClient(stream), stream
@@ -124,6 +133,8 @@ class MasterSession:
                     _log.info("%s: connected to the master again", self._name)
                 await self._wait_for_heartbeat()
                 await self._heartbeat()
+                if self._follow is not None:
+                    await self._follow(self.call)
                 retry.succeeded()
             except (HintedError, OSError, Fault) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)

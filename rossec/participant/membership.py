@@ -13,32 +13,36 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
-from rossec.errors import AnswerRefused
+from rossec.errors import AnswerRefused, CallRefused
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.participant.access_interfaces import HeldGrants
 from rossec.participant.connections import ConnectionTable
+from rossec.participant.domain_updates import DomainUpdates
 from rossec.participant.grant_delivery import GrantDelivery, GrantWatch
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
+from rossec.participant.presentation import MAX_CALL, batches
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_proofs import Provable, prove
 from rossec.participant.revocation_watch import ConnectionWatchdog
-from rossec.ros.names import PRESENT_GRANTS
+from rossec.ros import names
+from rossec.ros.names import MASTER, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
+from rossec.saved_domains import DomainFiles
 from rossec.saved_revocations import saved_revocations
 
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
-MAX_PRESENTED: Final = 64  # the master stores this many of one node
 
 _log = logging.getLogger("rossec.node")
 
@@ -49,24 +53,33 @@ class LoadedIdentity:
     Args:
         home: the directory.
         name: the name the node runs under, which its identity covers.
+        master: the certified name of its own master.
 
     Raises:
         ConfigurationError: no identity, or another node's.
         CertificateRefused, KeyRefused: the identity or the key is invalid.
-        RevocationRefused: the saved revocation list is not the authority's.
+        RevocationRefused, DomainsRefused: a saved list is not the authority's.
     """
 
-    def __init__(self, home: NodeHome, name: str) -> None:
+    def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
         self.home = home
         self.name = name
+        self.master = master
         self.anchor = home.anchor()
         self.live_credentials = LiveCredentials(home.credentials())
         self.identity = home.identity(clock.now())
         self.revocations = saved_revocations(home, self.anchor, clock.now())
+        self.domain_files = DomainFiles(home, self.anchor)
+        self.anchors = self.domain_files.anchors()
+        self.standing = self.domain_files.standing(self.anchors, self.revocations, clock.now())
 
 
 class MembershipAccess(HeldGrants, Provable, Protocol):
     """The grants and the revocation data of this node."""
+
+    @property
+    def foreign_domains(self) -> frozenset[str]:
+        """See `Access.foreign_domains`."""
 
     def update_revocations(
         self,
@@ -114,8 +127,10 @@ class Membership:
         access: of `identity`; with a lock if threads share it.
         connections: cut when they must end.
         grace: the publishers that a restarted master may not list yet.
+        lock: held while `identity.standing` is changed, if threads share it.
 
     Attributes:
+        domains: what is known of foreign domains.
         session: the session with the master.
         tasks: the tasks of this identity; a crash of one of them ends everything.
         rights_version: incremented for new grants and lists: what was refused may be tried again.
@@ -128,6 +143,7 @@ class Membership:
         connections: ConnectionTable[Any],
         grace: PublisherGrace,
         hooks: MembershipHooks,
+        lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
     ) -> None:
         self._identity = identity
         self._access = access
@@ -137,8 +153,11 @@ class Membership:
         self._grant_directory = GrantDirectory(identity.home, access)
         self._grant_directory.take_new()
         self._delivery = GrantDelivery(
-            identity.anchor, identity.identity.thumbprint, identity.revocations, access,
-            self._grant_directory,
+            identity.standing, identity.identity.thumbprint, access, self._grant_directory
+        )
+        self.domains = DomainUpdates(
+            identity.standing, identity.domain_files, self._domains_changed,
+            lambda: access.foreign_domains | connections.domains, lock,
         )  # fmt: skip
         self._renewals = Renewals(access)
         self._identity_renewal = IdentityRenewal(
@@ -151,12 +170,16 @@ class Membership:
             self._restore,
             lambda: identity.revocations.data,
             lambda call: prove(call, access),
+            identity.master,
+            self.domains.heartbeat,
         )
         self._watch = GrantWatch(
-            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open
-        )
+            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open,
+            identity.master,
+        )  # fmt: skip
         self.tasks = TaskSet(self._crashed)
         self._has_crashed = False
+        self._domains_are_new = False
         self.rights_version = 0
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
@@ -193,6 +216,32 @@ class Membership:
             if self._identity.revocations.data != before:
                 self.rights_version += 1
 
+    def take_push(self, method: str, params: tuple[object, ...], master: Identity) -> None:
+        """Take what the master pushes, one of `SIGNED_UPDATES`; `params` without the caller_id.
+
+        Raises:
+            CAError: it is refused. What it revokes or ends is closed nevertheless.
+            CallRefused: not such a call.
+        """
+        match method, params:
+            case names.REVOCATION_UPDATE, (bytes() as revocations, bytes() as timestamp):
+                self.update_revocations(revocations, timestamp, master)
+            case names.DOMAINS_UPDATE, (bytes() as data,):
+                self.domains.take_domains(data)
+            case names.FOREIGN_UPDATE, (
+                str() as domain, bytes() as revocations, bytes() as timestamp, list() as chain,
+            ):  # fmt: skip
+                self.domains.take_foreign(domain, revocations, timestamp, chain)
+            case _:
+                raise CallRefused(f"{method} has other parameters")
+
+    def _domains_changed(self, is_new: bool) -> None:
+        """Cut what foreign statements end; what was refused may be tried again."""
+        self._connections.cut_ended(clock.now())
+        if is_new:
+            self.rights_version += 1
+            self._domains_are_new = True
+
     async def _run_session(self, opening: Callable[[], Awaitable[None]] | None) -> None:
         if opening is not None:
             await opening()
@@ -206,8 +255,9 @@ class Membership:
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
-        await session.call(PRESENT_GRANTS, self._access.current(clock.now())[:MAX_PRESENTED])
+        await self._present(self._access.current(clock.now())[:MAX_CALL])
         await self._watch.session_opened()
+        await self.domains.session_opened(session.call)
         await self._delivery.fetch(session.call)
         await self._present(self._take_new())
         self._grant_directory.drop_ended(clock.now())
@@ -239,8 +289,12 @@ class Membership:
         return new
 
     async def _update(self, new: list[bytes]) -> None:
-        """Present `new` grants, renew what is due, request proofs."""
+        """Present `new` grants, renew what is due, request proofs and foreign revocations."""
         call = self.session.call
+        await self.domains.fetch_wanted(call)
+        if self._domains_are_new:  # grants of a domain count only once it is listed
+            self._domains_are_new = False
+            new = self._access.current(clock.now())[:MAX_CALL]
         await self._present(new)
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
@@ -252,8 +306,8 @@ class Membership:
             self._connections.cut_ended(clock.now())
 
     async def _present(self, new: list[bytes]) -> None:
-        for begin in range(0, len(new), MAX_PRESENTED):
-            await self.session.call(PRESENT_GRANTS, new[begin : begin + MAX_PRESENTED])
+        for batch in batches(new):
+            await self.session.call(PRESENT_GRANTS, batch)
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:

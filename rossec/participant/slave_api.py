@@ -17,7 +17,12 @@ from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
 from rossec.participant.remote_names import answer_for
 from rossec.participant.slave_rights import SLAVE_CALLS
-from rossec.ros.names import MASTER, REVOCATION_UPDATE
+from rossec.ros.names import (
+    DOMAINS_UPDATE,
+    FOREIGN_UPDATE,
+    MASTER,
+    REVOCATION_UPDATE,
+)
 
 Answer = list[object]
 TCPROS: Final = "TCPROS"
@@ -40,6 +45,9 @@ class SlaveEvents(Protocol):
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """The list and a fresh timestamp. Raises a `CAError` when either is refused."""
+
+    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
+        """A list of domains, or of foreign revocations; see `Membership.take_push`."""
 
     def shutdown_requested(self, reason: str) -> None:
         """The master shuts this node down, for example because another one has its name."""
@@ -65,6 +73,8 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
     "paramUpdate": SlaveMethod((str, object), 0),
     "shutdown": SlaveMethod((str,), 0),
     REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
+    DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
+    FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
     "requestTopic": SlaveMethod((str, list), [], master_only=False),
     "getName": SlaveMethod((), ""),
     "getUri": SlaveMethod((), ""),
@@ -78,17 +88,23 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
 
 
 def refusal(
-    method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
+    method: str,
+    params: tuple[object, ...],
+    peer: Identity,
+    *,
+    authorized: bool = False,
+    master: str = MASTER,
 ) -> Answer | None:
     """The error answer to a call that `peer` may not make; None: it may.
 
+    `master`: the certified name of the node's own master.
     `authorized`: by grants (`check_slave_call`), which never allow the calls in `MASTER_ONLY`.
     """
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
     granted = authorized and method in SLAVE_CALLS
-    if rule.master_only and peer.name != MASTER and not granted:
+    if rule.master_only and peer.name != master and not granted:
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
     unnamed = without_caller(params, rule.default)
     if unnamed is not None:
@@ -132,15 +148,18 @@ def offers_tcpros(protocols: object) -> bool:
 
 
 class SlaveApi:
-    """Answers the calls of the slave API."""
+    """Answers the calls of the slave API; `master` is the certified name of the own master."""
 
-    def __init__(self, events: SlaveEvents) -> None:
+    def __init__(self, events: SlaveEvents, master: str = MASTER) -> None:
         self._events = events
+        self._master = master
         self._methods: dict[str, Callable[..., Answer]] = {
             "publisherUpdate": self._publisher_update,
             "paramUpdate": self._param_update,
             "shutdown": self._shutdown,
             REVOCATION_UPDATE: self._revocation_update,
+            DOMAINS_UPDATE: partial(self._push, DOMAINS_UPDATE),
+            FOREIGN_UPDATE: partial(self._push, FOREIGN_UPDATE),
             "requestTopic": self._request_topic,
         }
 
@@ -148,7 +167,7 @@ class SlaveApi:
         self, method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
     ) -> object:
         """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
-        refused = refusal(method, params, peer, authorized=authorized)
+        refused = refusal(method, params, peer, authorized=authorized, master=self._master)
         if refused is not None:
             return refused
         run = self._methods.get(method, partial(self._describe, method))
@@ -171,6 +190,10 @@ class SlaveApi:
 
     def _revocation_update(self, master: Identity, revocations: bytes, timestamp: bytes) -> Answer:
         self._events.revocations_arrived(revocations, timestamp, master)
+        return [1, "", 0]
+
+    def _push(self, method: str, master: Identity, *params: object) -> Answer:
+        self._events.push_arrived(method, params, master)
         return [1, "", 0]
 
     def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:

@@ -13,7 +13,6 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import CallRefused
 from rossec.participant.access_interfaces import HandshakeAccess
-from rossec.ros.names import MASTER
 
 OPEN: Final = frozenset({"requestTopic"})
 MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
@@ -45,7 +44,8 @@ def check_slave_call(
         GrantError, CAError: the right is missing, or the peer is revoked.
     """
     access.check_peer(peer, now)
-    if method in OPEN or (peer.name == MASTER and (method in MASTER_ONLY or method in SLAVE_CALLS)):
+    known = method in MASTER_ONLY or method in SLAVE_CALLS
+    if method in OPEN or (known and access.is_master(peer)):
         return
     right = SLAVE_CALLS.get(method)
     if right is None:

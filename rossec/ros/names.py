@@ -24,6 +24,8 @@ FOREIGN_REVOCATIONS: Final = "rossec.foreignRevocations"
 FOREIGN_PROOFS: Final = "rossec.foreignRevocationProofs"
 DOMAINS_UPDATE: Final = "rossec.domainsUpdate"  # from the master to a node
 FOREIGN_UPDATE: Final = "rossec.foreignRevocationUpdate"
+# What the master pushes that others signed: taken also while revocations are stale.
+SIGNED_UPDATES: Final = frozenset({REVOCATION_UPDATE, DOMAINS_UPDATE, FOREIGN_UPDATE})
 
 
 def canonical(name: str) -> str:

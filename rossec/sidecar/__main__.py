@@ -15,7 +15,7 @@ from typing import Any
 from ca.errors import HintedError
 from rossec.channel.suite_selection import post_quantum
 from rossec.discovery.choose import discover_master
-from rossec.environment import own_home
+from rossec.environment import own_home, own_master
 from rossec.log_limits import LogRateLimit
 from rossec.ros import settings
 from rossec.ros.text import printable
@@ -68,6 +68,7 @@ async def _run(options: dict[str, Any]) -> int:
         each=options["each"],
         port=options["port"],
         suites=post_quantum(before),
+        master_name=own_master(before),
     )
     sidecar.start()
     try:

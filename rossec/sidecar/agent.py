@@ -23,6 +23,7 @@ from rossec.participant.connections import ConnectionTable
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.remote_names import NOT_OFFERED
+from rossec.ros.names import MASTER
 from rossec.ros.settings import Settings
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.connection_cache import ConnectionCache
@@ -48,6 +49,7 @@ class Agent:
         master_uri: the URI of the loopback master.
         half_open: the unauthenticated connections at all ports of this process.
         suites: cipher suites, offered and accepted, in order of preference.
+        master_name: the certified name of the secured master.
     """
 
     def __init__(
@@ -58,30 +60,31 @@ class Agent:
         master_uri: str,
         half_open: HalfOpenCount,
         suites: tuple[int, ...] = PRODUCTION,
+        master_name: str = MASTER,
     ) -> None:
         self.home = home
         self.callers = callers
         self._settings = settings
-        loaded = LoadedIdentity(home, home.name)
-        access = Access(loaded.anchor, loaded.revocations)
+        loaded = LoadedIdentity(home, home.name, master_name)
+        access = Access(loaded.standing, master=master_name)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
         publisher_grace = PublisherGrace(clock.counter())
         self.state = AgentState(
             loaded.identity, access, endpoints, master_uri, known_type, publisher_grace
         )
         context = SecureContext(
-            loaded.live_credentials, loaded.anchor.verify, suites=suites, known=KnownCertificates(),
-            accept_limits=ACCEPT_LIMITS, half_open=half_open,
+            loaded.live_credentials, loaded.anchors.verify, suites=suites,
+            known=KnownCertificates(), accept_limits=ACCEPT_LIMITS, half_open=half_open,
         )  # fmt: skip
         self._connector = PeerConnector(context, access)
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
-            loaded.revocations
+            loaded.standing, master=master_name
         )
         self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
         self._resubscriber = Resubscriber(self, self.state)
         self._ingress = Ingress(
             self, self.state, self._connector, self._connections, home.filter_key,
-            self._membership.update_revocations,
+            self._membership.take_push,
         )  # fmt: skip
         self._egress = Egress(
             self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended

@@ -25,7 +25,7 @@ from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header, names
-from rossec.ros.names import MASTER, REVOCATION_UPDATE
+from rossec.ros.names import SIGNED_UPDATES
 from rossec.sidecar import pump
 from rossec.sidecar.connector import PeerConnector
 from rossec.sidecar.core import slave_calls, tcpros
@@ -42,7 +42,7 @@ from rossec.sidecar.pump import split_header
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 
 _log = logging.getLogger("rossec.sidecar")
-RevocationsHandler = Callable[[bytes, bytes, Identity], None]
+PushHandler = Callable[[str, tuple[object, ...], Identity], None]
 
 
 class Ingress:
@@ -51,7 +51,7 @@ class Ingress:
     Args:
         services: the services of its agent.
         filter_key: finds a key for pseudonyms by its name.
-        on_revocations: takes a revocation list and a timestamp from the master.
+        on_push: takes a signed update from the master.
     """
 
     def __init__(
@@ -61,14 +61,14 @@ class Ingress:
         connector: PeerConnector,
         connections: ConnectionTable[SecureStream[Identity]],
         filter_key: FilterKey,
-        on_revocations: RevocationsHandler,
+        on_push: PushHandler,
     ) -> None:
         self._services = services
         self._agent = agent
         self._connector = connector
         self._connections = connections
         self._filter_key = filter_key
-        self._on_revocations = on_revocations
+        self._on_push = on_push
         self._tasks = TaskSet()
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
@@ -122,8 +122,8 @@ class Ingress:
         async def dispatch(method: str, params: tuple[object, ...], peer: Identity) -> object:
             try:
                 match method, params:
-                    case names.REVOCATION_UPDATE, (_, bytes() as data, bytes() as timestamp):
-                        return self._take_revocations(peer, data, timestamp)
+                    case update, (_, *rest) if update in SIGNED_UPDATES:
+                        return self._take_push(peer, update, (*rest,))
                     case names.PRESENT_GRANTS, (_, bytes() as grants):
                         presented[:] = [grants]
                     case _:
@@ -139,16 +139,17 @@ class Ingress:
                 _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
                 return [-1, f"rossec: {error}", 0]
 
+        limit = None if self._agent.access.is_master(stream.peer) else slave_api.DEADLINE
         try:
-            async with asyncio.timeout(None if stream.peer.name == MASTER else slave_api.DEADLINE):
+            async with asyncio.timeout(limit):
                 await serve_calls(stream, dispatch)
         finally:
             await executor.close()
 
-    def _take_revocations(self, peer: Identity, data: bytes, timestamp: bytes) -> object:
-        if peer.name != MASTER:
-            raise CallRefused(f"{REVOCATION_UPDATE} is for the master alone")
-        self._on_revocations(data, timestamp, peer)
+    def _take_push(self, peer: Identity, method: str, params: tuple[object, ...]) -> object:
+        if not self._agent.access.is_master(peer):
+            raise CallRefused(f"{method} is for the master alone")
+        self._on_push(method, params, peer)
         return [1, "", 0]
 
     # --- TCPROS

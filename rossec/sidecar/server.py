@@ -19,6 +19,7 @@ from rossec.home import NodeHome
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
 from rossec.participant.slave_api import without_caller
+from rossec.ros.names import MASTER
 from rossec.ros.settings import Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.agent import Agent
@@ -44,6 +45,7 @@ class Sidecar:
         each: programs with their own identity use that instead.
         port: of the loopback master; 0 for any.
         suites: cipher suites of the channel, offered and accepted.
+        master_name: the certified name of the secured master.
     """
 
     def __init__(
@@ -56,12 +58,14 @@ class Sidecar:
         each: bool = False,
         port: int = 0,
         suites: tuple[int, ...] = PRODUCTION,
+        master_name: str = MASTER,
     ) -> None:
         self._home = home
         self._settings = settings
         self._callers = callers
         self._each = each
         self._suites = suites
+        self._master_name = master_name
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
         self._master = self._bind_master(port)
@@ -140,8 +144,9 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._settings, self._callers, self.uri, self._half_open, self._suites
-            )
+                home, self._settings, self._callers, self.uri, self._half_open, self._suites,
+                self._master_name,
+            )  # fmt: skip
         return self._agents[home.name]
 
 

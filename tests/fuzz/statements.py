@@ -31,8 +31,8 @@ from rossec.channel.edhoc.known import KnownCertificates, reference
 from rossec.channel.edhoc.messages import decode_error, decode_message_1, decode_plaintext
 from rossec.discovery import announcement
 from rossec.master.rights import trl
-from rossec.participant.access import _unpack
 from rossec.participant.message_types import message_type
+from rossec.participant.token_opening import _unpack
 from tests.support.pki import NOW, Site
 from tests.support.wire import ALICE
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.certificates import Identity, build_request
+from ca.certificates import Identity, TrustAnchor, build_request
 from ca.domains.anchors import Anchors
 from ca.domains.lists import DomainList, ForeignDomain, sign_domains
 from ca.domains.standing import Standing
@@ -42,6 +42,11 @@ def domains(
     found = tuple(sorted(entries, key=lambda each: each.domain))
     listed = DomainList(1, seq, issued, issued + life, found, tuple(sorted(masters)))
     return sign_domains(KeySigner(home.key), listed, home.anchor.domain)
+
+
+def alone(anchor: TrustAnchor, own: Revocations) -> Standing:
+    """What a node knows that has no list of foreign domains."""
+    return Standing(Anchors(anchor), own)
 
 
 class SomeNode:

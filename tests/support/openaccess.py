@@ -6,6 +6,7 @@ from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec.participant.access import FIELD, Access
+from rossec.ros.names import MASTER
 
 PROOF = {FIELD: b"proof"}
 
@@ -20,6 +21,9 @@ class OpenAccess(Access):
     def present(self, right: Right, name: str, now: int) -> bytes:
         self.presented.append((right.label, name))
         return PROOF[FIELD]
+
+    def is_master(self, peer: Identity) -> bool:
+        return peer.name == MASTER
 
     def check_peer(self, peer: Identity, now: int) -> None:
         """Every peer is valid."""

@@ -18,7 +18,7 @@ from rossec.channel.edhoc.messages import (
 )
 from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, WireProtocol, first_bytes
 from rossec.channel.records import ChannelLimits, Frame
-from rossec.participant.access import MAX_GRANTS
+from rossec.participant.token_opening import MAX_GRANTS
 from rossec.ros import header
 from rossec.ros.xmlrpc import dump_call
 from tests.support.wire import NOW, Wire, alice, bob, wire

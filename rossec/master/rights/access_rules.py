@@ -81,6 +81,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "setParam": AccessRule(Scope.TREE, Right.PARAM_SET),
     "deleteParam": AccessRule(Scope.TREE, Right.PARAM_SET),
     "rossec.watchGraph": AccessRule(Scope.MASTER, Right.GRAPH),  # and the answer is filtered
+    "rossec.followSite": AccessRule(Scope.MASTER, Right.GRAPH),  # as above
     "rossec.presentGrants": AccessRule(Scope.OPEN),
     "rossec.renewGrants": AccessRule(Scope.MEMBER),  # only grants of the caller itself are renewed
     "rossec.renewIdentity": AccessRule(Scope.MEMBER),  # the request is signed with the key to renew

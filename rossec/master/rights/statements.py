@@ -16,7 +16,7 @@ from ca.domains.anchors import Anchors
 from ca.domains.standing import Standing
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signer import Signer
-from ca.revocation.state import Revocations
+from ca.revocation.state import Revocations, digest
 from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
@@ -226,6 +226,12 @@ class TrustState(ListInForce):
         """
         return self._delegate.take(data)
 
+    def list_digests(self) -> tuple[bytes, bytes]:
+        """The digests of the revocation list and of the list of domains; empty: none."""
+        held = self._revocations
+        own = b"" if held.current is None else digest(held.data)
+        return own, self.domains.digest()
+
     def _list_replaced(self, before: bytes) -> bool:
         """Reset what depends on the list; returns whether it differs from `before`."""
         self._revoked_grants = {
@@ -290,7 +296,7 @@ class TrustState(ListInForce):
             raise GrantNotHeld(
                 "the grant is bound to another key", f"it was issued to {grant.subject}"
             )
-        check_one_domain(grant, "", caller.certified or caller.name)
+        check_one_domain(grant, self._label_of(grant.domain), caller.certified or caller.name)
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:

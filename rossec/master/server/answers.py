@@ -15,6 +15,7 @@ from rossec.master.api.deposit_calls import WATCH_GRANTS, is_empty
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
+from rossec.master.api.site_calls import FOLLOW
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
@@ -75,6 +76,8 @@ class CallAnswers:
 
     def _query(self, call: PendingCall, work: Work) -> object:
         """Answer at once if one turn is enough."""
+        if call.method == FOLLOW:
+            self._state.site_polls.supersede(call.peer.thumbprint)
         outcome = advance(work, self._turns.begin())
         if outcome is None:
             return self._in_turns(call, work)
@@ -86,7 +89,10 @@ class CallAnswers:
         return await self._watch(call) if self._is_unchanged(call, answer) else answer
 
     async def _watch(self, call: PendingCall) -> object:
-        await self._state.graph_changes.wait(WATCH_WAIT)
+        if call.method == WATCH:
+            await self._state.graph_changes.wait(WATCH_WAIT)
+        else:
+            await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT)
         return await self._finish(call, self._begin(call))
 
     async def _watch_grants(self, call: PendingCall) -> object:
@@ -142,4 +148,4 @@ class CallAnswers:
 
     @staticmethod
     def _is_unchanged(call: PendingCall, answer: object) -> bool:
-        return call.method == WATCH and is_unchanged(answer)
+        return call.method in (WATCH, FOLLOW) and is_unchanged(answer, call.params[2])

@@ -124,6 +124,7 @@ class MasterServer:
             name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
         )  # fmt: skip
+        trust.domains.own_sites = state.imports.own_sites
         self._effects = Effects(
             state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
@@ -145,6 +146,16 @@ class MasterServer:
         """The value for ROS_MASTER_URI."""
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
+
+    @property
+    def context(self) -> SecureContext[Identity]:
+        """The master's own identity, to dial with."""
+        return self._context
+
+    @property
+    def effects(self) -> Effects:
+        """Delivers events that do not come from a call."""
+        return self._effects
 
     async def start(self) -> None:
         """Listen.
@@ -173,7 +184,7 @@ class MasterServer:
             imports=state.imports,
         )
         self._answers = CallAnswers(api, state, self._effects, self._turns)
-        self._maintenance.start(api.watch_calls.views.keep_only)
+        self._maintenance.start(api.keep_views)
 
     def _load_deposits(self) -> Deposits | None:
         file = self.state.deposit_file

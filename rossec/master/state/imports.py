@@ -146,6 +146,10 @@ class Imports:
             for _, held in sorted(self._sites.items())
         )
 
+    def own_sites(self) -> Collection[str]:
+        """The labels of the sites that are other masters of the own domain."""
+        return [label for label, held in self._sites.items() if not held.site.domain]
+
     def keys(self, kind: Kind) -> Collection[str]:
         """All imported names of one kind, also those that something hides."""
         return self._entries[kind].keys()

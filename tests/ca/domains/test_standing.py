@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from ca.domains.anchors import Anchors
-from ca.domains.standing import MAX_DELEGATES, Standing, is_master_name
+from ca.domains.standing import MAX_DELEGATES, Standing
 from ca.errors import (
     CertificateRefused,
     ClocksDisagree,
@@ -31,22 +31,6 @@ def pair() -> Pair:
 
 def take(pair: Pair, data: bytes, stamp: bytes, *chain: bytes, now: int = NOW) -> frozenset[bytes]:
     return pair.standing.take_foreign(DOMAIN, data, stamp, chain or [pair.master.leaf], now)
-
-
-@pytest.mark.parametrize(
-    ("name", "is_one"),
-    [
-        ("/master", True),
-        ("/master/kitchen", True),
-        ("/master/a/b", False),
-        ("/masters", False),
-        ("/ca", False),
-        ("master", False),
-        ("/remote/hospital/master", False),
-    ],
-)
-def test_names_of_masters(name: str, is_one: bool) -> None:
-    assert is_master_name(name) is is_one
 
 
 def test_a_foreigner_counts_after_its_masters_word(pair: Pair) -> None:

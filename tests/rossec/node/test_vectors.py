@@ -14,6 +14,7 @@ from grants.model import Right
 from rossec.participant.access import FIELD, Access
 from rossec.ros import header
 from rossec.ros.xmlrpc import load_call
+from tests.support.domains import alone
 from tests.support.site import Site
 from tests.vectors import make_grants, make_wire
 
@@ -47,7 +48,7 @@ def fresh(site: Site) -> Revocations:
 def test_the_connection_headers_of_the_vectors(site: Site, vector: dict[str, Any]) -> None:
     anchor = replace(site.anchor, public_key=make_grants.CA.public_key)
     peer = replace(site.identity("/heating"), thumbprint=make_grants.DRAFT.holder)
-    access, shown = Access(anchor, fresh(site)), bytes.fromhex(vector["data"])
+    access, shown = Access(alone(anchor, fresh(site))), bytes.fromhex(vector["data"])
     if vector["verdict"] == "enough":
         decision = access.authorize(peer, shown, Right.SUBSCRIBE, TOPIC, NOW)
         assert decision.expires == make_grants.DRAFT.expires

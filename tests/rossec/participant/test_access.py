@@ -16,8 +16,9 @@ from grants.errors import (
     GrantRevoked,
 )
 from grants.model import Right
-from rossec.participant import access
+from rossec.participant import token_opening
 from rossec.participant.access import Access
+from tests.support.domains import alone
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -42,7 +43,7 @@ def revocations(site: Site, now: int = NOW) -> Revocations:
 
 
 def authorize(site: Site, presented: bytes | None, *, topic: str = TOPIC, now: int = NOW) -> None:
-    Access(site.anchor, revocations(site, now)).authorize(
+    Access(alone(site.anchor, revocations(site, now))).authorize(
         site.identity("/viewer"), presented, Right.SUBSCRIBE, topic, now
     )
 
@@ -82,7 +83,7 @@ def test_a_grant_of_another_key_is_refused(site: Site) -> None:
 
 def test_an_expired_grant_is_refused_although_it_was_verified_before(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC, lifetime=5)
-    own = Access(site.anchor, revocations(site))
+    own = Access(alone(site.anchor, revocations(site)))
     viewer = site.identity("/viewer")
     own.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 1)
     with pytest.raises(GrantExpired):
@@ -111,7 +112,7 @@ def test_a_peer_with_a_revoked_key_is_refused(site: Site) -> None:
 
 def test_every_peer_is_refused_while_revocations_are_stale(site: Site) -> None:
     grant = site.subscribe("/viewer", TOPIC)
-    own = Access(site.anchor, revocations(site))
+    own = Access(alone(site.anchor, revocations(site)))
     with pytest.raises(RevocationsStale):
         own.authorize(site.identity("/viewer"), field(grant), Right.SUBSCRIBE, TOPIC, NOW + 60)
 
@@ -124,7 +125,7 @@ def test_every_peer_is_refused_while_revocations_are_stale(site: Site) -> None:
         (encode({1: b"x"}), "expected a list"),
         (encode([b"x"] * 17), "expected a list of at most 16"),
         (encode([b"x", "y"]), "an item that is not bytes"),
-        (encode([b"x" * (access.MAX_PRESENTED + 1)]), "unreadable list"),
+        (encode([b"x" * (token_opening.MAX_PRESENTED + 1)]), "unreadable list"),
     ],
 )
 def test_a_malformed_list_of_grants_is_refused(site: Site, presented: bytes, said: str) -> None:
@@ -134,23 +135,11 @@ def test_a_malformed_list_of_grants_is_refused(site: Site, presented: bytes, sai
 
 def test_only_grants_that_cover_the_request_are_presented(site: Site) -> None:
     pose, camera = site.subscribe("/viewer", TOPIC), site.subscribe("/viewer", "/robot/camera")
-    own = Access(site.anchor, revocations(site), [pose])
+    own = Access(alone(site.anchor, revocations(site)), [pose])
     own.hold(camera)
     assert set(own.current(NOW)) == {pose, camera}
     assert own.present(Right.SUBSCRIBE, TOPIC, NOW) == field(pose)
     assert own.present(Right.PUBLISH, TOPIC, NOW) == field()
-
-
-def test_the_cache_of_verified_grants_is_bounded(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(access, "CACHE_SIZE", 2)
-    own = Access(site.anchor, revocations(site))
-    viewer = site.identity("/viewer")
-    for _ in range(4):
-        grant = site.subscribe("/viewer", TOPIC)
-        own.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW)
-    assert len(own._verified) == 2
 
 
 def test_a_refused_grant_does_not_affect_a_valid_one(site: Site) -> None:
@@ -169,9 +158,9 @@ def test_expired_grants_are_not_presented_and_their_number_is_bounded(site: Site
     revoked = site.subscribe("/viewer", TOPIC, lifetime=10_000)
     site.revoke(revoked)
     later = [site.subscribe("/viewer", TOPIC, lifetime=100 + n) for n in range(20)]
-    own = Access(site.anchor, revocations(site), [ended, revoked, *later])
+    own = Access(alone(site.anchor, revocations(site)), [ended, revoked, *later])
     shown = own.present(Right.SUBSCRIBE, TOPIC, NOW)
-    assert shown == field(*reversed(later[-access.MAX_GRANTS :]))
+    assert shown == field(*reversed(later[-token_opening.MAX_GRANTS :]))
     authorize(site, shown)
     assert own.current(NOW) == later[::-1]
 
@@ -192,7 +181,7 @@ async def test_the_hint_for_a_master_without_a_list_names_the_commands_that_make
 def test_a_list_without_a_timestamp_makes_revocations_stale(site: Site) -> None:
     """The master answers so to a revoked identity: the list is used, nothing else is trusted."""
     held, saved = revocations(site), list[bytes]()
-    own = Access(site.anchor, held)
+    own = Access(alone(site.anchor, held))
     master = site.identity("/master")
     held.check_fresh(NOW)
     signed = site.revoke(bytes(32))
@@ -210,7 +199,7 @@ def test_a_list_without_a_timestamp_makes_revocations_stale(site: Site) -> None:
 def test_stale_revocations_do_not_hide_a_revoked_intermediate(site: Site) -> None:
     """Otherwise a master below it would end the staleness with its own timestamp."""
     held = revocations(site)
-    own, above = Access(site.anchor, held), bytes(32)
+    own, above = Access(alone(site.anchor, held)), bytes(32)
     master = replace(site.identity("/master"), issuers=(above,))
     own.check_peer(master, NOW)
     held.update(site.revoke(above), NOW)

@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 
+from ca.domains.standing import Standing
 from ca.revocation.state import Revocations, Timestamp, digest
 from rossec.clock import Clock
 from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.participant.connections import STALE_GRACE, AuthorizedConnection, ConnectionTable
+from tests.support.domains import alone
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -27,7 +29,9 @@ class FakeStream:
 
     def __init__(self, name: str = "/viewer", ends: int = NOW + 1000) -> None:
         self.reasons: list[str] = []
-        self.peer: Any = SimpleNamespace(name=name, keys=(KEY, ABOVE), not_after=ends)
+        self.peer: Any = SimpleNamespace(
+            name=name, keys=(KEY, ABOVE), not_after=ends, domain="home", is_foreign=False
+        )
         self.on_closed: Callable[[], None] = lambda: None
 
     def abort(self, reason: str) -> None:
@@ -42,7 +46,7 @@ Connection = AuthorizedConnection[FakeStream, None]
 
 def make_connection(ends: int = NOW + 1000, keep: bool = False) -> Connection:
     decision: Any = SimpleNamespace(
-        grant_ids=(GRANT,), keep_when_stale=keep, expires=ends, name="/word"
+        grant_ids=(GRANT,), grants=(), keep_when_stale=keep, expires=ends, name="/word"
     )
     return AuthorizedConnection(FakeStream(), decision, None)
 
@@ -67,28 +71,30 @@ def revocations(site: Site) -> Revocations:
     return held
 
 
+def standing(site: Site) -> Standing:
+    return alone(site.anchor, revocations(site))
+
+
 def test_a_valid_connection_stays_open(site: Site) -> None:
-    assert make_connection().termination_reason(revocations(site), NOW) is None
+    assert make_connection().termination_reason(standing(site), NOW) is None
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_connection_is_closed_in_the_second_it_expires(site: Site, late: int) -> None:
-    assert make_connection(ends=NOW).termination_reason(revocations(site), NOW - 1) is None
-    reason = make_connection(ends=NOW).termination_reason(revocations(site), NOW + late)
+    assert make_connection(ends=NOW).termination_reason(standing(site), NOW - 1) is None
+    reason = make_connection(ends=NOW).termination_reason(standing(site), NOW + late)
     assert reason == "its grant or its certificate has expired"
 
 
 @pytest.mark.parametrize("entry", [GRANT, KEY, ABOVE])
 def test_a_revoked_grant_or_key_closes_the_connection(site: Site, entry: bytes) -> None:
     site.authority.revoke(entry, "", NOW)
-    assert (
-        make_connection().termination_reason(revocations(site), NOW) == f"{entry.hex()} is revoked"
-    )
+    assert make_connection().termination_reason(standing(site), NOW) == f"{entry.hex()} is revoked"
 
 
 def test_a_connection_outlives_stale_revocations_for_the_grace_period(site: Site) -> None:
-    held = revocations(site)
-    last = held.fresh_until + STALE_GRACE
+    held = standing(site)
+    last = held.own.fresh_until + STALE_GRACE
     assert make_connection().termination_reason(held, last - 1) is None
     assert "the last confirmation expired" in (
         make_connection().termination_reason(held, last) or ""
@@ -96,14 +102,14 @@ def test_a_connection_outlives_stale_revocations_for_the_grace_period(site: Site
 
 
 def test_a_connection_is_closed_without_a_revocation_list(site: Site) -> None:
-    never = Revocations(site.anchor.public_key)
+    never = alone(site.anchor, Revocations(site.anchor.public_key))
     assert make_connection().termination_reason(never, NOW) is not None
 
 
 def test_a_connection_with_on_stale_keep_ends_by_revocation_or_expiry_only(site: Site) -> None:
-    never = Revocations(site.anchor.public_key)
-    held = revocations(site)
-    long_after = held.fresh_until + 10 * STALE_GRACE
+    never = alone(site.anchor, Revocations(site.anchor.public_key))
+    held = standing(site)
+    long_after = held.own.fresh_until + 10 * STALE_GRACE
     assert make_connection(keep=True).termination_reason(never, NOW) is None
     assert (
         make_connection(ends=long_after + 1, keep=True).termination_reason(held, long_after) is None
@@ -111,25 +117,25 @@ def test_a_connection_with_on_stale_keep_ends_by_revocation_or_expiry_only(site:
     assert make_connection(keep=True).termination_reason(held, NOW + 1000) is not None
     site.authority.revoke(GRANT, "", NOW)
     assert make_connection(ends=long_after + 1, keep=True).termination_reason(
-        revocations(site), long_after
+        standing(site), long_after
     ) == (f"{GRANT.hex()} is revoked")
 
 
 def test_a_revoked_grant_closes_the_connection_during_the_grace_period(site: Site) -> None:
     site.authority.revoke(GRANT, "", NOW)
-    held = revocations(site)
+    held = standing(site)
     assert (
-        make_connection().termination_reason(held, held.fresh_until + 1)
+        make_connection().termination_reason(held, held.own.fresh_until + 1)
         == f"{GRANT.hex()} is revoked"
     )
 
 
-def table(held: Revocations, lock: Any = None, most: int = 2) -> ConnectionTable[FakeStream]:
+def table(held: Standing, lock: Any = None, most: int = 2) -> ConnectionTable[FakeStream]:
     return ConnectionTable(held, lock or nullcontext(), most)
 
 
 def test_a_connection_is_in_the_table_while_the_block_runs(site: Site) -> None:
-    connections, connection = table(revocations(site)), make_connection()
+    connections, connection = table(standing(site)), make_connection()
     with connections.track(connection):
         assert list(connections) == [connection]
         assert connections.next_expiry == connection.ends == NOW + 1000
@@ -139,11 +145,11 @@ def test_a_connection_is_in_the_table_while_the_block_runs(site: Site) -> None:
 
 
 def test_an_empty_table_has_no_expiry(site: Site) -> None:
-    assert table(revocations(site)).next_expiry is None
+    assert table(standing(site)).next_expiry is None
 
 
 def test_a_connection_that_must_end_is_not_added(site: Site) -> None:
-    connections, connection = table(revocations(site)), make_connection(ends=NOW - 1)
+    connections, connection = table(standing(site)), make_connection(ends=NOW - 1)
     with pytest.raises(ChannelClosed, match="has expired"), connections.track(connection):
         pytest.fail("it began")
     assert list(connections) == []
@@ -169,8 +175,8 @@ class ListChanges:
 @pytest.mark.parametrize("cut_first", [True, False])
 def test_a_revocation_during_the_admission_cuts_the_connection(site: Site, cut_first: bool) -> None:
     """The list changes when the connection is in the table, and not checked yet."""
-    held = revocations(site)
-    lock = ListChanges(site, held)
+    held = standing(site)
+    lock = ListChanges(site, held.own)
     connections, connection = table(held, lock), make_connection()
     if cut_first:
         lock.on_changed = lambda: connections.cut_ended(NOW)
@@ -182,7 +188,7 @@ def test_a_revocation_during_the_admission_cuts_the_connection(site: Site, cut_f
 
 def test_no_connection_of_another_thread_outlives_a_revocation(site: Site) -> None:
     held, lock = revocations(site), RLock()
-    connections = table(held, lock)
+    connections = table(alone(site.anchor, held), lock)
     admitted: list[Connection] = []
     revoked = Event()
 
@@ -209,7 +215,7 @@ def test_no_connection_of_another_thread_outlives_a_revocation(site: Site) -> No
 
 
 def test_what_must_end_is_cut_once(site: Site, caplog: pytest.LogCaptureFixture) -> None:
-    held = revocations(site)
+    held = standing(site)
     connections = table(held)
     expired, valid = make_connection(ends=NOW + 5), make_connection()
     connections.add(expired)
@@ -223,7 +229,7 @@ def test_what_must_end_is_cut_once(site: Site, caplog: pytest.LogCaptureFixture)
 
 
 def test_a_closed_table_admits_nothing(site: Site) -> None:
-    connections = table(revocations(site))
+    connections = table(standing(site))
     before, after = make_connection(), make_connection()
     connections.add(before)
     connections.close("a task failed")
@@ -234,7 +240,7 @@ def test_a_closed_table_admits_nothing(site: Site) -> None:
 
 
 def test_the_connections_of_one_peer_are_limited(site: Site) -> None:
-    connections = table(revocations(site))
+    connections = table(standing(site))
     eve, other = site.identity("/eve"), site.identity("/other")
     for peer in (eve, other, "10.0.0.1", "10.0.0.2"):
         for number in range(2):
@@ -249,7 +255,7 @@ def test_the_connections_of_one_peer_are_limited(site: Site) -> None:
 
 def test_every_connection_of_a_revoked_identity_is_cut(site: Site) -> None:
     """For whatever purpose it was accepted; plain peers have no identity."""
-    held = revocations(site)
+    held = standing(site)
     connections = table(held, most=3)
     eve = replace(site.identity("/eve"), issuers=(ABOVE,))
     reasons: dict[str, list[str]] = {"eve": [], "other": [], "plain": []}
@@ -258,7 +264,7 @@ def test_every_connection_of_a_revoked_identity_is_cut(site: Site) -> None:
     connections.accept(3, "10.0.0.1", reasons["plain"].append)
     connections.cut_ended(NOW)
     assert reasons == {"eve": [], "other": [], "plain": []}
-    held.update(site.revoke(ABOVE), NOW)
+    held.own.update(site.revoke(ABOVE), NOW)
     connections.cut_ended(NOW)
     assert reasons == {"eve": ["the peer's identity is revoked"], "other": [], "plain": []}
 
@@ -268,7 +274,7 @@ async def test_accepted_streams_are_served_within_the_limit(
     site: Site, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The master may have more; a connection counts until its socket is closed."""
-    connections = table(revocations(site))
+    connections = table(standing(site))
     peer, served = site.identity(name), []
 
     async def handler(stream: Any) -> None:

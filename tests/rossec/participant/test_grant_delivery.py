@@ -40,12 +40,11 @@ class Robot:
         self.site = Site(root / "site")
         self.home = self.site.enroll("/robot")
         loaded = self.loaded = LoadedIdentity(self.home, "/robot")
-        self.access = Access(loaded.anchor, loaded.revocations)
+        self.access = Access(loaded.standing)
         self.directory = GrantDirectory(self.home, self.access)
         self.delivery = GrantDelivery(
-            loaded.anchor, loaded.identity.thumbprint, loaded.revocations, self.access,
-            self.directory,
-        )  # fmt: skip
+            loaded.standing, loaded.identity.thumbprint, self.access, self.directory
+        )
         self.answers: list[Any] = []
         self.asked: list[tuple[str, bytes]] = []
         self.open = True

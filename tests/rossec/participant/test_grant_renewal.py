@@ -32,6 +32,7 @@ from rossec.participant.grant_renewal import (
     renew,
 )
 from tests.support.authority import DAY, EnrolledNode, Site
+from tests.support.domains import alone
 
 HOUR = 3600
 P = {"/t": Right.PUBLISH}
@@ -45,7 +46,7 @@ class World:
         self.now = self.site.now
         self.master, self.node = self.site.enroll("/master"), self.site.enroll("/node")
         self.revocations = Revocations(self.site.anchor.public_key)
-        self.access = Access(self.site.anchor, self.revocations)
+        self.access = Access(alone(self.site.anchor, self.revocations))
         self.renewals = Renewals(self.access)
         self.list = b""
         self.at(0, self.site.revoke())
@@ -254,6 +255,6 @@ def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:
 def test_a_peer_that_does_not_know_the_master_refuses_a_renewed_grant(tmp_path: Path) -> None:
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
-    other = Access(world.site.anchor, world.revocations)
+    other = Access(alone(world.site.anchor, world.revocations))
     with pytest.raises(GrantError, match="the master's key is not known"):
         other.hold_renewed(token, int(time.time()))

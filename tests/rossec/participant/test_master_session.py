@@ -95,6 +95,9 @@ async def test_another_node_at_the_address_is_not_the_master(tmp_path: Path) -> 
         session, restored = session_of(site, "/robot", parse_uri(other.uri)[1])
         with pytest.raises(ConfigurationError, match="is /other, not /master") as caught:
             await session.open()
-        assert (caught.value.hint, restored) == ("check ROS_MASTER_URI", [])
+        assert (caught.value.hint, restored) == (
+            "check ROS_MASTER_URI, and ROSSEC_MASTER if there are several masters",
+            [],
+        )
         with pytest.raises(RossecError, match="the master is out of reach"):
             await session.call("getUri")

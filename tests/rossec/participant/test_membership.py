@@ -39,7 +39,7 @@ class Form:
     def __init__(self, site: Site) -> None:
         self.site = site
         self.loaded = LoadedIdentity(site.enroll("/robot"), "/robot")
-        self.access = Access(self.loaded.anchor, self.loaded.revocations)
+        self.access = Access(self.loaded.standing)
         context = SecureContext(self.loaded.live_credentials, self.loaded.anchor.verify)
         self.dialer = Dialer("/robot", context, self.access.check_peer)
         self.grace = PublisherGrace(clock.counter())

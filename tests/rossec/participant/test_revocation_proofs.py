@@ -17,6 +17,7 @@ from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
 from tests.rossec.participant.test_connections import make_connection
 from tests.support.authority import Site as Authority
+from tests.support.domains import alone
 from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import Site
 from tests.support.witness import until
@@ -26,8 +27,13 @@ HERE, ABSENT = (1).to_bytes(16), b"x" * 16
 
 
 @pytest.fixture
-def held() -> Revocations:
-    site = Authority(now=int(time.time()))
+def authority() -> Authority:
+    return Authority(now=int(time.time()))
+
+
+@pytest.fixture
+def held(authority: Authority) -> Revocations:
+    site = authority
     tree = RevocationTree(1, 1, site.now, site.now + 5000, *LISTING.size_and_root)
     data = sign_tree(site.signer, tree)
     revocations = site.revocations()
@@ -85,16 +91,17 @@ async def test_an_entry_without_a_valid_proof_stays_unknown(
 
 
 def test_a_connection_without_a_proof_has_the_same_grace_period_as_without_timestamps(
-    held: Revocations,
+    held: Revocations, authority: Authority
 ) -> None:
+    standing = alone(authority.anchor, held)
     now = int(time.time())
     last = held.status_valid_until(b"g" * 16) + STALE_GRACE
     connection = make_connection(ends=last + 99)
-    assert connection.termination_reason(held, now) is None
+    assert connection.termination_reason(standing, now) is None
     assert held.current is not None
     held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # but no new proof
-    assert connection.termination_reason(held, last - 1) is None
-    assert "no proof" in (connection.termination_reason(held, last) or "")
+    assert connection.termination_reason(standing, last - 1) is None
+    assert "no proof" in (connection.termination_reason(standing, last) or "")
 
 
 @pytest.fixture

@@ -29,6 +29,11 @@ class Node:
             raise RollbackRefused("older than one seen")
         self.received.append((revocations, timestamp, master.name))
 
+    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
+        if params == (b"older",):
+            raise RollbackRefused("older than one seen")
+        self.received.append((method, *params, master.name))
+
     def shutdown_requested(self, reason: str) -> None:
         self.received.append((reason,))
 

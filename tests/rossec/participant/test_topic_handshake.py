@@ -13,6 +13,7 @@ from rossec.participant.access import Access
 from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import message_type
 from rossec.participant.topic_handshake import TopicEndpoint
+from tests.support.domains import alone
 from tests.support.openaccess import OpenAccess
 from tests.support.site import Site
 
@@ -37,7 +38,7 @@ class Pair:
         assert data is not None
         held.update(data, NOW)
         held.confirm(Timestamp(1, digest(data), NOW, 30), NOW)
-        return Access(site.anchor, held, site.enroll(name).grants())
+        return Access(alone(site.anchor, held), site.enroll(name).grants())
 
     def request(self) -> Fields:
         return topic_handshake.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)

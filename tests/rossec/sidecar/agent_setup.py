@@ -13,6 +13,7 @@ from rossec.sidecar.core.endpoints import EndpointMap
 from rossec.sidecar.core.events import Event
 from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.host_types import known_type
+from tests.support.domains import alone
 from tests.support.site import Site
 
 Outcome = TypeVar("Outcome")
@@ -70,4 +71,4 @@ class AgentSetup:
         held.update(data, now)
         assert held.current is not None
         held.confirm(Timestamp(held.current.seq, digest(data), now, 30), now)
-        return Access(self.site.anchor, held, self.site.enroll(name).grants())
+        return Access(alone(self.site.anchor, held), self.site.enroll(name).grants())
