@@ -117,6 +117,7 @@ class Effects:
 
     Attributes:
         stopping: set by `StopMaster`.
+        on_new_lists: called when a newer list is in force, whoever delivered it.
         list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
     """
 
@@ -133,6 +134,7 @@ class Effects:
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
         self.list_changed: Final = asyncio.Event()
+        self.on_new_lists: Final[list[Callable[[], None]]] = []
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
@@ -196,6 +198,8 @@ class Effects:
                 _audit.info("%s delivered list of domains %d", by, trust.domains.number)
                 self._enforce_list()
                 self.send_domains()
+        for tell in self.on_new_lists:
+            tell()
 
     def _record(self, event: _Recorded) -> None:
         match event:

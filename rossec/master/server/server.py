@@ -151,6 +151,16 @@ class MasterServer:
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
 
+    @property
+    def context(self) -> SecureContext[Identity]:
+        """The master's own identity, to dial with."""
+        return self._context
+
+    @property
+    def effects(self) -> Effects:
+        """Delivers events that do not come from a call."""
+        return self._effects
+
     async def start(self) -> None:
         """Listen.
 
