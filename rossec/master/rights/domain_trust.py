@@ -35,6 +35,15 @@ PersistForeign = Callable[[str, bytes], None]
 """Makes the revocation list of a foreign domain durable."""
 
 
+LoadForeign = Callable[[str], bytes | None]
+"""The newest revocation list that was saved of a foreign domain; None: there is none."""
+
+
+def nothing_saved(_domain: str) -> bytes | None:
+    """No list was saved."""
+    return None
+
+
 def discard_foreign(_domain: str, _data: bytes) -> None:
     """Persist nothing."""
 
@@ -58,6 +67,7 @@ class DomainTrust:
         standing: of this master; shared with nobody else.
         persist: makes a list of domains durable; called before it takes effect.
         persist_foreign: the same for a foreign revocation list.
+        load_foreign: finds a saved one when its domain is listed (again): no older one counts.
 
     Attributes:
         generation: grows with every change of what is trusted or revoked elsewhere.
@@ -69,11 +79,13 @@ class DomainTrust:
         standing: Standing,
         persist: Callable[[bytes], None] = discard,
         persist_foreign: PersistForeign = discard_foreign,
+        load_foreign: LoadForeign = nothing_saved,
     ) -> None:
         self.standing: Final = standing
         self.anchors: Final = standing.anchors
         self._persist = persist
         self._persist_foreign = persist_foreign
+        self._load_foreign = load_foreign
         self.generation = 0
         self.own_sites: Callable[[], Iterable[str]] = tuple
         self._own_masters: frozenset[bytes] = frozenset()
@@ -114,10 +126,6 @@ class DomainTrust:
             if self._data(domain) != before:
                 self._proofs.pop(domain, None)
                 self.generation += 1
-
-    def restore(self, domain: str, revocations: bytes, now: int) -> bool:
-        """Take a saved list, not confirmed; returns whether it is of the present root."""
-        return self.standing.restore(domain, revocations, now)
 
     def word(self, domain: str) -> ForeignWord:
         """The newest list of a foreign domain, and the last word on it, as far as there is one."""
@@ -262,6 +270,11 @@ class DomainTrust:
         for domain in ended:
             for held in (self._words, self._proofs, self._wanted):
                 held.pop(domain, None)
+        for listed in self.anchors.all_listed:
+            domain = listed.entry.domain
+            saved = None if self._data(domain) else self._load_foreign(domain)
+            if saved is not None:
+                self.standing.restore(domain, saved, 0)  # 0: of a tree nothing is proved
         self._own_masters = frozenset(map(thumbprint, self.anchors.masters))
         self._exports = {each.entry.domain: _exported(each) for each in self.anchors.all_listed}
         self.generation += 1
