@@ -293,7 +293,9 @@ class TrustState(ListInForce):
             raise GrantNotHeld(
                 "the grant is bound to another key", f"it was issued to {grant.subject}"
             )
-        check_one_domain(grant, self._label_of(grant.domain), caller.certified or caller.name)
+        check_one_domain(
+            grant, self.domains.label_of(grant.domain), caller.certified or caller.name
+        )
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
