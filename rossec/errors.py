@@ -228,3 +228,11 @@ class AnnouncementRefused(RossecError):
 
 class MasterNotFound(RossecError):
     """No announcement of a master of this trust domain was received."""
+
+
+class FederationError(RossecError):
+    """A step that following another master does not have."""
+
+
+class SiteRefused(RossecError):
+    """Another master than the one to follow, or one that may not be followed from here."""

@@ -36,6 +36,10 @@ _TABLE: Final = {
         "policy.explain:explain",
         "Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why.",
     ),
+    "federation": (
+        "federation.group:federation",
+        "Follow other masters: of the own domain, and of domains that are trusted.",
+    ),
     "grant": ("grant.group:grant", "Sign, show and revoke grants."),
     "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
     "master": ("master.group:master", "Run the master, as the node /master."),

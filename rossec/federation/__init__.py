@@ -1,1 +1,1 @@
-"""Masters of masters, and the gateway of a site. Reserved: nothing is here yet."""
+"""Masters that follow each other: a mesh of one domain, and masters of foreign domains."""

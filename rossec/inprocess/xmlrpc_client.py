@@ -203,9 +203,18 @@ class XmlRpcClient:
                 self._process.local_identity.access.check_peer(stream.peer, now())
             self._present_grants(method, stream, address[0])
             answer = load_response(_exchange(stream, address[0], request))
-            return answer if stream.peer is None else _in_local_names(stream.peer, method, answer)
+            return answer if stream.peer is None else self._here(stream.peer, method, answer)
         finally:
             stream.close()
+
+    def _here(self, peer: Identity, method: str, answer: object) -> object:
+        """An answer in local names."""
+        match answer:
+            case [1, status, value]:
+                domain = self._process.local_identity.identity.domain
+                return [1, status, answer_here(peer, domain, method, value)]
+            case _:
+                return answer
 
     def _present_grants(self, method: str, stream: Stream, host: str) -> None:
         """Present the grants that a slave call needs; its answer tells whether they suffice."""
@@ -229,14 +238,6 @@ def _named_on_wire(method: str, params: Params) -> Params:
             return (caller, origin_of(topic), *rest)
         case _:
             return params
-
-
-def _in_local_names(peer: Identity, method: str, answer: object) -> object:
-    match answer:
-        case [1, status, value]:
-            return [1, status, answer_here(peer, method, value)]
-        case _:
-            return answer
 
 
 def _uri_of(proxy: Any) -> str:

@@ -54,7 +54,7 @@ class GraphView:
                 "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
                 "added": list() as added, "removed": list() as removed,
             }:  # fmt: skip
-                new, old = _facts(added), _facts(removed)
+                new, old = facts_of(added), facts_of(removed)
             case _:
                 raise AnswerMalformed("a graph update that is malformed")
         base = frozenset() if whole else self.facts
@@ -67,7 +67,12 @@ class GraphView:
         )
 
 
-def _facts(rows: list[object]) -> frozenset[Fact]:
+def facts_of(rows: list[object]) -> frozenset[Fact]:
+    """The facts in a part of an answer.
+
+    Raises:
+        AnswerMalformed: something else.
+    """
     found: set[Fact] = set()
     for row in rows:
         match row:

@@ -3,16 +3,26 @@
 Inside, towards programs and towards the master, a name of another origin is an alias below
 `/remote`; on every wire to a peer stands the origin's name, and an alias that arrives from one is
 refused. A foreign node calls itself by its certified name, which programs get as its alias: they
-have no other way to tell it from a node of the same name here. What a foreign node says of names
-that are foreign to it is left out, and so is what this node would tell it of others' names.
+have no other way to tell it from a node of the same name here. In answers about itself a node tells
+a foreign caller its own names, and those of the caller's domain as `DOMAIN:/name`; those of a third
+domain it leaves out.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import REMOTE, alias_of, is_alias, origin_of, shown, split_alias
+from ca.domains.aliases import (
+    REMOTE,
+    alias_of,
+    is_alias,
+    origin_of,
+    refuse_alias,
+    shown,
+    split_alias,
+)
 from ca.errors import NameRefused
+from ca.names import check_name
 from rossec.errors import ConfigurationError
 from rossec.participant.header_fields import Fields, text
 
@@ -84,26 +94,40 @@ def caller_here(peer: Identity, caller: str) -> str:
     return peer.name if peer.is_foreign else caller
 
 
-def answer_here(peer: Identity, method: str, value: object) -> object:
-    """A peer's answer about itself in local names: a foreign one says its own."""
-    found = split_alias(peer.name) if peer.is_foreign else None
-    if found is None:
+def answer_here(peer: Identity, domain: str, method: str, value: object) -> object:
+    """The answer of `peer` about itself in local names; `domain` is this node's."""
+    label = _label(peer)
+    if label is None:
         return value
-    label, _ = found
-    return _renamed(method, value, lambda name: alias_of(label, name))
+
+    def local(name: str) -> str:
+        own = name.removeprefix(f"{domain}:")
+        return alias_of(label, name) if own == name else refuse_alias(check_name(own))
+
+    return _renamed(method, value, local)
 
 
 def answer_for(peer: Identity, method: str, value: object) -> object:
-    """This node's answer about itself for a peer: a foreign one gets no names of others."""
-    if not peer.is_foreign:
+    """This node's answer about itself for `peer`."""
+    label = _label(peer)
+    if label is None:
         return value
-    return [[], [], []] if method == "getBusStats" else _renamed(method, value, _own_name)
+
+    def written(name: str) -> str:
+        found = split_alias(name)
+        if found is None:
+            return name
+        if found[0] != label:
+            raise NameRefused(f"{shown(name)} is not of the caller's domain")
+        return f"{peer.domain}:{found[1]}"
+
+    return [[], [], []] if method == "getBusStats" else _renamed(method, value, written)
 
 
-def _own_name(name: str) -> str:
-    if is_alias(name):
-        raise NameRefused(f"{shown(name)} is not of this domain")
-    return name
+def _label(peer: Identity) -> str | None:
+    """What the domain of a foreign peer is called here; None: it is of the own one."""
+    found = split_alias(peer.name) if peer.is_foreign else None
+    return None if found is None else found[0]
 
 
 def _renamed(method: str, value: object, rename: Rename) -> object:

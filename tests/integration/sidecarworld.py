@@ -109,7 +109,7 @@ class World:
             shutil.copytree(self.site.root, self.home)
         command = "env", f"ROSSEC_HOME={self.home or self.site.root}", ROSSEC, "master"
         with self.started(self.hosts.near, *command, "-p", str(self.port), *options) as running:
-            running.wait_for("master of home at")
+            running.wait_for(f"master of {self.site.anchor.domain} at")
             yield running
 
     def secured(

@@ -25,6 +25,7 @@ class EnrolledNode:
 
     identity: Identity
     credentials: Credentials
+    signer: KeySigner
 
     @property
     def name(self) -> str:
@@ -50,13 +51,16 @@ class Site:
         self._numbers = itertools.count(1)
 
     def enroll(self, name: str, *, wildcard: bool = False) -> EnrolledNode:
-        signer = KeySigner(generate())
+        return self.certify(name, KeySigner(generate()), wildcard=wildcard)
+
+    def certify(self, name: str, signer: KeySigner, *, wildcard: bool = False) -> EnrolledNode:
+        """Certify a key that there is."""
         request = build_request(signer, self.domain, name)
         certificate = self.authority.issue(
             request, now=self.now, serial=secrets.randbits(127), wildcard=wildcard
         )
         identity = self.anchor.verify([certificate], self.now)
-        return EnrolledNode(identity, Credentials(signer, (certificate,)))
+        return EnrolledNode(identity, Credentials(signer, (certificate,)), signer)
 
     def grant(
         self,

@@ -1,8 +1,12 @@
 """Sites of `site.Site` that trust each other, or one the other, as the command makes it."""
 
+import secrets
 from collections.abc import Sequence
 
-from ca.domains.lists import ForeignDomain, NameRights
+from ca.domains.aliases import alias_of
+from ca.domains.lists import ForeignDomain, NameRights, open_domains
+from grants import document
+from grants.model import Draft, Permission, Restriction, Right
 from tests.support.site import DAY, HOUR, Site
 
 
@@ -38,3 +42,35 @@ def newest(site: Site) -> bytes:
     """The list of domains that `site` has to have now, signed."""
     site.authority.sign_domains(site.now())
     return site.authority.store.domains.newest_list()
+
+
+def share(
+    origin: Site,
+    holder: Site,
+    name: str,
+    right: Right,
+    pattern: str,
+    restriction: Restriction | None = None,
+) -> bytes:
+    """Give a node of `holder` a right on names of `origin`; the grant is put into its home."""
+    label = next(
+        each.label for each in open_domains(newest(origin), origin.anchor).domains
+        if each.domain == holder.anchor.domain
+    )  # fmt: skip
+    now = origin.now()
+    draft = Draft(
+        domain=origin.anchor.domain, subject=alias_of(label, name),
+        holder=holder.identity(name).thumbprint, not_before=now - 60, expires=now + DAY,
+        cap=now + DAY, serial=secrets.token_bytes(16),
+        permissions=(Permission(pattern, right, restriction),),
+    )  # fmt: skip
+    data = document.sign(origin.authority.signer, draft)
+    holder.enroll(name).add_grant(document.grant_id(data), data)
+    return data
+
+
+def carry(site: Site) -> None:
+    """Put the newest list of domains into the home of every node, as delivered."""
+    data = newest(site)
+    for node in (site.root / "nodes").rglob("node.pem"):
+        (node.parent / "domains.cose").write_bytes(data)

@@ -5,9 +5,9 @@ from typing import Final
 import click
 
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.environment import own_master
 from rossec.home import NodeHome
 from rossec.master.operation.admin import send_command
-from rossec.ros.names import MASTER
 from rossec.terminal import printable, say, say_json
 
 ADMIN_SOCKET: Final = "admin.sock"
@@ -35,4 +35,4 @@ def stop(environment: Environment) -> None:
 
 
 def _home(environment: Environment) -> NodeHome:
-    return NodeHome.of(environment.home, MASTER)
+    return NodeHome.of(environment.home, own_master(environment.variables))

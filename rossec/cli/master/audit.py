@@ -7,12 +7,12 @@ import click
 from ca.keys.publickey import thumbprint
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.clock import format_time
+from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome
 from rossec.operation import audit as audits
 from rossec.operation.audit_mark import check_beginning
-from rossec.ros.names import MASTER
 from rossec.terminal import note, printable, say
 
 AUDIT = "audit.log"
@@ -44,7 +44,7 @@ def audit(
     With --ca: what the authority's service signed, and for whom. FILES are the audit in the order
     of its parts, by default the one that is written now.
     """
-    writer, usual = _usual(environment.home, of_authority=of_authority)
+    writer, usual = _usual(environment, of_authority=of_authority)
     paths = files or (usual,)
     entries: list[audits.Entry] = []
     for path in paths:
@@ -65,14 +65,14 @@ def audit(
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 
-def _usual(home: Path, *, of_authority: bool) -> tuple[NodeHome, Path]:
+def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, Path]:
     """The node that writes the audit, and the file it writes now."""
     if not of_authority:
-        node = NodeHome.of(home, MASTER)
+        node = NodeHome.of(environment.home, own_master(environment.variables))
         return node, node.path / AUDIT
     from rossec.authority.home import AUDIT_FILE, AuthorityHome  # noqa: PLC0415 - not for a master
 
-    authority = AuthorityHome.at(home)
+    authority = AuthorityHome.at(environment.home)
     return authority.node(), authority.path / AUDIT_FILE
 
 

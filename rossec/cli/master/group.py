@@ -50,6 +50,13 @@ _MASTER: Final = {
 )
 @click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
 @click.option("--admin", is_flag=True, help="open the local port of an administrator")
+@click.option(
+    "--name", "name", metavar="NAME",
+    help="which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER",
+)  # fmt: skip
+@click.option(
+    "--follow-announced", is_flag=True, help="follow every announced master of the own domain"
+)
 @click.option("--announce", is_flag=True, help="announce the master on the local links")
 @click.option(
     "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
@@ -70,16 +77,19 @@ def master(
     config_file: Path | None,
     log: str | None,
     admin: bool,
+    name: str | None,
+    follow_announced: bool,
     announce: bool,
     metrics: int | None,
     renew_identities: bool,
     passphrase_file: Path | None,
     post_quantum: str | None,
 ) -> None:
-    """Run the master, as the node /master. Ends with Ctrl-C."""
+    """Run a master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
     from rossec.cli.master.serve import run  # noqa: PLC0415 - imported when it runs
+    from rossec.environment import OWN_MASTER, own_master  # noqa: PLC0415 - as above
 
     given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
     given |= {"admin": admin or None, "announce": announce or None}  # a flag only switches on
@@ -90,5 +100,7 @@ def master(
         passphrase_file,
         renew_identities=renew_identities,
         post_quantum=post_quantum,
+        name=own_master(environment.variables if name is None else {OWN_MASTER: name}),
+        follow_announced=follow_announced,
         as_json=as_json,
     )

@@ -16,6 +16,9 @@ from rossec.cli.master.admin import ADMIN_SOCKET
 from rossec.cli.master.audit import AUDIT
 from rossec.cli.shared.context import Environment, now
 from rossec.errors import ConfigurationError
+from rossec.federation.config import FederationConfig, read_config
+from rossec.federation.mesh import Mesh
+from rossec.federation.start import mesh_of
 from rossec.home import NodeHome
 from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort
@@ -33,7 +36,6 @@ from rossec.operation.process_lock import process_lock
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
 from rossec.operation.systemd import READY, STOPPING, notify
 from rossec.ros import settings
-from rossec.ros.names import MASTER
 from rossec.terminal import say, say_json
 
 LOCK: Final = "master.lock"
@@ -47,6 +49,8 @@ def run(
     *,
     renew_identities: bool,
     post_quantum: str | None,
+    name: str,
+    follow_announced: bool,
     as_json: bool,
 ) -> None:
     """Run the master; the options that were `given` prevail over the configuration file.
@@ -58,6 +62,8 @@ def run(
         passphrase_file: of the intermediate's key, to renew identities.
         renew_identities: renew them with the intermediate of this host.
         post_quantum: the policy, instead of that of the environment.
+        name: of the master, `/master` or `/master/<segment>`.
+        follow_announced: follow every master of the own domain that is announced.
         as_json: print the address as JSON.
 
     Raises:
@@ -70,14 +76,15 @@ def run(
             log_as_json()
         raise_descriptor_limit()
         stack.enter_context(denials_limited())
-        home = NodeHome.of(environment.home, MASTER)
+        home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
-        settings.read((), environment.variables, default_name=MASTER)  # likewise
+        settings.read((), environment.variables, default_name=name)  # likewise
+        federation = _federation(config, config_file, follow_announced=follow_announced)
         stack.enter_context(_only_master(home.path))
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
-        asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
+        asyncio.run(_serve(environment, home, config, suites, renewer, federation, as_json=as_json))
 
 
 def _only_master(directory: Path) -> AbstractContextManager[None]:
@@ -95,10 +102,11 @@ async def _serve(
     config: Config,
     suites: tuple[int, ...],
     renewer: Renewer | None,
+    federation: FederationConfig,
     *,
     as_json: bool,
 ) -> None:
-    own = settings.read((), environment.variables, default_name=MASTER)
+    own = settings.read((), environment.variables, default_name=home.name)
     stop = stop_on_signals()
     local_list = LocalList(environment.home)
     newest = local_list.newest()
@@ -115,7 +123,8 @@ async def _serve(
         limits=config.limits,
         suites=suites,
     )
-    admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server))
+    mesh = mesh_of(server, home, federation)
+    admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
     exporter = None
     try:
         await _start(server)
@@ -127,7 +136,7 @@ async def _serve(
         logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
         notify(READY, environment.variables)
         announcing = (_announce(server, home),) if config.announce else ()
-        await until_first_ends(server.stopped(), stop.wait(), *announcing)
+        await until_first_ends(server.stopped(), stop.wait(), mesh.run(), *announcing)
         notify(STOPPING, environment.variables)
         logging.getLogger("rossec.audit").info("the master ended")
     finally:
@@ -164,15 +173,25 @@ def _print_address(
 async def _announce(server: MasterServer, home: NodeHome) -> None:
     from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
 
-    await announce(home.credentials(), server.uri)
+    await announce(
+        home.credentials(), server.uri, name=home.name,
+        version=lambda: server.state.registry.version,
+    )  # fmt: skip
 
 
-def _commands(server: MasterServer) -> Mapping[str, Any]:
+def _federation(
+    config: Config, config_file: Path | None, *, follow_announced: bool
+) -> FederationConfig:
+    found = read_config(config.federation, str(config_file))
+    return replace(found, follow_announced=True) if follow_announced else found
+
+
+def _commands(server: MasterServer, mesh: Mesh) -> Mapping[str, Any]:
     def stop() -> Mapping[str, Any]:
         server.stop("the administrator of this host")
         return {"stopping": True}
 
-    return {"status": server.status, "stop": stop}
+    return {"status": server.status, "stop": stop, "federation": mesh.status}
 
 
 def _renewer(environment: Environment, file: Path | None) -> Renewer:

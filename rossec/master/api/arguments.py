@@ -9,6 +9,7 @@ from typing import Final
 
 from ca.errors import NameRefused
 from ca.names import check_name
+from ca.patterns import check_pattern
 from rossec.master.state.addresses import is_connectable
 from rossec.ros import names
 
@@ -152,6 +153,23 @@ def binaries(label: str, most: int) -> Check:
         if len(items) != len(value):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must hold base64 only")
         return items
+
+    return check
+
+
+def patterns(label: str, most: int) -> Check:
+    """A list of at most `most` patterns of names; an empty one matches nothing."""
+
+    def check(value: object, _caller: str) -> list[str]:
+        if not isinstance(value, list) or len(value) > most:
+            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {most}")
+        items = [item for item in value if isinstance(item, str)]
+        if len(items) != len(value):
+            raise ArgumentRefused(f"ERROR: parameter [{label}] must hold text only")
+        try:
+            return [check_pattern(item) if item else item for item in items]
+        except NameRefused as error:
+            raise ArgumentRefused(f"ERROR: parameter [{label}]: {error}") from error
 
     return check
 

@@ -26,6 +26,7 @@ from rossec.master.api.methods import (
     StopMaster,
 )
 from rossec.master.api.parameter_calls import ParameterCalls
+from rossec.master.api.site_calls import SiteCalls
 from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
 from rossec.master.api.watch_calls import WatchCalls
@@ -77,17 +78,22 @@ class MasterApi:
     ) -> None:
         self._uri = uri
         self._pid = pid
-        graph = Graph(registry, Imports(registry) if imports is None else imports)
+        imports = Imports(registry) if imports is None else imports
+        graph = Graph(registry, imports)
         self._access_control = AccessControl(graph, name)
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
+        self.site_calls = SiteCalls(registry, instance, statements.list_digests)
         tree = Parameters() if parameters is None else parameters
         deposits = Deposits() if deposits is None else deposits
         denials = RecentDenials() if denials is None else denials
-        self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
+        self.parameters = ParameterCalls(
+            tree, registry, statements.caller_of, parameter_bytes, imports.mirrors
+        )
         self.methods: Methods = {
             **GraphCalls(graph, self._access_control).methods(),
             **self.parameters.methods(),
             **self.watch_calls.methods(),
+            **self.site_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),
             **DomainCalls(statements).methods(),
             **DepositCalls(statements, deposits).methods(),
@@ -145,6 +151,11 @@ class MasterApi:
         request = CallRequest(acting_caller, (caller_id, *checked), now, is_local)
         self._access_control.check(method, acting_caller, request.arguments, is_local=is_local)
         return request
+
+    def keep_views(self, thumbprints: frozenset[bytes]) -> None:
+        """Discard what was sent to all other keys."""
+        self.watch_calls.views.keep_only(thumbprints)
+        self.site_calls.views.keep_only(thumbprints)
 
     def _own_methods(self) -> Methods:
         return {

@@ -7,7 +7,7 @@ is sent everything. An answer is bounded; `more` says that the rest follows at o
 
 from collections import OrderedDict
 from itertools import count
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 BATCH: Final = 1024  # facts in one answer
 MAX_VIEWS: Final = 4  # stored for one identity
@@ -20,6 +20,13 @@ Fact: TypeAlias = tuple[str, str, str]
 View: TypeAlias = frozenset[Fact]
 
 
+class _Sent(NamedTuple):
+    """What a caller knows: facts, and what was said beside them."""
+
+    facts: View
+    beside: tuple[bytes, ...]
+
+
 class GraphViews:
     """The views of all callers of one method.
 
@@ -30,7 +37,7 @@ class GraphViews:
     def __init__(self, instance: str) -> None:
         self._instance = instance
         self._cursors = count(_START + 1)
-        self._views: OrderedDict[bytes, OrderedDict[int, View]] = OrderedDict()
+        self._views: OrderedDict[bytes, OrderedDict[int, _Sent]] = OrderedDict()
 
     def __len__(self) -> int:
         return sum(map(len, self._views.values()))
@@ -41,27 +48,34 @@ class GraphViews:
             del self._views[key]
 
     def answer(
-        self, caller: bytes, seen: tuple[object, object], now: View, version: int
+        self,
+        caller: bytes,
+        seen: tuple[object, object],
+        now: View,
+        version: int,
+        beside: tuple[bytes, ...] = (),
     ) -> dict[str, object]:
-        """The changes since the caller's last view.
+        """The changes since the caller's last view; the cursor stays if there are none.
 
         Args:
             caller: the thumbprint of its key.
             seen: the instance and the cursor it was answered last.
             now: what it may see now.
             version: of the state.
+            beside: what the caller adds to the answer; a change of it is one of the answer.
         """
         instance, cursor = seen
         views = self._views.setdefault(caller, OrderedDict())
         cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
         known = views.get(cursor)
-        old = frozenset() if known is None else known
+        old = frozenset() if known is None else known.facts
         added, removed = sorted(now - old), sorted(old - now)
         sent_added, sent_removed = added[:BATCH], removed[:BATCH]
-        if known is None or added or removed:
+        if known is None or added or removed or beside != known.beside:
             views.pop(cursor, None)
             cursor = next(self._cursors)
-            views[cursor] = (old | frozenset(sent_added)) - frozenset(sent_removed)
+            view = (old | frozenset(sent_added)) - frozenset(sent_removed)
+            views[cursor] = _Sent(view, beside)
             if len(views) > MAX_VIEWS:
                 views.popitem(last=False)
         return {
@@ -75,10 +89,10 @@ class GraphViews:
         }
 
 
-def is_unchanged(answer: object) -> bool:
-    """Whether an answer contains no change."""
+def is_unchanged(answer: object, cursor: object) -> bool:
+    """Whether an answer to a call with this cursor contains no change."""
     match answer:
-        case [1, _, {"whole": False, "added": [], "removed": []}]:
-            return True
+        case [1, _, {"whole": False, "cursor": int() as now}]:
+            return now == cursor
         case _:
             return False

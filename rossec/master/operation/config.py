@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from grants.policy.source import Part, YamlScalar
 
 _SIZE: Final = 64 * 1024
-_DEPTH: Final = 4
+_DEPTH: Final = 6
 _EVENTS: Final = 1000
 _MOST: Final = 1 << 30
 _LOGS: Final = ("text", "json")
@@ -44,6 +44,7 @@ class Config:
         metrics: port for Prometheus, on loopback; None: none.
         complaints: file of the denial log; None: none.
         limits: see `rossec.master.operation.limits`.
+        federation: a part of the file for `rossec.federation.config`; None: there is none.
     """
 
     port: int | None = None
@@ -54,6 +55,7 @@ class Config:
     metrics: int | None = None
     complaints: Path | None = None
     limits: MasterLimits = field(default_factory=MasterLimits)
+    federation: "Part | None" = None
 
 
 def load(path: Path) -> Config:
@@ -75,7 +77,13 @@ def parse(text: str, name: str) -> Config:
     values: dict[str, Any] = {}
     for key, word, part in _entries(_tree(text, name), name):
         where = f"{name}:{word.line}"
-        values[key] = _limits(part, where, name) if key == "limits" else _value(key, part, where)
+        match key:
+            case "limits":
+                values[key] = _limits(part, where, name)
+            case "federation":
+                values[key] = part
+            case _:
+                values[key] = _value(key, part, where)
     return Config(**values)
 
 

@@ -35,6 +35,15 @@ PersistForeign = Callable[[str, bytes], None]
 """Makes the revocation list of a foreign domain durable."""
 
 
+LoadForeign = Callable[[str], bytes | None]
+"""The newest revocation list that was saved of a foreign domain; None: there is none."""
+
+
+def nothing_saved(_domain: str) -> bytes | None:
+    """No list was saved."""
+    return None
+
+
 def discard_foreign(_domain: str, _data: bytes) -> None:
     """Persist nothing."""
 
@@ -58,6 +67,7 @@ class DomainTrust:
         standing: of this master; shared with nobody else.
         persist: makes a list of domains durable; called before it takes effect.
         persist_foreign: the same for a foreign revocation list.
+        load_foreign: finds a saved one when its domain is listed (again): no older one counts.
 
     Attributes:
         generation: grows with every change of what is trusted or revoked elsewhere.
@@ -69,11 +79,13 @@ class DomainTrust:
         standing: Standing,
         persist: Callable[[bytes], None] = discard,
         persist_foreign: PersistForeign = discard_foreign,
+        load_foreign: LoadForeign = nothing_saved,
     ) -> None:
         self.standing: Final = standing
         self.anchors: Final = standing.anchors
         self._persist = persist
         self._persist_foreign = persist_foreign
+        self._load_foreign = load_foreign
         self.generation = 0
         self.own_sites: Callable[[], Iterable[str]] = tuple
         self._own_masters: frozenset[bytes] = frozenset()
@@ -84,19 +96,22 @@ class DomainTrust:
         self._exports: dict[str, Reach | None] = {}
         self._list_replaced(frozenset())
 
-    def update(self, data: bytes) -> bool:
-        """Take a list of domains; returns whether it differs from the one held.
+    def update(self, data: bytes) -> frozenset[str] | None:
+        """Take a list of domains; returns those that are gone or have another root.
+
+        None: it is the list held.
 
         Raises:
             DomainsRefused: not of the own authority, or older than one seen.
             HintedError: it could not be persisted; nothing has changed.
         """
-        before = self.anchors.data
+        before, roots = self.anchors.data, self._roots()
         ended = self.anchors.update(data, self._persist)
         if self.anchors.data == before:
-            return False
+            return None
         self._list_replaced(ended)
-        return True
+        kept = self._roots().items()
+        return frozenset(domain for domain, root in roots.items() if (domain, root) not in kept)
 
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
@@ -114,10 +129,6 @@ class DomainTrust:
             if self._data(domain) != before:
                 self._proofs.pop(domain, None)
                 self.generation += 1
-
-    def restore(self, domain: str, revocations: bytes, now: int) -> bool:
-        """Take a saved list, not confirmed; returns whether it is of the present root."""
-        return self.standing.restore(domain, revocations, now)
 
     def word(self, domain: str) -> ForeignWord:
         """The newest list of a foreign domain, and the last word on it, as far as there is one."""
@@ -204,6 +215,11 @@ class DomainTrust:
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
 
+    def label_of(self, domain: str) -> str:
+        """The label of a listed foreign domain; empty for any other."""
+        listed = self.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
+
     def domain_of(self, label: str) -> str | None:
         """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
         listed = self.anchors.listed(label)
@@ -214,8 +230,7 @@ class DomainTrust:
     def is_own_master(self, peer: Identity) -> bool:
         """Whether a peer is a listed master of the own domain."""
         return (
-            peer.name.startswith("/master")
-            and not peer.is_foreign
+            not peer.is_foreign
             and not peer.wildcard
             and is_master_name(peer.name)
             and peer.thumbprint in self._own_masters
@@ -254,6 +269,9 @@ class DomainTrust:
         ends = [each.entry.until for each in self.anchors.all_listed if each.entry.until > now]
         return min(ends, default=None)
 
+    def _roots(self) -> dict[str, bytes]:
+        return {each.entry.domain: each.anchor.thumbprint for each in self.anchors.all_listed}
+
     def _data(self, domain: str) -> bytes:
         held = self.standing.foreign(domain)
         return b"" if held is None else held.data
@@ -262,6 +280,11 @@ class DomainTrust:
         for domain in ended:
             for held in (self._words, self._proofs, self._wanted):
                 held.pop(domain, None)
+        for listed in self.anchors.all_listed:
+            domain = listed.entry.domain
+            saved = None if self._data(domain) else self._load_foreign(domain)
+            if saved is not None:
+                self.standing.restore(domain, saved, 0)  # 0: of a tree nothing is proved
         self._own_masters = frozenset(map(thumbprint, self.anchors.masters))
         self._exports = {each.entry.domain: _exported(each) for each in self.anchors.all_listed}
         self.generation += 1

@@ -70,6 +70,16 @@ class ListInForce:
         return self.held_lists.standing(connected, digest(self._revocations.data), now)
 
     @property
+    def list_data(self) -> bytes:
+        """The signed list or tree in force, as received; empty: none."""
+        return b"" if self._revocations.current is None else self._revocations.data
+
+    @property
+    def tree_entries(self) -> bytes:
+        """The entries of the tree in force; empty: a list is, or they are missing."""
+        return b"" if self._listing is None else self._listing.encoded()
+
+    @property
     def list_number(self) -> tuple[int, int]:
         """Epoch and sequence number of the list in force; zeros: none."""
         current = self._revocations.current

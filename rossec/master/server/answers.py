@@ -15,11 +15,13 @@ from rossec.master.api.deposit_calls import WATCH_GRANTS, is_empty
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
+from rossec.master.api.site_calls import FOLLOW
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
+from rossec.master.server.site_answers import ASKING, SiteAnswers
 from rossec.master.state.registry import NodeRef
 from rossec.ros.xmlrpc import Fault
 
@@ -47,6 +49,7 @@ class CallAnswers:
         self._state = state
         self._effects = effects
         self._turns = turns
+        self._site_answers = SiteAnswers(state.imports)
 
     def dispatch(
         self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
@@ -63,7 +66,11 @@ class CallAnswers:
             return multicall.answer if multicall.done else self._multicall(call, multicall)
         if method == WATCH_GRANTS:
             return self._watch_grants(call)
+        imports = self._state.imports
+        wanted = imports.demand.version
         begun = self._begin(call)
+        if method in ASKING and imports.demand.version != wanted and not imports.is_settled:
+            return self._after_sites(call)
         if not isinstance(begun, CallOutcome):
             return self._query(call, begun)
         match begun.events:
@@ -73,8 +80,15 @@ class CallAnswers:
                 return self._probe_owner(owner, call)
         return self._effects.apply(begun)
 
+    async def _after_sites(self, call: PendingCall) -> object:
+        self._state.notify()
+        await self._site_answers.wait()
+        return await self._finish(call, self._begin(call))
+
     def _query(self, call: PendingCall, work: Work) -> object:
         """Answer at once if one turn is enough."""
+        if call.method == FOLLOW:
+            self._state.site_polls.supersede(call.peer.thumbprint)
         outcome = advance(work, self._turns.begin())
         if outcome is None:
             return self._in_turns(call, work)
@@ -86,7 +100,10 @@ class CallAnswers:
         return await self._watch(call) if self._is_unchanged(call, answer) else answer
 
     async def _watch(self, call: PendingCall) -> object:
-        await self._state.graph_changes.wait(WATCH_WAIT)
+        if call.method == WATCH:
+            await self._state.graph_changes.wait(WATCH_WAIT)
+        else:
+            await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT)
         return await self._finish(call, self._begin(call))
 
     async def _watch_grants(self, call: PendingCall) -> object:
@@ -142,4 +159,4 @@ class CallAnswers:
 
     @staticmethod
     def _is_unchanged(call: PendingCall, answer: object) -> bool:
-        return call.method == WATCH and is_unchanged(answer)
+        return call.method in (WATCH, FOLLOW) and is_unchanged(answer, call.params[2])

@@ -41,8 +41,9 @@ from rossec.master.server.dialer import SlaveDialer
 from rossec.master.server.grant_changes import GrantChanges
 from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server.site_polls import SitePolls
 from rossec.master.server.updates import Updates
-from rossec.master.state.imports import Imports
+from rossec.master.state.imports import Imports, TypeContradicted
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
@@ -51,7 +52,11 @@ from rossec.ros.text import printable
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
+_CONTRADICTED: Final = "%s is not imported from site %s: it is of type %s there, of %s here"
 STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
+
+
+_Recorded = PersistParameter | Denied | GrantsPresented | CallDenied | TypeContradicted
 
 
 @dataclass
@@ -65,6 +70,8 @@ class MasterState:
         deposit_file: the journal of deposited grants; None: none is accepted.
         streams: accepted connections.
         imports: what other masters have registered.
+        site_polls: followers that wait for changes of the registrations.
+        demand_changes: notified when local nodes want more of other masters.
     """
 
     name: str
@@ -77,6 +84,8 @@ class MasterState:
     grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
+    site_polls: SitePolls = field(default_factory=SitePolls)
+    demand_changes: GraphChanges = field(default_factory=GraphChanges)
     imports: Imports = field(init=False)
 
     def __post_init__(self) -> None:
@@ -86,10 +95,16 @@ class MasterState:
         """The time, in whole seconds."""
         return int(self.clock())
 
-    @property
-    def graph_version(self) -> int:
-        """Grows with every change of the own registrations and of the imports."""
-        return self.registry.version + self.imports.version
+    def notify(self) -> None:
+        """Let those know that wait for what has changed since the last call."""
+        self.graph_changes.notify(self.registry.version + self.imports.version)
+        self.site_polls.notify(self.registry.version)
+        self.demand_changes.notify(self.imports.demand.version)
+
+    def notify_all(self) -> None:
+        """Rights or lists have changed: every answer may be another one."""
+        self.graph_changes.notify()
+        self.site_polls.notify()
 
 
 class Effects:
@@ -102,6 +117,7 @@ class Effects:
 
     Attributes:
         stopping: set by `StopMaster`.
+        on_new_lists: called when a newer list is in force, whoever delivered it.
         list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
     """
 
@@ -118,6 +134,7 @@ class Effects:
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
         self.list_changed: Final = asyncio.Event()
+        self.on_new_lists: Final[list[Callable[[], None]]] = []
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
@@ -125,7 +142,7 @@ class Effects:
         self.calls += 1
         for event in outcome.events:
             self.deliver(event)
-        self._state.graph_changes.notify(self._state.graph_version)
+        self._state.notify()
         return outcome.answer
 
     def evict(self, node: NodeRef, found: Peer) -> None:
@@ -139,7 +156,7 @@ class Effects:
             _denials.warning("%s is removed: %s answers at %s", gone, other, node.uri)
             for event in self._state.registry.remove_node(node.name):
                 self.deliver(event)
-            self._state.graph_changes.notify(self._state.graph_version)
+            self._state.notify()
 
     def deliver(self, event: MasterEvent) -> None:
         """Perform the effect of `event`."""
@@ -153,12 +170,19 @@ class Effects:
                 self._notify(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged() | DomainsChanged():
                 self._list_changed(event)
+                self._state.notify_all()
             case GrantsDeposited(by, holders, count):
                 _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
                 self._state.grant_changes.notify(holders)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case PersistParameter() | Denied() | GrantsPresented() | CallDenied():
+            case (
+                PersistParameter()
+                | Denied()
+                | GrantsPresented()
+                | CallDenied()
+                | TypeContradicted()
+            ):
                 self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
@@ -174,9 +198,13 @@ class Effects:
                 _audit.info("%s delivered list of domains %d", by, trust.domains.number)
                 self._enforce_list()
                 self.send_domains()
+        for tell in self.on_new_lists:
+            tell()
 
-    def _record(self, event: PersistParameter | Denied | GrantsPresented | CallDenied) -> None:
+    def _record(self, event: _Recorded) -> None:
         match event:
+            case TypeContradicted(label, topic, here, there):
+                _audit.warning(_CONTRADICTED, topic, label, there, here)
             case PersistParameter(change):
                 if self._state.parameter_file is not None:
                     self._state.parameter_file.write(change)
@@ -187,7 +215,7 @@ class Effects:
                 self._state.recent_denials.add(self._state.now(), node, right, name)
                 self._on_denial(self._state.now(), node, right, name)
             case GrantsPresented(name, refused):
-                self._state.graph_changes.notify()  # it may see more or less now
+                self._state.notify_all()  # it may see more or less now
                 if refused:
                     text = printable("; ".join(refused))
                     _denials.warning("%s presented grants that are refused: %s", name, text)

@@ -92,9 +92,9 @@ class Maintenance:
     async def _enforce(self) -> None:
         """Remove what is no longer authorized; other calls are answered meanwhile."""
         for _ in self._effects.enforcement():
-            self._state.graph_changes.notify(self._state.graph_version)
+            self._state.notify()
             await asyncio.sleep(0)
-        self._state.graph_changes.notify()  # rights also narrow what watchers see
+        self._state.notify_all()  # rights also narrow what watchers see
 
     def _prune(self) -> None:
         self._effects.drop_deposits()

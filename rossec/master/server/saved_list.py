@@ -1,4 +1,4 @@
-"""Saving the newest revocation list, even if the disk is full at first.
+"""Saving the newest lists, of revocations and of domains, even if the disk is full at first.
 
 A list is made durable before it takes effect; but a revocation must not wait for room on a disk
 that the revoked node may have filled. So a list that cannot be saved is in force all the same; that
@@ -16,44 +16,47 @@ from rossec.home import NodeHome
 _log = logging.getLogger("rossec.master.keeping")
 
 
+Write = Callable[[bytes], None]
+
+
 class ListFile:
     """Saves lists and the entries of trees in `home`, later if not possible now."""
 
     def __init__(self, home: NodeHome) -> None:
         self._home = home
-        self._unwritten: dict[
-            Callable[[bytes], None], bytes
-        ] = {}  # in the order in which they must be written
+        # By what is written, in the order in which that must be.
+        self._unwritten: dict[object, tuple[Write, bytes]] = {}
         self._failing = False
 
     def save(self, data: bytes) -> None:
         """Save a signed list or tree; durable on return, or the failure is logged."""
-        self._save(self._home.save_revocations, data)
+        self.save_by("revocations", self._home.save_revocations, data)
 
     def save_entries(self, data: bytes) -> None:
         """Save the entries of a tree, which is saved after them."""
-        self._save(self._home.save_entries, data)
+        self.save_by("entries", self._home.save_entries, data)
+
+    def save_by(self, what: object, write: Write, data: bytes) -> None:
+        """Save the newest of `what`; durable on return, or the failure is logged."""
+        self._unwritten.pop(what, None)
+        self._unwritten[what] = write, data
+        self.retry()
 
     def retry(self) -> None:
         """Write what is not written yet; called in each maintenance round."""
         try:
-            for write in tuple(self._unwritten):
-                write(self._unwritten[write])
-                del self._unwritten[write]
+            for what, (write, data) in tuple(self._unwritten.items()):
+                write(data)
+                del self._unwritten[what]
         except (NotWritten, OSError) as error:
             self._log_failure(error)
             return
         if self._failing:
             self._failing = False
-            _log.warning("the revocation list is saved now")
-
-    def _save(self, write: Callable[[bytes], None], data: bytes) -> None:
-        self._unwritten.pop(write, None)
-        self._unwritten[write] = data
-        self.retry()
+            _log.warning("the newest lists are saved now")
 
     def _log_failure(self, error: Exception) -> None:
         if not self._failing:
             hint = f" ({error.hint})" if isinstance(error, HintedError) else ""
-            _log.error("the revocation list is in force, but not saved: %s%s", error, hint)
+            _log.error("a list is in force, but not saved: %s%s", error, hint)
         self._failing = True

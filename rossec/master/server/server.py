@@ -12,7 +12,7 @@ import logging
 import os
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Final
 
@@ -25,6 +25,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import StopMaster
+from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.revoked_calls import CONNECTION_SECONDS, RevokedCalls, RevokedConnections
 from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
@@ -45,7 +46,9 @@ from rossec.master.server.local_authority import (
 from rossec.master.server.maintenance import Maintenance
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import MAX_CLOSING
+from rossec.master.state.mirrors import MirrorChange
 from rossec.master.state.registry import Kind, Registry
+from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
@@ -124,6 +127,7 @@ class MasterServer:
             name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
         )  # fmt: skip
+        trust.domains.own_sites = state.imports.own_sites
         self._effects = Effects(
             state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
@@ -132,6 +136,7 @@ class MasterServer:
             LocalAuthority(find_revocations, trust),
         )  # fmt: skip
         self._revoked_connections = RevokedConnections()
+        self._parameters: ParameterCalls  # set by `start`
         self._answers: CallAnswers  # set by `start`, before a connection is handled
         self._server: SecureServer[Identity] | None = None
 
@@ -145,6 +150,16 @@ class MasterServer:
         """The value for ROS_MASTER_URI."""
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
+
+    @property
+    def context(self) -> SecureContext[Identity]:
+        """The master's own identity, to dial with."""
+        return self._context
+
+    @property
+    def effects(self) -> Effects:
+        """Delivers events that do not come from a call."""
+        return self._effects
 
     async def start(self) -> None:
         """Listen.
@@ -172,8 +187,9 @@ class MasterServer:
             connected=lambda: [stream.peer for stream in state.streams],
             imports=state.imports,
         )
+        self._parameters = api.parameters
         self._answers = CallAnswers(api, state, self._effects, self._turns)
-        self._maintenance.start(api.watch_calls.views.keep_only)
+        self._maintenance.start(api.keep_views)
 
     def _load_deposits(self) -> Deposits | None:
         file = self.state.deposit_file
@@ -182,6 +198,22 @@ class MasterServer:
         file.open()
         self._effects.drop_deposits()
         return file.deposits
+
+    def mirror(self, site: Site, tree: dict[str, object]) -> None:
+        """Take over the mirrored parameters of a site, and update their subscribers.
+
+        Raises:
+            ImportRefused: as `Mirrors.replace`.
+        """
+        self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
+
+    def drop_mirror(self, label: str) -> None:
+        """Forget the mirrored parameters of a site."""
+        self._send_mirrored(self.state.imports.mirrors.drop(label))
+
+    def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
+        for event in self._parameters.mirror(changes, self.state.now()):
+            self._effects.deliver(event)
 
     def status(self) -> dict[str, str | int]:
         """Figures for administrators and metrics."""

@@ -6,6 +6,7 @@ import socket
 from functools import partial
 from typing import Final
 
+from ca.certificates import TrustAnchor
 from ca.errors import HintedError, RevocationRefused
 from ca.keys.signer import Signer
 from ca.revocation.state import Revocations
@@ -16,6 +17,7 @@ from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.delegation import Delegate
 from rossec.master.rights.deposits import verifier
+from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.statements import Renewer, TrustState
 from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.local_authority import FindRevocations, no_authority
@@ -24,6 +26,8 @@ from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.saved_list import ListFile
 from rossec.master.server.server import MasterServer
 from rossec.ros.settings import is_loopback
+from rossec.ros.text import printable
+from rossec.saved_domains import DomainFiles
 from rossec.saved_revocations import saved_revocations
 
 _log = logging.getLogger("rossec.master.start")
@@ -63,6 +67,7 @@ def master_of(
         ConfigurationError: the node is not enrolled.
         CertificateRefused: its identity has expired: no node would connect.
         RevocationRefused: `newest` is not signed by the authority, or older than the one saved.
+        DomainsRefused: the saved list of domains is not the authority's.
     """
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
@@ -106,10 +111,38 @@ def _trust(
     if delegation is not None:
         _load_delegation(delegate, delegation)
     trust = TrustState(
-        anchor, signer, revocations, saved_list.save, delegate, saved_list.save_entries, renewer
-    )
+        anchor, signer, revocations, saved_list.save, delegate, saved_list.save_entries, renewer,
+        _domains(home, anchor, revocations, saved_list, now),
+    )  # fmt: skip
     _load_entries(trust, revocations, (entries, home.load_entries()), now)
     return trust
+
+
+def _domains(
+    home: NodeHome, anchor: TrustAnchor, own: Revocations, saved_list: ListFile, now: int
+) -> DomainTrust:
+    """The lists of foreign domains, and of what they revoked, as saved when the master stopped.
+
+    Raises:
+        DomainsRefused: the saved list is not the authority's.
+    """
+    saved = DomainFiles(home, anchor)
+    standing = saved.standing(saved.anchors(), own, now)
+
+    def load_foreign(domain: str) -> bytes | None:
+        try:
+            return saved.load_foreign(domain)
+        except (HintedError, OSError) as error:
+            _log.warning("the saved revocations of %s: %s", domain, printable(error))
+            return None
+
+    def save_foreign(domain: str, data: bytes) -> None:
+        listed = standing.anchors.listed_domain(domain)
+        if listed is not None:
+            saved_list.save_by(("of", domain), partial(saved.save_foreign, listed.anchor), data)
+
+    save = partial(saved_list.save_by, "domains", saved.save_domains)
+    return DomainTrust(standing, save, save_foreign, load_foreign)
 
 
 def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:

@@ -202,7 +202,9 @@ def handle_program_call(
         case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
-            named = value if peer is None else answer_here(peer, method, value)
+            named = (
+                value if peer is None else answer_here(peer, agent.identity.domain, method, value)
+            )
             return (yield from _answer_for_program(agent, remote, method, status, named))
         case Answered(value=value):
             return _refusal(value)

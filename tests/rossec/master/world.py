@@ -76,7 +76,7 @@ class World:
     async def start(self, turns: Turns | None = None) -> None:
         self.server = MasterServer(
             self.master.credentials,
-            self.site.anchor.verify,
+            self.trust.domains.anchors.verify,
             self.trust,
             host="127.0.0.1",
             port=0,

@@ -78,7 +78,7 @@ def test_a_program_knows_a_foreign_caller_by_its_alias(own: Identity, foreigner:
 
 def test_what_a_foreign_node_says_of_itself_is_read_in_local_names(foreigner: Identity) -> None:
     def here(method: str, value: object) -> object:
-        return remote_names.answer_here(foreigner, method, value)
+        return remote_names.answer_here(foreigner, "home", method, value)
 
     assert here("getName", "/robot") == "/remote/hospital/robot"
     assert here("getPublications", [[POSE, "p/T"], ["/remote/home/x", "p/T"], ["a b", "p/T"]]) == [
@@ -89,17 +89,27 @@ def test_what_a_foreign_node_says_of_itself_is_read_in_local_names(foreigner: Id
         [2, "/display", "o", "TCPROS", POSE, True, "more"],
         [3, "/remote/home/viewer", "o", "TCPROS", POSE, True],
         [4, PUBLISHER, "i", "TCPROS", "/remote/home/x", True],
+        [5, "home:/viewer", "o", "TCPROS", POSE, True],
+        [6, PUBLISHER, "i", "TCPROS", "home:/word", True],
+        [7, "home:/remote/clinic/x", "o", "TCPROS", POSE, True],
+        [8, "clinic:/viewer", "o", "TCPROS", POSE, True],
         "malformed",
     ]
     assert here("getBusInfo", rows) == [
         [1, PUBLISHER, "i", "TCPROS", "/remote/hospital/plan", True],
         [2, "/remote/hospital/display", "o", "TCPROS", ALIAS, True, "more"],
+        [5, "/viewer", "o", "TCPROS", ALIAS, True],
+        [6, PUBLISHER, "i", "TCPROS", "/word", True],
     ]
 
 
-def test_a_foreign_node_is_told_no_names_of_others(own: Identity, foreigner: Identity) -> None:
-    rows = [[POSE, "p/T"], [ALIAS, "p/T"], ["malformed"]]
-    assert remote_names.answer_for(foreigner, "getSubscriptions", rows) == [[POSE, "p/T"]]
+def test_a_foreign_node_is_told_no_names_of_third_domains(
+    own: Identity, foreigner: Identity
+) -> None:
+    rows = [[POSE, "p/T"], [ALIAS, "p/T"], ["/remote/clinic/x", "p/T"], ["malformed"]]
+    assert remote_names.answer_for(foreigner, "getSubscriptions", rows) == [
+        [POSE, "p/T"], [f"hospital:{POSE}", "p/T"],
+    ]  # fmt: skip
     assert remote_names.answer_for(own, "getSubscriptions", rows) == rows
     stats = [[[ALIAS, 7, []]], [], []]
     assert remote_names.answer_for(foreigner, "getBusStats", stats) == [[], [], []]
@@ -113,7 +123,7 @@ def test_a_foreign_node_is_told_no_names_of_others(own: Identity, foreigner: Ide
 
 @pytest.mark.parametrize(("method", "value"), sorted(INFORMATION.items()))
 def test_other_answers_are_as_they_are(own: Identity, method: str, value: object) -> None:
-    assert remote_names.answer_here(own, method, value) == value
+    assert remote_names.answer_here(own, "home", method, value) == value
     assert remote_names.answer_for(own, method, value) == value
 
 
@@ -125,6 +135,6 @@ def test_a_malformed_answer_of_a_foreign_node_is_empty(
     foreigner: Identity, method: str, empty: object
 ) -> None:
     for value in (7, {"a": 1}, None):
-        assert remote_names.answer_here(foreigner, method, value) == empty
-    assert remote_names.answer_here(foreigner, "getName", "/remote/home/x") == ""
-    assert remote_names.answer_here(foreigner, "getPid", 7) == 7
+        assert remote_names.answer_here(foreigner, "home", method, value) == empty
+    assert remote_names.answer_here(foreigner, "home", "getName", "/remote/home/x") == ""
+    assert remote_names.answer_here(foreigner, "home", "getPid", 7) == 7

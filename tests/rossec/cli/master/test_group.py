@@ -33,7 +33,20 @@ def test_options_that_are_not_given_leave_the_configuration(
     assert empty("master", *words).code == 0
     ((arguments, options),) = ran
     assert arguments[1:] == (None, given, None)
-    assert options == {"renew_identities": False, "post_quantum": None, "as_json": False}
+    assert options == {
+        "renew_identities": False, "post_quantum": None, "as_json": False, "name": "/master",
+        "follow_announced": False,
+    }  # fmt: skip
+
+
+def test_another_master_of_the_domain(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[dict[str, Any]] = []
+    monkeypatch.setattr(serve, "run", lambda *_, **options: ran.append(options))
+    assert empty("master", "--name", "/master/kitchen", "--follow-announced").code == 0
+    assert (ran[0]["name"], ran[0]["follow_announced"]) == ("/master/kitchen", True)
+    refused = empty("master", "--name", "/robot")
+    assert (refused.code, len(ran)) == (1, 1)
+    assert "'/robot', which is not the name of a master" in refused.err
 
 
 def test_a_verb_runs_no_master(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

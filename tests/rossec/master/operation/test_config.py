@@ -67,7 +67,7 @@ def test_an_empty_file_is_the_default(text: str) -> None:
         ('complaints: "a\\0b"', "m.yaml:1: complaints cannot"),
         ('complaints: "a\\u202eb"', "m.yaml:1: complaints cannot"),
         ("[" + "1," * 2000 + "]", "m.yaml:1: more than 1000 YAML events"),
-        ("[" * 5000, "m.yaml:1: nested deeper than 4"),
+        ("[" * 5000, "m.yaml:1: nested deeper than 6"),
     ],
 )
 def test_errors_name_their_line(text: str, message: str) -> None:

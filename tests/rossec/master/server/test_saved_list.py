@@ -24,12 +24,12 @@ def test_a_list_that_cannot_be_saved_is_saved_later(
         file.retry()
     assert home.load_revocations() is home.load_entries() is None
     assert len(caplog.messages) == 1
-    assert "the revocation list is in force, but not saved: revocations.ent" in caplog.text
+    assert "a list is in force, but not saved: revocations.ent" in caplog.text
     assert "make room" in caplog.text
     file.retry()
     assert home.load_revocations() == second
     assert home.load_entries() == b"entries"
-    assert caplog.messages[1:] == ["the revocation list is saved now"]
+    assert caplog.messages[1:] == ["the newest lists are saved now"]
     file.retry()
     assert len(caplog.messages) == 2
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import to_pem
-from ca.errors import CertificateExpired, RenewalRefused, RollbackRefused
+from ca.errors import CertificateExpired, DomainsRefused, RenewalRefused, RollbackRefused
 from grants.decision import RevocationCheck
 from grants.errors import GrantForged
 from grants.model import Right
@@ -16,6 +16,8 @@ from rossec.master.rights.deposits import Deposits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
 from rossec.master.state.deposit_journal import MAGIC, GrantDeposited, encode
+from tests.rossec.master.visiting import HOSPITAL, Hospital, Lists
+from tests.rossec.test_files import no_room
 from tests.support import site as trust_domains
 from tests.support.authority import Site
 
@@ -154,3 +156,74 @@ async def deposits_after_start(home: NodeHome, site: Site, newest: bytes) -> Dep
     await server.close()
     assert server.state.deposit_file is not None
     return server.state.deposit_file.deposits
+
+
+async def test_a_restarted_master_loads_the_domains_and_what_they_revoked(tmp_path: Path) -> None:
+    site, hospital = Site(), Hospital()
+    home, lists = home_of_master(tmp_path, site), Lists(site)
+    first, newest = lists.next(hospital.entry()), lists.next(hospital.entry())
+    word, later = hospital.word(), hospital.word(b"r" * 32)
+    trust = make(home, "127.0.0.1", site.now).state.trust
+    assert trust.domains.anchors.data == b""
+    assert trust.update_domains(first)
+    assert trust.update_domains(newest)
+    trust.domains.take(HOSPITAL, *later, site.now)
+    again = make(home, "127.0.0.1", site.now).state.trust
+    assert again.domains.anchors.data == newest
+    assert again.domains.word(HOSPITAL) == (later[0], b"", ())
+    with pytest.raises(RollbackRefused):
+        again.domains.take(HOSPITAL, *word, site.now)
+    with pytest.raises(DomainsRefused):
+        again.update_domains(first)
+
+
+async def test_a_removed_domain_that_is_listed_again_keeps_its_place(tmp_path: Path) -> None:
+    site, hospital = Site(), Hospital()
+    home, lists, word = home_of_master(tmp_path, site), Lists(site), hospital.word()
+    trust = make(home, "127.0.0.1", site.now).state.trust
+    trust.update_domains(lists.next(hospital.entry()))
+    trust.domains.take(HOSPITAL, *hospital.word(b"r" * 32), site.now)
+    trust.update_domains(lists.next())
+    again = make(home, "127.0.0.1", site.now).state.trust
+    again.update_domains(lists.next(hospital.entry()))
+    with pytest.raises(RollbackRefused):
+        again.domains.take(HOSPITAL, *word, site.now)
+
+
+async def test_a_removal_takes_effect_on_a_full_disk(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    site, hospital = Site(), Hospital()
+    home, lists = home_of_master(tmp_path, site), Lists(site)
+    server = make(home, "127.0.0.1", site.now)
+    trust = server.state.trust
+    trust.update_domains(lists.next(hospital.entry()))
+    newest = lists.next()
+    with no_room():
+        assert trust.update_domains(newest)
+    assert trust.domains.anchors.all_listed == ()
+    assert "a list is in force, but not saved" in caplog.text
+    server._maintenance._check_own_identity(site.now)
+    assert (home.path / "domains.cose").read_bytes() == newest
+
+
+async def test_a_list_of_domains_of_another_authority_is_not_started_with(tmp_path: Path) -> None:
+    site, other = Site(), Site()
+    home = home_of_master(tmp_path, site)
+    path = home.path / "domains.cose"
+    path.write_bytes(Lists(other).next(Hospital().entry()))
+    path.chmod(0o600)
+    with pytest.raises(DomainsRefused):
+        make(home, "127.0.0.1", site.now)
+
+
+async def test_saved_revocations_that_cannot_be_read_are_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    site, hospital = Site(), Hospital()
+    home, lists = home_of_master(tmp_path, site), Lists(site)
+    trust = make(home, "127.0.0.1", site.now).state.trust
+    (home.path / "foreign").mkdir(mode=0o700)
+    (home.path / "foreign" / f"{HOSPITAL}.cose").mkdir()
+    assert trust.update_domains(lists.next(hospital.entry()))
+    assert f"the saved revocations of {HOSPITAL}: " in caplog.text

@@ -76,6 +76,7 @@ def test_a_program_reads_what_a_foreign_node_says_in_local_names(setup: AgentSet
         [1, "http://10.0.0.9:6000/", "i", "TCPROS", "/scan", True],
         [2, "/display", "o", "TCPROS", "/scan", True],
         [3, "/remote/home/viewer", "o", "TCPROS", "/scan", True],
+        [4, "home:/viewer", "o", "TCPROS", "/scan", True],
     ]
     peer = foreigner(setup)
     for method, value, script, expected in (
@@ -83,6 +84,7 @@ def test_a_program_reads_what_a_foreign_node_says_in_local_names(setup: AgentSet
                                Opened(8000)),), [
             [1, EGRESS_URI, "i", "TCPROS", ALIAS, True],
             [2, "/remote/hospital/display", "o", "TCPROS", ALIAS, True],
+            [4, "/viewer", "o", "TCPROS", ALIAS, True],
         ]),
         ("getName", "/viewer", (), "/remote/hospital/viewer"),
         ("getPublications", [["/scan", "p/T"]], (), [[ALIAS, "p/T"]]),

@@ -1,0 +1,56 @@
+"""`rossec federation status`: how far each site is followed, from the running master."""
+
+import time
+from typing import Any, Final
+
+import click
+
+from ca.domains.aliases import display_name
+from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.environment import own_master
+from rossec.home import NodeHome
+from rossec.master.operation.admin import send_command
+from rossec.terminal import note, printable, say, say_json
+
+_PERIOD: Final = 1.0
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
+@pass_environment
+def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
+    """Show how far each master is followed; the own one must have been started with --admin."""
+    home = NodeHome.of(environment.home, own_master(environment.variables))
+    shown: list[str] = []
+    while True:
+        answer = send_command(home.path / ADMIN_SOCKET, "federation")
+        lines = [] if as_json else _lines(answer)
+        if as_json:
+            say_json(answer)
+        elif lines != shown:
+            for line in lines:
+                say(line)
+            if not lines:
+                note("no master is followed: rossec federation add URI --as LABEL")
+        shown = lines
+        if not watch:
+            return
+        time.sleep(_PERIOD)
+
+
+def _lines(answer: dict[str, Any]) -> list[str]:
+    sites = [_line(site) for site in answer["sites"]]
+    return [*sites, *(printable(f"{where}: {what}") for where, what in answer["problems"].items())]
+
+
+def _line(site: dict[str, Any]) -> str:
+    name = display_name(str(site["domain"]), str(site["master"]))
+    lost = "" if site["lost_s"] is None else " (its names are shown for a minute)"
+    error = f"  {site['error']}" if site["error"] else ""
+    mirrored = f", {site['mirrored']} parameters" if site.get("mirrored") else ""
+    return printable(
+        f"{site['label']:<16} {site['state']:<10} {site['facts']} facts{mirrored}{lost}"
+        f"  {name} at {site['uri']}, by {site['source']}{error}"
+    )

@@ -1,0 +1,98 @@
+"""The answers of `rossec.followSite`: what one site has sent so far, and where to go on. Pure.
+
+An answer may come in parts; the parts are gathered, and taken over together. A version that runs
+backwards within one run of the master is an error: a master does not forget.
+"""
+
+from typing import Final, NamedTuple
+
+from rossec.errors import AnswerMalformed
+from rossec.participant.graph_view import Fact, facts_of
+
+METHOD: Final = "rossec.followSite"
+MAX_PARTS: Final = 256  # of one answer; with 1,024 facts in each more than are imported
+_DIGEST: Final = 32
+_HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
+
+
+class SiteChange(NamedTuple):
+    """A complete answer.
+
+    Args:
+        added, removed: facts with the site's own names.
+        whole: `added` is all there is.
+        revocations, domains: digests of the lists that the site holds; empty: none.
+    """
+
+    added: frozenset[Fact]
+    removed: frozenset[Fact]
+    whole: bool
+    revocations: bytes
+    domains: bytes
+
+
+class SiteCursor:
+    """What to ask a site next.
+
+    Attributes:
+        instance: of the run of the master that answered last; empty: none has.
+        version: of its graph then.
+    """
+
+    def __init__(self) -> None:
+        self.instance = ""
+        self.version = -1
+        self._cursor = 0
+        self._parts: list[SiteChange] = []
+
+    @property
+    def params(self) -> tuple[str, int]:
+        """Instance and cursor, as the call has them."""
+        return self.instance, self._cursor
+
+    def take(self, answer: object) -> SiteChange | None:
+        """Take an answer, or a part of it; returns the change when it is complete.
+
+        Raises:
+            AnswerMalformed: it is invalid, or the version runs backwards.
+        """
+        match answer:
+            case {
+                "instance": str() as instance, "version": int() as version,
+                "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
+                "added": list() as added, "removed": list() as removed, **lists,
+            }:  # fmt: skip
+                revocations = _digest(lists.get("revocations", b""))
+                domains = _digest(lists.get("domains", b""))
+            case _:
+                raise AnswerMalformed("a site's answer that is malformed")
+        part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)
+        self._check(instance, version)
+        self.instance, self.version, self._cursor = instance, version, cursor
+        self._parts = [part] if whole else [*self._parts, part]
+        if len(self._parts) > MAX_PARTS:
+            raise AnswerMalformed(f"a site's answer in more than {MAX_PARTS} parts")
+        if more:
+            return None
+        parts, self._parts = self._parts, []
+        return _joined(parts)
+
+    def _check(self, instance: str, version: int) -> None:
+        if instance == self.instance and (version - self.version) % (2 * _HALF) >= _HALF:
+            raise AnswerMalformed("a site's version runs backwards")
+
+
+def _joined(parts: list[SiteChange]) -> SiteChange:
+    added, removed = frozenset[Fact](), frozenset[Fact]()
+    for part in parts:
+        added = (added | part.added) - part.removed
+        removed = (removed | part.removed) - part.added
+    last = parts[-1]
+    return SiteChange(added, removed, parts[0].whole, last.revocations, last.domains)
+
+
+def _digest(value: object) -> bytes:
+    value = b"" if value == "" else value
+    if not isinstance(value, bytes) or len(value) not in (0, _DIGEST):
+        raise AnswerMalformed("a site's answer that is malformed")
+    return value

@@ -1,0 +1,263 @@
+"""Following one other master: dial, check who it is, take over what it says. A shell.
+
+What happens is decided by `states`, what an answer means by `answers`; the facts are in the import
+layer of the own master. The site is asked, and never calls: no address of this master is needed
+there. Lists of revocations and domains are compared with every answer, and settled before more
+facts are asked for.
+"""
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import AsyncIterator, Callable, Iterable
+from secrets import SystemRandom
+from typing import Any, Final
+
+from ca.certificates import Identity
+from ca.domains.aliases import split_alias
+from ca.errors import CAError, HintedError, RevocationsStale
+from rossec.errors import AnswerRefused, IdentityRefused, SiteRefused
+from rossec.federation import exchange
+from rossec.federation.answers import METHOD, SiteChange, SiteCursor
+from rossec.federation.foreign import ForeignLists
+from rossec.federation.own import OwnMaster
+from rossec.federation.settings import SiteSettings
+from rossec.federation.states import SILENCE, Effect, Event, Phase, SiteState
+from rossec.net.aio import SecureStream, WireProtocol, connect
+from rossec.net.rpc.client import RpcClient
+from rossec.ros.text import printable
+from rossec.ros.xmlrpc import Fault
+
+_DIAL: Final = 5.0
+_log = logging.getLogger("rossec.federation")
+_audit = logging.getLogger("rossec.audit")
+
+_RANDOM: Final = SystemRandom().random
+Failures: Final = (HintedError, OSError, TimeoutError, Fault)
+
+
+class Follower:
+    """Follows one site until `close`.
+
+    Args:
+        settings: the site.
+        own: the master that follows.
+        rand: returns a random number from 0 up to 1.
+
+    Attributes:
+        state: where it is.
+        error: why it is not followed now; empty: it is.
+    """
+
+    def __init__(
+        self,
+        settings: SiteSettings,
+        own: OwnMaster,
+        rand: Callable[[], float] = _RANDOM,
+    ) -> None:
+        self.settings: Final = settings
+        self.state: Final = SiteState()
+        self.error = ""
+        self._own = own
+        self._rand = rand
+        self._cursor = SiteCursor()
+        self._woken = asyncio.Event()
+        self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
+
+    async def run(self) -> None:
+        """Follow until cancelled; a failure is tried again."""
+        while True:
+            self._take(Event.DUE)
+            try:
+                await self._follow()
+            except (SiteRefused, IdentityRefused) as error:
+                self._failed(Event.REFUSED, error)
+            except Failures as error:
+                self._failed(Event.FAILED, error)
+            if self.state.phase is not Phase.FOLLOWING:
+                await self._pause()
+
+    def tick(self) -> None:
+        """Let the facts go that are too old; called once in a second."""
+        if self.state.has_expired(time.monotonic()):
+            self._take(Event.EXPIRED)
+            _audit.warning("site %s is lost: its facts are dropped", self.settings.label)
+
+    def wake(self) -> None:
+        """Dial now, if it is waiting: the site seems to be there again."""
+        self._woken.set()
+
+    def remove(self) -> None:
+        """It is followed no longer; `run` has been cancelled."""
+        self._take(Event.REMOVED)
+
+    async def send_lists(self) -> None:
+        """The own lists have changed: settle it with the site at once, on another connection."""
+        if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
+            return
+        with contextlib.suppress(*Failures):  # else with the next answer
+            async with self.connection() as (client, peer):
+                await exchange.settle_revocations(client, self._own, peer)
+                await exchange.settle_domains(client, self._own, peer)
+
+    @contextlib.asynccontextmanager
+    async def connection(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
+        """A connection with the site, whose identity is checked.
+
+        Raises:
+            SiteRefused: another identity, or one that is revoked.
+            RossecError, OSError, TimeoutError: no connection.
+        """
+        async with asyncio.timeout(_DIAL):
+            stream = await connect(*self.settings.address, self._own.context, WireProtocol.HTTP)
+        try:
+            self._check(stream)
+            yield RpcClient(stream, deadline=SILENCE), stream.peer
+        finally:
+            await stream.close()
+
+    def status(self) -> dict[str, Any]:
+        """The site for people and programs."""
+        imports, settings, state = self._own.state.imports, self.settings, self.state
+        held = next((each for each in imports.sites if each.site.label == settings.label), None)
+        lost = state.lost_since
+        return {
+            "label": settings.label,
+            "uri": settings.uri,
+            "master": settings.master,
+            "domain": settings.domain,
+            "state": state.phase.value,
+            "facts": 0 if held is None else held.facts,
+            "version": self._cursor.version,
+            "lost_s": None if lost is None else round(time.monotonic() - lost, 1),
+            "error": self.error,
+            "parameters": list(settings.parameters),
+        }
+
+    async def _follow(self) -> None:
+        """Follow on one connection, until local nodes want more than it is asked for."""
+        was_followed = self.state.failures == 0 and self._cursor.instance != ""
+        async with self.connection() as (client, peer):
+            self._take(Event.CONNECTED)
+            if not was_followed:
+                await self._greet(client, peer)
+            while True:
+                demand = self._own.state.imports.demand.version
+                asking = asyncio.ensure_future(self._next_change(client))
+                try:
+                    if not await self._is_answered(asking, demand):
+                        return
+                    change = asking.result()
+                finally:
+                    asking.cancel()
+                self._take_over(change)
+                self._own.state.imports.settle(self.settings.label, demand)
+                await self._exchange(client, peer, change)
+
+    async def _is_answered(self, asking: asyncio.Future[SiteChange], demand: int) -> bool:
+        """Wait for an answer; False: local nodes want more meanwhile."""
+        imports, changes = self._own.state.imports, self._own.state.demand_changes
+        while not asking.done():
+            if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
+                return False
+            waiting: asyncio.Future[Any] = asyncio.ensure_future(changes.wait(SILENCE))
+            both: set[asyncio.Future[Any]] = {asking, waiting}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            waiting.cancel()
+        return True
+
+    def _check(self, stream: SecureStream[Identity]) -> None:
+        """The peer is the master that is followed, and not revoked."""
+        peer, expected = stream.peer, self.settings
+        alias = split_alias(peer.name) if peer.is_foreign else None
+        label, name = ("", peer.name) if alias is None else alias
+        if (label, name) != (expected.domain, expected.master):
+            stream.abort("not the master that is followed")
+            raise SiteRefused(
+                f"{peer.name} answers at {expected.uri}, not {expected.master}"
+                + (f" of {expected.domain}" if expected.domain else ""),
+                "check the address: rossec federation list",
+            )
+        try:
+            self._own.state.trust.caller(peer, self._own.state.now())
+        except RevocationsStale:  # of its domain: it is asked for them
+            return
+        except CAError as error:
+            stream.abort("the master's identity is revoked")
+            raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
+
+    async def _greet(self, client: RpcClient, peer: Identity) -> None:
+        """Settle the lists, and show what a foreign master wants to see."""
+        if self._foreign is not None:
+            await self._foreign.greet(client, peer)
+        else:
+            await exchange.settle_revocations(client, self._own, peer)
+            await exchange.settle_domains(client, self._own, peer)
+
+    async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
+        if self._foreign is not None:
+            await self._foreign.keep_fresh(client, peer, change.revocations)
+            return
+        if change.revocations != exchange.held_revocations(self._own):
+            await exchange.settle_revocations(client, self._own, peer)
+        if change.domains != self._own.state.trust.domains.digest():
+            await exchange.settle_domains(client, self._own, peer)
+
+    async def _next_change(self, client: RpcClient) -> SiteChange:
+        """The next complete answer."""
+        imports = self._own.state.imports
+        wanted = imports.wanted(self.settings.site, self._own.state.now())
+        while True:
+            try:
+                answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])
+            except AnswerRefused as error:
+                raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
+            change = self._cursor.take(answer)
+            if change is not None:
+                return change
+
+    def _take_over(self, change: SiteChange) -> None:
+        state = self._own.state
+        try:
+            events = state.imports.apply(
+                self.settings.site, change.added, change.removed, whole=change.whole
+            )
+        except HintedError as error:
+            raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
+        self._deliver(events)
+        if self.state.phase is not Phase.FOLLOWING:
+            _audit.info("site %s is followed", self.settings.label)
+        self._take(Event.ANSWERED)
+        self.error = ""
+
+    def _failed(self, event: Event, error: BaseException) -> None:
+        text = printable(str(error)) or type(error).__name__
+        if text != self.error:
+            _log.warning("site %s: %s", self.settings.label, text)
+        if event is Event.REFUSED and text != self.error:
+            _audit.warning("site %s is not followed: %s", self.settings.label, text)
+        self.error = text
+        self._take(event)
+
+    def _take(self, event: Event) -> None:
+        label = self.settings.label
+        match self.state.take(event, time.monotonic()):
+            case Effect.NONE:
+                pass
+            case Effect.MARK:
+                self._own.state.imports.lose(label)
+            case Effect.DROP:
+                self._cursor = SiteCursor()
+                self._deliver(self._own.state.imports.drop(label))
+
+    def _deliver(self, events: Iterable[Any]) -> None:
+        for event in events:
+            self._own.effects.deliver(event)
+        self._own.state.notify()
+
+    async def _pause(self) -> None:
+        self._woken.clear()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self.state.pause(self._rand())):
+                await self._woken.wait()

@@ -1,0 +1,156 @@
+"""All sites that a master follows: from its configuration, from its file, and announced. A shell.
+
+The file is read again when it has changed, so `rossec federation add` takes effect in a running
+master. A label that the configuration has prevails over the file's, and both over an announced one.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final
+
+from ca.errors import HintedError
+from rossec.errors import ConfigurationError
+from rossec.federation.announced import AnnouncedMasters
+from rossec.federation.follower import Follower
+from rossec.federation.own import OwnMaster
+from rossec.federation.settings import SiteSettings, checked_sites
+from rossec.net.aio.tasks import TaskSet
+from rossec.ros.text import printable
+
+_TICK: Final = 1.0
+_log = logging.getLogger("rossec.federation")
+_audit = logging.getLogger("rossec.audit")
+
+Source = Callable[[], Iterable[SiteSettings]]
+"""The sites of one origin as of now; raises ConfigurationError."""
+
+
+class Mesh:
+    """Follows every site of its sources.
+
+    Args:
+        own: the master that follows.
+        sources: by what they are called, the one that prevails first.
+        announced: the masters heard on the local links; None: they are not followed.
+    """
+
+    def __init__(
+        self,
+        own: OwnMaster,
+        sources: Mapping[str, Source],
+        announced: AnnouncedMasters | None = None,
+    ) -> None:
+        self._own = own
+        self._announced = announced
+        heard: dict[str, Source] = {} if announced is None else {"announced": announced.sites}
+        self._sources = {**sources, **heard}
+        self._last: dict[str, tuple[SiteSettings, ...]] = {}
+        self._warned: dict[str, str] = {}
+        self._followers: dict[str, tuple[Follower, asyncio.Task[Any]]] = {}
+        self._tasks = TaskSet()
+        own.state.trust.domains.own_sites = self._own_labels
+
+    async def run(self) -> None:
+        """Follow until cancelled."""
+        self._own.effects.on_new_lists.append(self._send_lists)
+        listening = (
+            contextlib.nullcontext() if self._announced is None else self._announced.listening()
+        )
+        try:
+            async with listening:
+                while True:
+                    self._step()
+                    await asyncio.sleep(_TICK)
+        finally:
+            self._own.effects.on_new_lists.remove(self._send_lists)
+            await self._tasks.close()
+
+    def status(self) -> dict[str, Any]:
+        """Every site, and what is wrong with the settings."""
+        rows = [
+            {**follower.status(), "source": self._source_of(label)}
+            for label, (follower, _) in sorted(self._followers.items())
+        ]
+        return {"sites": rows, "problems": dict(self._warned)}
+
+    def _step(self) -> None:
+        self._update()
+        returned = set() if self._announced is None else self._announced.take_returned()
+        for follower, _ in self._followers.values():
+            follower.tick()
+            if not follower.settings.domain and follower.settings.master in returned:
+                follower.wake()
+
+    def _update(self) -> None:
+        wanted = self._wanted()
+        for label, (follower, task) in tuple(self._followers.items()):
+            if wanted.get(label) != follower.settings:
+                task.cancel()
+                del self._followers[label]
+                follower.remove()
+                _audit.info("site %s is followed no longer", label)
+        for label in sorted(wanted.keys() - self._followers.keys()):
+            follower = Follower(wanted[label], self._own)
+            task = self._tasks.spawn(follower.run(), f"site {label}")
+            self._followers[label] = follower, task
+
+    def _wanted(self) -> dict[str, SiteSettings]:
+        """The sites of all sources; one that contradicts an earlier one is left out."""
+        found: dict[str, SiteSettings] = {}
+        for name, source in self._sources.items():
+            try:
+                self._last[name] = tuple(source())
+                self._warned.pop(name, None)
+            except (ConfigurationError, OSError) as error:  # the last that was read stays
+                self._warn(name, error)
+            for each in self._last.get(name, ()):
+                self._add(found, each)
+        return found
+
+    def _add(self, found: dict[str, SiteSettings], each: SiteSettings) -> None:
+        where = f"site {each.label}"
+        try:
+            self._check_label(each)
+            checked_sites([*found.values(), each])
+        except ConfigurationError as error:
+            self._warn(where, error)
+            return
+        self._warned.pop(where, None)
+        found[each.label] = each
+
+    def _check_label(self, each: SiteSettings) -> None:
+        anchors = self._own.state.trust.domains.anchors
+        if each.domain and anchors.listed(each.domain) is None:
+            raise ConfigurationError(
+                f"{each.domain} is not a domain that is trusted here", "rossec domain list"
+            )
+        if not each.domain and anchors.listed(each.label) is not None:
+            raise ConfigurationError(
+                f"{each.label} is the label of a foreign domain",
+                f"follow it with --domain {each.label}, or choose another label",
+            )
+        if not each.domain and each.master == self._own.name:
+            raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
+
+    def _warn(self, where: str, error: Exception) -> None:
+        hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
+        text = printable(f"{error}{hint}")
+        if self._warned.get(where) != text:
+            self._warned[where] = text
+            _log.warning("%s: %s", where, text)
+
+    def _own_labels(self) -> list[str]:
+        """The labels of other masters of the own domain, whose nodes have aliases here."""
+        found = [follower.settings for follower, _ in self._followers.values()]
+        return [each.label for each in found if not each.domain]
+
+    def _source_of(self, label: str) -> str:
+        return next(
+            (name for name, sites in self._last.items() if any(s.label == label for s in sites)), ""
+        )
+
+    def _send_lists(self) -> None:
+        for follower, _ in self._followers.values():
+            self._tasks.spawn(follower.send_lists(), f"lists for {follower.settings.label}")

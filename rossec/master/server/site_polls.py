@@ -1,0 +1,50 @@
+"""Waiting for changes of what is registered here: long polling for `rossec.followSite`. A shell.
+
+Only own registrations wake a follower, not imports: else each change in a mesh would be answered by
+every master to every other. A new call of a follower ends its one before, which waits with what was
+wanted then.
+"""
+
+import asyncio
+import contextlib
+
+from rossec.master.server.graph_changes import BATCH_DELAY
+
+
+class SitePolls:
+    """The waiting calls, one for each key."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[bytes, asyncio.Event] = {}
+        self._version = -1
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def notify(self, version: int | None = None) -> None:
+        """The registrations have changed, unless their `version` was notified before.
+
+        None: the rights or the lists have changed.
+        """
+        if version != self._version or version is None:
+            self._version = self._version if version is None else version
+            for changed in self._waiting.values():
+                changed.set()
+
+    def supersede(self, follower: bytes) -> None:
+        """A new call of this key has come."""
+        before = self._waiting.pop(follower, None)
+        if before is not None:
+            before.set()
+
+    async def wait(self, follower: bytes, longest: float) -> None:
+        """Return soon after the next change, or after `longest` seconds."""
+        changed = self._waiting[follower] = asyncio.Event()
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(longest):
+                    await changed.wait()
+                    await asyncio.sleep(BATCH_DELAY)
+        finally:
+            if self._waiting.get(follower) is changed:
+                del self._waiting[follower]

@@ -1,0 +1,67 @@
+"""Followers wait for changes of the registrations; a newer call ends the one before."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+import pytest
+
+from rossec.master.server.site_polls import SitePolls
+from rossec.net.aio.tasks import TaskSet
+from tests.rossec.master.world import until
+
+LONG = 30.0
+
+Wait = Callable[..., Awaitable[list[asyncio.Task[None]]]]
+
+
+@pytest.fixture
+async def waiting() -> AsyncIterator[Wait]:
+    tasks = TaskSet()
+
+    async def wait(polls: SitePolls, *followers: bytes) -> list[asyncio.Task[None]]:
+        begun = [tasks.spawn(polls.wait(each, LONG), "follower") for each in followers]
+        await until(lambda: len(polls) == len(followers))
+        return begun
+
+    yield wait
+    await tasks.close()
+
+
+async def test_a_change_wakes_every_follower(waiting: Wait) -> None:
+    polls = SitePolls()
+    tasks = await waiting(polls, b"a", b"b")
+    polls.notify(7)
+    async with asyncio.timeout(LONG / 2):
+        await asyncio.gather(*tasks)
+    assert len(polls) == 0
+
+
+async def test_a_version_that_was_notified_wakes_nobody(waiting: Wait) -> None:
+    polls = SitePolls()
+    polls.notify(7)
+    (task,) = await waiting(polls, b"a")
+    polls.notify(7)
+    await asyncio.sleep(0.15)
+    assert not task.done()
+    polls.notify()  # rights or lists
+    async with asyncio.timeout(LONG / 2):
+        await task
+
+
+async def test_a_new_call_ends_the_one_before_of_its_key_only(waiting: Wait) -> None:
+    polls = SitePolls()
+    first, other = await waiting(polls, b"a", b"b")
+    polls.supersede(b"a")
+    polls.supersede(b"nobody")
+    async with asyncio.timeout(LONG / 2):
+        await first
+    assert not other.done()
+    other.cancel()
+    await asyncio.gather(other, return_exceptions=True)
+    assert len(polls) == 0
+
+
+async def test_a_wait_ends_without_a_change() -> None:
+    polls = SitePolls()
+    await polls.wait(b"a", 0.01)
+    assert len(polls) == 0
