@@ -11,6 +11,7 @@ import contextlib
 import logging
 import time
 from collections.abc import AsyncIterator, Callable, Iterable
+from dataclasses import dataclass
 from secrets import SystemRandom
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.federation.states import SILENCE, Effect, Event, Phase, SiteState
 from rossec.net.aio import SecureStream, WireProtocol, connect
+from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
@@ -36,6 +38,14 @@ _audit = logging.getLogger("rossec.audit")
 
 _RANDOM: Final = SystemRandom().random
 Failures: Final = (HintedError, OSError, TimeoutError, Fault)
+
+
+@dataclass
+class _NewerCall:
+    """The call that followed while one waited, and its answer."""
+
+    begun: bool = False
+    answered: tuple[object, int] | None = None
 
 
 class Follower:
@@ -184,17 +194,44 @@ class Follower:
 
     async def _next_change(self, client: RpcClient) -> tuple[SiteChange, int]:
         """The next complete answer, and the version of the demand it is for."""
-        imports = self._own.state.imports
-        demand = imports.demand.version
-        wanted = imports.wanted(self.settings.site, self._own.state.now())
         while True:
-            try:
-                answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])
-            except AnswerRefused as error:
-                raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
+            answer, demand = await self._ask(client)
             change = self._cursor.take(answer)
             if change is not None:
                 return change, demand
+
+    async def _ask(self, client: RpcClient) -> tuple[object, int]:
+        """The answer to one call; local nodes that want more meanwhile do not wait for it."""
+        tasks, newer = TaskSet(), _NewerCall()
+        again = tasks.spawn(self._ask_again(newer), f"wants of {self.settings.label}")
+        try:
+            answered = await self._poll(client)
+            if newer.begun:  # which ended the one before
+                await again
+            return newer.answered or answered
+        finally:
+            await tasks.close()
+
+    async def _ask_again(self, newer: "_NewerCall") -> None:
+        """Ask on another connection as soon as more is wanted: the first one waits."""
+        state = self._own.state
+        demand = state.imports.demand.version
+        while state.imports.demand.version == demand:
+            await state.demand_changes.wait(SILENCE)
+        with contextlib.suppress(*Failures):  # else the first call is answered in a while
+            async with self.connection() as (client, _):
+                newer.begun = True
+                newer.answered = await self._poll(client)
+
+    async def _poll(self, client: RpcClient) -> tuple[object, int]:
+        imports = self._own.state.imports
+        demand = imports.demand.version
+        wanted = imports.wanted(self.settings.site, self._own.state.now())
+        try:
+            answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])
+        except AnswerRefused as error:
+            raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
+        return answer, demand
 
     def _take_over(self, change: SiteChange) -> None:
         state = self._own.state
@@ -233,7 +270,7 @@ class Follower:
     def _deliver(self, events: Iterable[Any]) -> None:
         for event in events:
             self._own.effects.deliver(event)
-        self._own.state.graph_changes.notify()
+        self._own.state.notify()
 
     async def _pause(self) -> None:
         self._woken.clear()
