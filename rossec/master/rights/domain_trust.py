@@ -96,19 +96,22 @@ class DomainTrust:
         self._exports: dict[str, Reach | None] = {}
         self._list_replaced(frozenset())
 
-    def update(self, data: bytes) -> bool:
-        """Take a list of domains; returns whether it differs from the one held.
+    def update(self, data: bytes) -> frozenset[str] | None:
+        """Take a list of domains; returns those that are gone or have another root.
+
+        None: it is the list held.
 
         Raises:
             DomainsRefused: not of the own authority, or older than one seen.
             HintedError: it could not be persisted; nothing has changed.
         """
-        before = self.anchors.data
+        before, roots = self.anchors.data, self._roots()
         ended = self.anchors.update(data, self._persist)
         if self.anchors.data == before:
-            return False
+            return None
         self._list_replaced(ended)
-        return True
+        kept = self._roots().items()
+        return frozenset(domain for domain, root in roots.items() if (domain, root) not in kept)
 
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
@@ -212,6 +215,11 @@ class DomainTrust:
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
 
+    def label_of(self, domain: str) -> str:
+        """The label of a listed foreign domain; empty for any other."""
+        listed = self.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
+
     def domain_of(self, label: str) -> str | None:
         """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
         listed = self.anchors.listed(label)
@@ -222,8 +230,7 @@ class DomainTrust:
     def is_own_master(self, peer: Identity) -> bool:
         """Whether a peer is a listed master of the own domain."""
         return (
-            peer.name.startswith("/master")
-            and not peer.is_foreign
+            not peer.is_foreign
             and not peer.wildcard
             and is_master_name(peer.name)
             and peer.thumbprint in self._own_masters
@@ -261,6 +268,9 @@ class DomainTrust:
         """When the trust in a listed domain ends next; None: never."""
         ends = [each.entry.until for each in self.anchors.all_listed if each.entry.until > now]
         return min(ends, default=None)
+
+    def _roots(self) -> dict[str, bytes]:
+        return {each.entry.domain: each.anchor.thumbprint for each in self.anchors.all_listed}
 
     def _data(self, domain: str) -> bytes:
         held = self.standing.foreign(domain)
