@@ -30,7 +30,6 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
-_GATHER: Final = 0.05  # seconds in which wishes of local nodes are gathered
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -76,7 +75,8 @@ class Follower:
                 self._failed(Event.REFUSED, error)
             except Failures as error:
                 self._failed(Event.FAILED, error)
-            await self._pause()
+            if self.state.phase is not Phase.FOLLOWING:
+                await self._pause()
 
     def tick(self) -> None:
         """Let the facts go that are too old; called once in a second."""
@@ -136,14 +136,36 @@ class Follower:
         }
 
     async def _follow(self) -> None:
+        """Follow on one connection, until local nodes want more than it is asked for."""
+        was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connection() as (client, peer):
             self._take(Event.CONNECTED)
-            await self._greet(client, peer)
+            if not was_followed:
+                await self._greet(client, peer)
             while True:
-                change, demand = await self._next_change(client)
+                demand = self._own.state.imports.demand.version
+                asking = asyncio.ensure_future(self._next_change(client))
+                try:
+                    if not await self._is_answered(asking, demand):
+                        return
+                    change = asking.result()
+                finally:
+                    asking.cancel()
                 self._take_over(change)
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
+
+    async def _is_answered(self, asking: asyncio.Future[SiteChange], demand: int) -> bool:
+        """Wait for an answer; False: local nodes want more meanwhile."""
+        imports, changes = self._own.state.imports, self._own.state.demand_changes
+        while not asking.done():
+            if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
+                return False
+            waiting: asyncio.Future[Any] = asyncio.ensure_future(changes.wait(SILENCE))
+            both: set[asyncio.Future[Any]] = {asking, waiting}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            waiting.cancel()
+        return True
 
     def _check(self, stream: SecureStream[Identity]) -> None:
         """The peer is the master that is followed, and not revoked."""
@@ -182,10 +204,9 @@ class Follower:
         if change.domains != self._own.state.trust.domains.digest():
             await exchange.settle_domains(client, self._own, peer)
 
-    async def _next_change(self, client: RpcClient) -> tuple[SiteChange, int]:
-        """The next complete answer, and the version of the demand it is for."""
+    async def _next_change(self, client: RpcClient) -> SiteChange:
+        """The next complete answer."""
         imports = self._own.state.imports
-        demand = imports.demand.version
         wanted = imports.wanted(self.settings.site, self._own.state.now())
         while True:
             try:
@@ -194,7 +215,7 @@ class Follower:
                 raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
             change = self._cursor.take(answer)
             if change is not None:
-                return change, demand
+                return change
 
     def _take_over(self, change: SiteChange) -> None:
         state = self._own.state
@@ -233,7 +254,7 @@ class Follower:
     def _deliver(self, events: Iterable[Any]) -> None:
         for event in events:
             self._own.effects.deliver(event)
-        self._own.state.graph_changes.notify()
+        self._own.state.notify()
 
     async def _pause(self) -> None:
         self._woken.clear()
