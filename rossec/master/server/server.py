@@ -39,9 +39,11 @@ from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.grant_changes import WAIT, GrantChanges
 from rossec.master.server.local_authority import (
+    FindDomains,
     FindRevocations,
     LocalAuthority,
     no_authority,
+    no_domains,
 )
 from rossec.master.server.maintenance import Maintenance
 from rossec.master.server.parameter_file import ParameterFile
@@ -80,7 +82,7 @@ class MasterServer:
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
         check_own_identity: called with the time in each round of maintenance.
         turns: limits how long one call may delay others.
-        find_revocations: reads what an authority on this host has signed.
+        find_revocations, find_domains: read what an authority on this host has signed.
 
     Attributes:
         state: what the master knows, for its event loop.
@@ -106,6 +108,7 @@ class MasterServer:
         check_own_identity: Callable[[int], None] = lambda _: None,
         turns: Turns | None = None,
         find_revocations: FindRevocations = no_authority,
+        find_domains: FindDomains = no_domains,
     ) -> None:
         self._address = (host, port)
         self._advertise = advertise
@@ -133,7 +136,7 @@ class MasterServer:
         )
         self._maintenance = Maintenance(
             state, self._effects, timestamp_every, check_own_identity,
-            LocalAuthority(find_revocations, trust),
+            LocalAuthority(find_revocations, trust, find_domains),
         )  # fmt: skip
         self._revoked_connections = RevokedConnections()
         self._parameters: ParameterCalls  # set by `start`
