@@ -23,8 +23,8 @@ from rossec.authority.master_call import MasterCall
 from rossec.authority.signing import SKEW, SigningAuthority
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
+from rossec.ros.names import UPDATE_DOMAINS
 
-UPDATE: Final = "rossec.updateDomains"
 _PUBLISH: Final = (
     "the list of domains is signed and stored, but takes effect only when the master has it;"
     " deliver it with: rossec ca publish"
@@ -78,8 +78,8 @@ class DomainOperations(ABC):
         """
         authority, at = self.unlock(), self._now()
         with authority.store.transaction():
-            check_label_free(authority.store, domain, at)
             authority.store.domains.accept(domain, at)
+            check_label_free(authority.store, domain, at)
             return authority.sign_domains(at)
 
     def changed_domain(self, label: str, **changes: Any) -> ForeignDomain:
@@ -133,7 +133,9 @@ class DomainOperations(ABC):
                 f"the list of domains expired {format_time(listed.expires)}",
                 "sign it anew with: rossec ca refresh",
             )
-        self.deliver(MasterCall(home.node(), UPDATE, (data,), "the list of domains", _PUBLISH))
+        self.deliver(
+            MasterCall(home.node(), UPDATE_DOMAINS, (data,), "the list of domains", _PUBLISH)
+        )
         return True
 
 

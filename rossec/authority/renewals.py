@@ -64,6 +64,7 @@ def _renew(
         request=renewal.request.digest,
         renews=renewal.identity.thumbprint,
     )
+    authority.refresh_list(now)  # the key may be that of a master
     return authority.bundle(der)
 
 

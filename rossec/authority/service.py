@@ -221,7 +221,12 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
         return self.unlock().sign_head(self._now())
 
     def sign_grant(
-        self, node: str, permissions: tuple[Permission, ...], lifetime: int, renewal: int = 0
+        self,
+        node: str,
+        permissions: tuple[Permission, ...],
+        lifetime: int,
+        renewal: int = 0,
+        may_narrow: int = 0,
     ) -> SignedGrant:
         """Sign a grant for the current key of `node`; the master may renew it for `renewal` s."""
         with contextlib.closing(self.home.store()) as store:
@@ -230,7 +235,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
         draft = Draft(
             domain=authority.domain, subject=node, holder=holder, not_before=at - SKEW,
             expires=at + lifetime, cap=at + max(lifetime, renewal),
-            serial=secrets.token_bytes(16), permissions=permissions,
+            serial=secrets.token_bytes(16), permissions=permissions, may_narrow=may_narrow,
         )  # fmt: skip
         return draft, authority.issue_grant(draft, at)
 

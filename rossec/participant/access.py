@@ -6,7 +6,7 @@ right on it is the right on the origin's name, and only grants of the origin's d
 whoever holds them; what a foreign authority signs counts for nothing else.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,7 +21,8 @@ from grants.decision import Decision, authorize
 from grants.errors import GrantMissing
 from grants.model import MESSAGE_RIGHTS, Grant, Right
 from grants.token import peek
-from rossec.participant.token_opening import MAX_GRANTS, MAX_PRESENTED, TokenOpener
+from rossec.participant.presentation import fitting
+from rossec.participant.token_opening import TokenOpener
 from rossec.ros.names import MASTER
 
 FIELD: Final = "rossec_grants"
@@ -29,7 +30,6 @@ NO_LIST: Final = (
     "the master has no revocation list yet",
     "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
 )
-_ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class Access:
             NotAdmitted, NameRefused: an alias of no domain.
         """
         covering = [held.token for held in self._covering(right, name, now)]
-        return encode(list[Value](_fitting(covering)))
+        return encode(list[Value](fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
@@ -259,13 +259,3 @@ class Access:
                 raise refusals[0] from None
             raise
         return decision if origin == name else replace(decision, name=name)
-
-
-def _fitting(tokens: Iterable[bytes]) -> Iterator[bytes]:
-    """The first of them that a header field has room for, with what CBOR adds to each."""
-    room, left = MAX_PRESENTED - _ARRAY_HEAD, MAX_GRANTS
-    for token in tokens:
-        size = len(token) + _BYTES_HEAD
-        if left and size <= room:
-            room, left = room - size, left - 1
-            yield token

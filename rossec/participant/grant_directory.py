@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from ca.errors import HintedError
-from grants import document
 from grants.errors import GrantError
+from grants.token import peek
 from rossec.home import NodeHome
 from rossec.participant.access_interfaces import HeldGrants
 
@@ -84,7 +84,7 @@ class GrantDirectory:
     def _has_ended(self, path: Path, data: bytes, now: int) -> bool:
         """Whether a file that `NodeHome.add_grant` wrote is of no use any more."""
         try:
-            grant = document.peek(data)
+            grant = peek(data)
         except GrantError:
             return False
         return path == self._home.grant_file(grant.id) and now >= grant.cap + KEPT

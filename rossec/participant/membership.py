@@ -32,6 +32,7 @@ from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
+from rossec.participant.presentation import MAX_CALL, batches
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_proofs import Provable, prove
 from rossec.participant.revocation_watch import ConnectionWatchdog
@@ -42,7 +43,6 @@ from rossec.saved_domains import DomainFiles
 from rossec.saved_revocations import saved_revocations
 
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
-MAX_PRESENTED: Final = 64  # the master stores this many of one node
 
 _log = logging.getLogger("rossec.node")
 
@@ -255,7 +255,7 @@ class Membership:
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
             await renew(session.call, self._renewals, clock.now())
-        await session.call(PRESENT_GRANTS, self._access.current(clock.now())[:MAX_PRESENTED])
+        await self._present(self._access.current(clock.now())[:MAX_CALL])
         await self._watch.session_opened()
         await self.domains.session_opened(session.call)
         await self._delivery.fetch(session.call)
@@ -294,7 +294,7 @@ class Membership:
         await self.domains.fetch_wanted(call)
         if self._domains_are_new:  # grants of a domain count only once it is listed
             self._domains_are_new = False
-            new = self._access.current(clock.now())[:MAX_PRESENTED]
+            new = self._access.current(clock.now())[:MAX_CALL]
         await self._present(new)
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
@@ -306,8 +306,8 @@ class Membership:
             self._connections.cut_ended(clock.now())
 
     async def _present(self, new: list[bytes]) -> None:
-        for begin in range(0, len(new), MAX_PRESENTED):
-            await self.session.call(PRESENT_GRANTS, new[begin : begin + MAX_PRESENTED])
+        for batch in batches(new):
+            await self.session.call(PRESENT_GRANTS, batch)
 
     def _crashed(self, error: BaseException) -> None:
         if not self._has_crashed:

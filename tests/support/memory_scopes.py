@@ -5,7 +5,8 @@ from typing import Any, Final
 
 from grants.memory import MemoryScope, MemoryStore
 
-HOLDER: Final[Any] = SimpleNamespace(holder=bytes(32))
+HOLDER: Final[Any] = SimpleNamespace(holder=bytes(32), chain=())
+HOLDER.links = (HOLDER,)
 """What a decision's memory is found by, in place of a grant."""
 
 

@@ -22,11 +22,15 @@ _GRANT: Final = {
     "deny": ("grant.request:deny", "Deny the request REQUEST_ID (or the beginning of it)."),
     "install": (
         "grant.signed_grants:install",
-        "Give the grant in FILE to its node, on the node's machine.",
+        "Give the grant in FILE, or the chain, to its node, on the node's machine.",
     ),
     "list": (
         "grant.delivery:list_",
         "List the grants signed here, of one NODE or of all, and how far each has come.",
+    ),
+    "narrow": (
+        "grant.narrow:narrow",
+        "Hand the grant in FILE on to another node of this domain, restricted further.",
     ),
     "pending": ("grant.request:pending", "Show what nodes ask for and the policy leaves to you."),
     "presets": ("grant.sign:presets", "Show what each preset hides, and what it still discloses."),

@@ -9,7 +9,7 @@ from grants.conditions.compile import compile_condition
 from grants.errors import ConditionRefused, FilterRefused
 from grants.filters.compile import compile_filter
 from grants.filters.layout import parse
-from grants.filters.presets import preset
+from grants.filters.presets import PRESETS, preset
 from grants.model import Permission, Restriction, Right, filter_rules
 from rossec.errors import ConfigurationError
 from rossec.participant.service_types import part_type
@@ -29,6 +29,50 @@ _RIGHTS: Final = {
     Right.ADMIN: "may end these nodes and clean up after them",
 }
 _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
+
+
+_RESTRICTING: Final = (
+    click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
+    click.option(
+        "--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions"
+    ),
+    click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
+    click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
+    click.option(
+        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH",
+        help="keep this field in a range",
+    ),
+    click.option("--rate", type=float, metavar="HZ", help="at most so many messages a second"),
+    click.option(
+        "--preset", "preset_name", type=click.Choice(list(PRESETS)),
+        help="restrictions for a usual wish; see `rossec grant presets`",
+    ),
+    click.option(
+        "--when", multiple=True, metavar="CONDITION",
+        help="only messages and times for which this holds",
+    ),
+)  # fmt: skip
+
+
+def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add every option for rights and their restrictions; `read` takes what they say."""
+    for option in reversed(_RESTRICTING):
+        command = option(command)
+    return rights(command)
+
+
+def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
+    """The permissions that the options of `wishes` say.
+
+    Raises:
+        ConfigurationError: no right, or a parameter that is none.
+        ConditionRefused, FilterRefused: a restriction that does not fit the message type.
+    """
+    filters = rules(said["clear"], said["rounds"], said["clamps"])
+    inside = restrictions(
+        said["type_name"], filters, said["when"], said["rate"], said["preset_name"]
+    )
+    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
 
 
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,13 +1,14 @@
 """`rossec grant sign | presets`: what nodes may do, signed."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
 from ca.names import check_name
 from grants import document
 from grants.filters.presets import PRESETS
+from grants.model import MAX_NARROWINGS
 from rossec.authority.service import AuthorityService
 from rossec.cli.grant import permission_options
 from rossec.cli.shared import options
@@ -22,23 +23,7 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 
 @click.command()
 @click.argument("node")
-@permission_options.rights
-@click.option("--graph", is_flag=True, help="may see the whole ROS graph")
-@click.option("--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions")
-@click.option("--clear", multiple=True, metavar="FIELD", help="clear this field")
-@click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field")
-@click.option(
-    "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH", help="keep this field in a range"
-)
-@click.option("--rate", type=float, metavar="HZ", help="at most so many messages a second")
-@click.option(
-    "--preset", "preset_name", type=click.Choice(list(PRESETS)),
-    help="restrictions for a usual wish; see `rossec grant presets`",
-)  # fmt: skip
-@click.option(
-    "--when", multiple=True, metavar="CONDITION",
-    help="only messages and times for which this holds",
-)  # fmt: skip
+@permission_options.wishes
 @click.option(
     "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True,
     help="how long it holds",
@@ -46,6 +31,10 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 @click.option(
     "--renew-until", "renewal", type=Duration(MAX_DAYS), default=0, metavar="DURATION",
     help="how long the master may renew it; see: rossec master delegate",
+)  # fmt: skip
+@click.option(
+    "--may-narrow", type=click.IntRange(0, MAX_NARROWINGS), default=0, metavar="N",
+    help="how often it may be handed on, restricted further; see: rossec grant narrow",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
@@ -56,18 +45,11 @@ def sign(
     service: AuthorityService,
     /,
     node: str,
-    graph: bool,
-    type_name: str | None,
-    clear: tuple[str, ...],
-    rounds: tuple[str, ...],
-    clamps: tuple[str, ...],
-    rate: float | None,
-    preset_name: str | None,
-    when: tuple[str, ...],
     lifetime: int,
     renewal: int,
     out: Path | None,
-    **rights: tuple[str, ...],
+    may_narrow: int,
+    **wishes: Any,
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
@@ -76,13 +58,9 @@ def sign(
     """
     check_name(node)
     if out is not None:
-        _check_new(out)
-    filters = permission_options.rules(clear, rounds, clamps)
-    restricted = permission_options.restrictions(type_name, filters, when, rate, preset_name)
-    permissions = permission_options.permissions(
-        permission_options.patterns_by_right(rights), graph=graph, restricted=restricted
-    )
-    draft, data = service.sign_grant(node, permissions, lifetime, renewal)
+        check_new(out)
+    permissions = permission_options.read(wishes)
+    draft, data = service.sign_grant(node, permissions, lifetime, renewal, may_narrow)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
     deliver_grant(service, data, out)
     remind_to_publish(service)
@@ -97,7 +75,7 @@ def presets() -> None:
         say(f"  still discloses {entry.reveals}")
 
 
-def _check_new(out: Path) -> None:
+def check_new(out: Path) -> None:
     """Before anything is signed: a grant that cannot be written would exist nevertheless."""
     if out.exists() or out.is_symlink():
         raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")

@@ -4,13 +4,14 @@ from pathlib import Path
 
 import click
 
-from grants import document
+from grants.model import Grant
+from grants.token import peek
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.service import pass_service, publish_list
+from rossec.cli.shared.tokens import holder_home, open_held, read_token
 from rossec.clock import format_time
-from rossec.home import NodeHome
 from rossec.terminal import printable, say
 
 
@@ -18,11 +19,21 @@ from rossec.terminal import printable, say
 @click.argument("file", type=options.FILE)
 def show(file: Path) -> None:
     """Show what the grant in FILE allows; its signature is not checked."""
-    content = document.peek(_read(file))
+    content = peek(read_token(file))
     holder = printable(f"of {content.domain} for {content.subject}")
     say(f"grant {content.id.hex()} {holder}")
     say(f"holds from {format_time(content.not_before)} until {format_time(content.expires)}")
-    for permission in content.permissions:
+    for depth, link in enumerate(content.links):
+        if content.chain:
+            to = printable(link.subject)
+            say(f"narrowed for {to}, which may also not do more than:" if depth else f"for {to}:")
+        _show_permissions(link)
+    if content.may_narrow:
+        say(f"may be narrowed {content.may_narrow} times")
+
+
+def _show_permissions(link: Grant) -> None:
+    for permission in link.permissions:
         say(printable(f"may {permission.rights.label} {permission.pattern}"))
         for line in permission.restriction.lines() if permission.restriction else []:
             say(printable(f"  {line}"))
@@ -32,14 +43,12 @@ def show(file: Path) -> None:
 @click.argument("file", type=options.FILE)
 @pass_environment
 def install(environment: Environment, file: Path) -> None:
-    """Give the grant in FILE to its node, on the node's machine."""
-    data = _read(file)
-    content = document.peek(data)
-    home = NodeHome.of(environment.home, content.subject)
-    anchor = home.anchor()
-    document.open_grant(data, anchor.public_key, now(), domain=anchor.domain)
-    home.add_grant(document.grant_id(data), data)
-    say(f"{content.subject} holds grant {content.id.hex()}")
+    """Give the grant in FILE, or the chain, to its node, on the node's machine."""
+    data = read_token(file)
+    home = holder_home(environment.home, peek(data))
+    content = open_held(home, data, now())
+    home.add_grant(content.id, data)
+    say(f"{home.name} holds grant {content.id.hex()}")
 
 
 @click.command()
@@ -52,8 +61,3 @@ def revoke(service: AuthorityService, grant_id: str, reason: str) -> None:
     listed, entry = service.revoke_grant(grant_id, reason)
     say(f"revoked {entry.hex()} (list {listed.seq})")
     publish_list(service)
-
-
-def _read(file: Path) -> bytes:
-    with file.open("rb") as stream:
-        return stream.read(64 * 1024)

@@ -13,12 +13,13 @@ import click
 from ca.errors import HintedError
 from ca.renewal import signed_at
 from ca.revocation.state import Revocations, open_timestamp
-from grants import document
 from grants.model import Grant
 from rossec import files
 from rossec.channel.suite_selection import post_quantum
+from rossec.cli.node.known_domains import check_domains
 from rossec.cli.node.known_revocations import known_revocations
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.tokens import open_held
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -40,7 +41,7 @@ _MAX_FILE = 64 * 1024
 def doctor(environment: Environment, name: str, offline: bool) -> None:
     """Check the set-up of NODE on this machine: identity, grants, master, what is plain."""
     home = NodeHome.find(environment.home, name)
-    checks = [_identity, _grants] if offline else [_identity, _grants, _master]
+    checks = [_identity, _grants, _domains] if offline else [_identity, _grants, _domains, _master]
     failed = 0
     for check in checks:
         try:
@@ -73,16 +74,16 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[str]:
 
 
 def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
-    anchor, held = home.anchor(), home.grants()
+    held = home.grants()
     revoked, refused = known_revocations(environment.home, home), list[HintedError]()
     for data in held:
         try:
-            grant = document.open_grant(data, anchor.public_key, now(), domain=anchor.domain)
+            grant = open_held(home, data, now())
             _check_grant(grant, revoked)
         except HintedError as error:
             refused.append(error)
             continue
-        for permission in grant.permissions:
+        for permission in grant.links[-1].permissions:
             until = format_time(grant.expires)
             yield f"may {permission.rights.label} {permission.pattern} until {until}"
     if not held:
@@ -93,12 +94,16 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
 
 
 def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
-    for entry in (grant.id, grant.holder):
+    for entry in (*grant.revocable, grant.holder):
         if entry in revoked:
             raise ConfigurationError(
                 f"grant {grant.short_id} is revoked according to {revoked[entry]}",
                 f"ask for another; it does no harm in {grant.subject}'s directory",
             )
+
+
+def _domains(environment: Environment, home: NodeHome) -> Iterator[str]:
+    yield from check_domains(environment.home, home, now())
 
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[str]:

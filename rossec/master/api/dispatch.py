@@ -78,14 +78,17 @@ class MasterApi:
     ) -> None:
         self._uri = uri
         self._pid = pid
-        graph = Graph(registry, Imports(registry) if imports is None else imports)
+        imports = Imports(registry) if imports is None else imports
+        graph = Graph(registry, imports)
         self._access_control = AccessControl(graph, name)
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
         self.site_calls = SiteCalls(registry, instance, statements.list_digests)
         tree = Parameters() if parameters is None else parameters
         deposits = Deposits() if deposits is None else deposits
         denials = RecentDenials() if denials is None else denials
-        self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
+        self.parameters = ParameterCalls(
+            tree, registry, statements.caller_of, parameter_bytes, imports.mirrors
+        )
         self.methods: Methods = {
             **GraphCalls(graph, self._access_control).methods(),
             **self.parameters.methods(),

@@ -6,9 +6,11 @@ A right must cover what a call reaches: for a tree every parameter in it, before
 
 import xmlrpc.client
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import Final
 
+from ca.domains.aliases import is_alias
+from ca.errors import NameRefused
 from grants.model import Right
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
@@ -21,7 +23,7 @@ from rossec.master.api.methods import (
     Steps,
 )
 from rossec.master.rights.access_rules import require_address, require_capacity
-from rossec.master.rights.caller import Caller
+from rossec.master.rights.caller import Caller, Refused
 from rossec.master.rights.parameter_trees import (
     ParameterItem,
     decisions_across_turns,
@@ -31,6 +33,7 @@ from rossec.master.rights.parameter_trees import (
 )
 from rossec.master.state import parameter_values
 from rossec.master.state import parameters as parameter_state
+from rossec.master.state.mirrors import MirrorChange, Mirrors, refuse_mirror
 from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Parameters, TooLarge
 from rossec.master.state.registry import Kind, NodeRef, Registry
@@ -48,6 +51,7 @@ class ParameterCalls:
     Args:
         caller_of: a subscriber with its rights when an update is sent; None: its key is revoked.
         limit: bytes of all parameters together.
+        mirrors: parameters of other masters.
     """
 
     def __init__(
@@ -56,8 +60,10 @@ class ParameterCalls:
         registry: Registry,
         caller_of: Callable[[NodeRef, int], Caller | None],
         limit: int = SIZE_LIMIT,
+        mirrors: Mirrors | None = None,
     ) -> None:
         self._parameters = parameters
+        self._mirrors = Mirrors() if mirrors is None else mirrors
         self._limit = limit
         self._registry = registry
         self._caller_of = caller_of
@@ -77,9 +83,17 @@ class ParameterCalls:
             "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
         }
 
+    def mirror(self, changes: Iterable[MirrorChange], now: int) -> tuple[ParameterChanged, ...]:
+        """The updates for subscribers of mirrored parameters that have changed."""
+        return tuple(
+            event
+            for change in changes
+            for event in self._updates(change.key, change.value, now, setter=None)
+        )
+
     def _get(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        item = self._parameters.item(key)
+        item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
         if item[1] is None:  # no parameter has this value
             return Reply(0, f"Parameter [{key}] is not set", -1)
@@ -87,11 +101,16 @@ class ParameterCalls:
 
     def _has(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.item(key))
-        return Reply(self._parameters.has(key), key)
+        item = self._item(key)
+        require_tree(request.caller, Right.PARAM_GET, key, item)
+        return Reply(item[1] is not None, key)
+
+    def _item(self, key: str) -> ParameterItem:
+        return self._mirrors.item(key) if is_alias(key) else self._parameters.item(key)
 
     def _set(self, request: CallRequest) -> Reply:
         key, value = request.text(1), request.arguments[2]
+        _refuse_mirror(key, value)
         try:
             parameter_state.check_names(key, value)
             require_tree(request.caller, Right.PARAM_SET, key, *self._affected_items(key, value))
@@ -99,7 +118,7 @@ class ParameterCalls:
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
         persist = PersistParameter(ParameterChange(key, value))
-        events = self._updates(key, value, request, setter=request.caller.name)
+        events = self._updates(key, value, request.now, setter=request.caller.name)
         return Reply(0, f"parameter {key} set", events=(persist, *events))
 
     def _affected_items(self, key: str, value: object) -> list[ParameterItem]:
@@ -136,6 +155,7 @@ class ParameterCalls:
 
     def _delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
+        _refuse_mirror(key)
         require_tree(request.caller, Right.PARAM_SET, key, self._parameters.item(key))
         before = self._parameters.size
         try:
@@ -144,7 +164,7 @@ class ParameterCalls:
             return Reply(0, f"parameter [{key}] is not set", -1)
         self._account(request.caller, before)
         persist = PersistParameter(ParameterChange(key, deleted=True))
-        events = self._updates(key, {}, request, setter=None)
+        events = self._updates(key, {}, request.now, setter=None)
         return Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
     def _search(self, request: CallRequest) -> Steps:
@@ -154,7 +174,7 @@ class ParameterCalls:
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
         for candidate, found in candidates:
-            if not self._parameters.has(candidate):
+            if self._item(candidate)[1] is None:
                 continue
             if (yield from self._is_readable(request.caller, candidate)):
                 return Reply(found, f"Found [{found}]")
@@ -162,7 +182,7 @@ class ParameterCalls:
 
     def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
         """Whether the caller may read anything at or below `key`."""
-        results = decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item(key))
+        results = decisions_across_turns(caller, Right.PARAM_GET, self._item(key))
         at_once = caller.names_per_yield
         for count, decision in enumerate(results, 1):
             if decision.covered:
@@ -185,19 +205,21 @@ class ParameterCalls:
 
     def _readable_names(self, caller: Caller) -> Iterator[str | None]:
         """Every parameter the caller may read, and None for each name it may not."""
-        for decision in decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item("/")):
-            if decision.covered:
-                yield from parameter_names(decision.item)
-            else:
-                yield None
+        for item in (self._parameters.item("/"), *self._mirrors.items()):
+            for decision in decisions_across_turns(caller, Right.PARAM_GET, item):
+                if decision.covered:
+                    yield from parameter_names(decision.item)
+                else:
+                    yield None
 
     def _subscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
-        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.item(key))
+        item = self._item(key)
+        require_tree(request.caller, Right.PARAM_GET, key, item)
         require_address(self._registry, request.caller, node.uri, is_local=request.is_local)
         subscription = parameter_state.subscription_key(key)
         require_capacity(self._registry, Kind.PARAMETER, subscription, node)
-        value = _sendable(self._parameters.get(key)) if self._parameters.has(key) else {}
+        value = {} if item[1] is None else _sendable(item[1])
         events = self._registry.register_parameter(subscription, node)
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
@@ -207,7 +229,7 @@ class ParameterCalls:
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
     def _updates(
-        self, key: str, value: object, request: CallRequest, setter: str | None
+        self, key: str, value: object, now: int, setter: str | None
     ) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
         allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
@@ -215,7 +237,7 @@ class ParameterCalls:
         def may_receive(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
             if about not in allowed:
-                allowed[about] = self._may_receive(node, update.key, update.value, request.now)
+                allowed[about] = self._may_receive(node, update.key, update.value, now)
             return allowed[about]
 
         return tuple(
@@ -230,6 +252,13 @@ class ParameterCalls:
         if caller is None:
             return False
         return has_right_on_all(caller, Right.PARAM_GET, [(key.removesuffix("/") or key, value)])
+
+
+def _refuse_mirror(key: str, value: object = None) -> None:
+    try:
+        refuse_mirror(key, value)
+    except NameRefused as error:
+        raise Refused(f"{error} ({error.hint})") from error
 
 
 def _sendable(value: object) -> object:

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import is_alias
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.master.rights.caller import AddressTaken, Caller, Refused, display
@@ -23,6 +24,13 @@ from rossec.ros.names import AUTHORITY
 from rossec.ros.text import printable
 
 ASK_OPERATOR: Final = "ask the authority's operator for a grant"
+
+
+_OFFERED: Final = Right.PUBLISH | Right.PROVIDE
+_NOT_OFFERED: Final = (
+    "{} is a name of another master: what is below /remote is subscribed, called and read here "
+    "(publish or provide it under a name of this domain; other masters see that)"
+)
 
 
 class Scope(Enum):
@@ -89,6 +97,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.revocations": AccessRule(Scope.OPEN),
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
     "rossec.updateRevocationTree": AccessRule(Scope.MEMBER),
+    "rossec.revocationEntries": AccessRule(Scope.MASTER, Right.GRAPH),  # only for own masters
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
@@ -162,6 +171,8 @@ class AccessControl:
         if rule is None:
             raise Refused("no rule allows this method")
         if rule.scope is Scope.NAMED and rule.right is not None:
+            if rule.right in _OFFERED and is_alias(str(arguments[rule.name])):
+                raise Refused(_NOT_OFFERED.format(arguments[rule.name]))
             require(caller, rule.right, str(arguments[rule.name]))
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)

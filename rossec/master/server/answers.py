@@ -21,6 +21,7 @@ from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
+from rossec.master.server.site_answers import ASKING, SiteAnswers
 from rossec.master.state.registry import NodeRef
 from rossec.ros.xmlrpc import Fault
 
@@ -48,6 +49,7 @@ class CallAnswers:
         self._state = state
         self._effects = effects
         self._turns = turns
+        self._site_answers = SiteAnswers(state.imports)
 
     def dispatch(
         self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
@@ -64,7 +66,11 @@ class CallAnswers:
             return multicall.answer if multicall.done else self._multicall(call, multicall)
         if method == WATCH_GRANTS:
             return self._watch_grants(call)
+        imports = self._state.imports
+        wanted = imports.demand.version
         begun = self._begin(call)
+        if method in ASKING and imports.demand.version != wanted and not imports.is_settled:
+            return self._after_sites(call)
         if not isinstance(begun, CallOutcome):
             return self._query(call, begun)
         match begun.events:
@@ -73,6 +79,11 @@ class CallAnswers:
             ):
                 return self._probe_owner(owner, call)
         return self._effects.apply(begun)
+
+    async def _after_sites(self, call: PendingCall) -> object:
+        self._state.notify()
+        await self._site_answers.wait()
+        return await self._finish(call, self._begin(call))
 
     def _query(self, call: PendingCall, work: Work) -> object:
         """Answer at once if one turn is enough."""

@@ -12,7 +12,7 @@ import logging
 import os
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Final
 
@@ -26,6 +26,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import StopMaster
+from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.revoked_calls import CONNECTION_SECONDS, RevokedCalls, RevokedConnections
 from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
@@ -39,14 +40,18 @@ from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.grant_changes import WAIT, GrantChanges
 from rossec.master.server.local_authority import (
+    FindDomains,
     FindRevocations,
     LocalAuthority,
     no_authority,
+    no_domains,
 )
 from rossec.master.server.maintenance import Maintenance
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import MAX_CLOSING
+from rossec.master.state.mirrors import MirrorChange
 from rossec.master.state.registry import Kind, Registry
+from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
@@ -78,7 +83,7 @@ class MasterServer:
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
         check_own_identity: called with the time in each round of maintenance.
         turns: limits how long one call may delay others.
-        find_revocations: reads what an authority on this host has signed.
+        find_revocations, find_domains: read what an authority on this host has signed.
 
     Attributes:
         state: what the master knows, for its event loop.
@@ -104,6 +109,7 @@ class MasterServer:
         check_own_identity: Callable[[int], None] = lambda _: None,
         turns: Turns | None = None,
         find_revocations: FindRevocations = no_authority,
+        find_domains: FindDomains = no_domains,
     ) -> None:
         self._address = (host, port)
         self._advertise = advertise
@@ -131,9 +137,10 @@ class MasterServer:
         )
         self._maintenance = Maintenance(
             state, self._effects, timestamp_every, check_own_identity,
-            LocalAuthority(find_revocations, trust),
+            LocalAuthority(find_revocations, trust, find_domains),
         )  # fmt: skip
         self._revoked_connections = RevokedConnections()
+        self._parameters: ParameterCalls  # set by `start`
         self._answers: CallAnswers  # set by `start`, before a connection is handled
         self._server: SecureServer[Identity] | None = None
 
@@ -184,6 +191,7 @@ class MasterServer:
             connected=lambda: [stream.peer for stream in state.streams],
             imports=state.imports,
         )
+        self._parameters = api.parameters
         self._answers = CallAnswers(api, state, self._effects, self._turns)
         self._maintenance.start(api.keep_views)
 
@@ -194,6 +202,22 @@ class MasterServer:
         file.open()
         self._effects.drop_deposits()
         return file.deposits
+
+    def mirror(self, site: Site, tree: dict[str, object]) -> None:
+        """Take over the mirrored parameters of a site, and update their subscribers.
+
+        Raises:
+            ImportRefused: as `Mirrors.replace`.
+        """
+        self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
+
+    def drop_mirror(self, label: str) -> None:
+        """Forget the mirrored parameters of a site."""
+        self._send_mirrored(self.state.imports.mirrors.drop(label))
+
+    def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
+        for event in self._parameters.mirror(changes, self.state.now()):
+            self._effects.deliver(event)
 
     def status(self) -> dict[str, str | int]:
         """Figures for administrators and metrics."""

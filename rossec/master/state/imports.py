@@ -9,7 +9,7 @@ Names are local here, as `sites` says. What wins is decided when it is asked, so
 hidden appears by itself when what hid it goes.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +22,7 @@ from rossec.master.state.imported_facts import (
     SiteFacts,
     checked,
 )
+from rossec.master.state.mirrors import Mirrors
 from rossec.master.state.registry import (
     ANY_TYPE,
     Kind,
@@ -68,11 +69,15 @@ class Imports:
     Attributes:
         version: grows with every change.
         demand: what local nodes want of the sites.
+        mirrors: parameters of the sites.
+        on_settled: called when `is_settled` has become true.
     """
 
     def __init__(self, registry: Registry, limit: int = FACTS_LIMIT) -> None:
         self.version = 0
         self.demand: Final = Demand(registry)
+        self.mirrors: Final = Mirrors()
+        self.on_settled: Callable[[], None] = _ignore
         self._registry = registry
         self._limit = limit
         self._sites: dict[str, SiteFacts] = {}
@@ -112,6 +117,7 @@ class Imports:
         """There is no connection with a site: its facts stay, marked."""
         if label in self._sites:
             self._sites[label].is_lost = True
+            self._report_settled()
 
     def drop(self, label: str) -> list[ImportEvent]:
         """Forget a site and its facts."""
@@ -121,6 +127,7 @@ class Imports:
         events = self._change(held, set(), set(held.facts))
         del self._sites[label]
         self._reported.pop(label, None)
+        self._report_settled()
         return [*events]
 
     def wanted(self, site: Site, now: int) -> tuple[str, ...]:
@@ -131,6 +138,7 @@ class Imports:
         """A site has answered completely what was wanted when the demand had this version."""
         if label in self._sites:
             self._sites[label].settled = demand
+            self._report_settled()
 
     @property
     def is_settled(self) -> bool:
@@ -200,6 +208,10 @@ class Imports:
             return ()
         held, name = found
         return tuple(each.key for each in held.registered.get(name, ()) if each.kind is kind)
+
+    def _report_settled(self) -> None:
+        if self.is_settled:
+            self.on_settled()
 
     def _find(self, alias: str) -> tuple[SiteFacts, str] | None:
         """The site with the lowest label that has this node."""
@@ -308,6 +320,10 @@ class Imports:
                 reported.add(topic)
                 events.append(TypeContradicted(held.site.label, topic, here, there))
         return events
+
+
+def _ignore() -> None:
+    pass
 
 
 _TOPIC_KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER)

@@ -1,0 +1,53 @@
+"""Files with a grant or a chain of narrowings, as the commands of a node read them.
+
+A grant of the node's own domain is verified; one of another domain by those who see it, with that
+domain's key: of it, what the node can know is checked, its form, its time and its key.
+"""
+
+from pathlib import Path
+
+from ca.domains.aliases import origin_of
+from grants.errors import GrantNotHeld
+from grants.model import Grant
+from grants.token import MAX_TOKEN, Verifier, peek
+from grants.validity import check_time
+from rossec import files
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+
+
+def read_token(path: Path) -> bytes:
+    """The octets of a file with a token; not verified.
+
+    Raises:
+        ConfigurationError: it is gone, or too large.
+    """
+    missing = ConfigurationError(f"there is no file {path}", "give the file `rossec grant` wrote")
+    return files.read(path, MAX_TOKEN, missing)
+
+
+def holder_home(rossec_home: Path, grant: Grant) -> NodeHome:
+    """The directory of the node a grant is for: a grant of another domain names it by its alias."""
+    return NodeHome.of(rossec_home, origin_of(grant.subject))
+
+
+def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
+    """What a token of this node says, verified as far as this node can.
+
+    Raises:
+        GrantError: the subclass for what is wrong.
+    """
+    anchor, grant = home.anchor(), peek(token)
+    if grant.domain == anchor.domain:
+        return Verifier(anchor.public_key, anchor.domain, (), 0, _not_asked).open(token, now)
+    check_time(grant, now)
+    if grant.holder != home.identity(now).thumbprint:
+        raise GrantNotHeld(
+            f"grant {grant.short_id} is bound to another key than that of {home.name}",
+            f"it is for {grant.subject} of {grant.domain}",
+        )
+    return grant
+
+
+def _not_asked(entry: bytes, now: int) -> None:
+    """Revocation is looked up by who knows a list."""

@@ -1,0 +1,85 @@
+"""A query for what was not wanted before waits for the sites, and not for long."""
+
+import asyncio
+import time
+
+import pytest
+
+from rossec.errors import AnswerRefused
+from rossec.master.server.site_answers import SiteAnswers
+from rossec.master.state.imports import Imports
+from rossec.master.state.registry import Registry
+from rossec.master.state.sites import Site
+from rossec.net.aio.tasks import TaskSet
+from tests.rossec.master.world import SlaveNode, World, until
+
+KITCHEN = Site("kitchen")
+FACTS = [
+    ("node", "/robot", "http://10.0.0.2:1/"), ("service", "/reset", "/robot"),
+    ("provider", "/reset", "rosrpc://10.0.0.2:9"),
+]  # fmt: skip
+
+
+@pytest.fixture
+def imports() -> Imports:
+    imports = Imports(Registry())
+    imports.apply(KITCHEN, [], [])
+    return imports
+
+
+async def finds_nothing(node: SlaveNode, service: str) -> None:
+    with pytest.raises(AnswerRefused, match="no provider"):
+        await node.ask("lookupService", service)
+
+
+async def test_a_wait_ends_when_the_sites_have_answered(imports: Imports) -> None:
+    answers, tasks = SiteAnswers(imports), TaskSet()
+    waiting = [tasks.spawn(answers.wait(30), "query") for _ in range(2)]
+    await asyncio.sleep(0.01)
+    imports.settle("kitchen", imports.demand.version)
+    async with asyncio.timeout(10):
+        await asyncio.gather(*waiting)
+        await answers.wait(30)  # settled
+    await tasks.close()
+
+
+async def test_a_site_that_is_lost_is_not_waited_for(imports: Imports) -> None:
+    answers, tasks = SiteAnswers(imports), TaskSet()
+    waiting = tasks.spawn(answers.wait(30), "query")
+    await asyncio.sleep(0.01)
+    imports.lose("kitchen")
+    async with asyncio.timeout(10):
+        await waiting
+    await tasks.close()
+
+
+async def test_a_slow_site_is_not_waited_for_long(imports: Imports) -> None:
+    await SiteAnswers(imports).wait(0.01)
+    imports.drop("kitchen")
+
+
+async def test_the_first_lookup_of_a_name_waits_for_the_sites(world: World) -> None:
+    node, imports, tasks = await world.node("/a"), world.server.state.imports, TaskSet()
+    imports.apply(KITCHEN, [], [])
+    imports.settle("kitchen", imports.demand.version)
+    lookup = tasks.spawn(node.ask("lookupService", "/reset"), "lookup")
+    await until(lambda: not imports.is_settled)
+    imports.apply(KITCHEN, FACTS, [])
+    imports.settle("kitchen", imports.demand.version)
+    async with asyncio.timeout(10):
+        assert await lookup == "rosrpc://10.0.0.2:9"
+    begin = time.monotonic()
+    await finds_nothing(node, "/none")  # the site does not answer
+    again = time.monotonic()
+    assert again - begin >= 0.9
+    await finds_nothing(node, "/none")  # which is known now
+    assert time.monotonic() - again < 0.8
+    await tasks.close()
+
+
+async def test_a_master_that_follows_nobody_answers_at_once(world: World) -> None:
+    node = await world.node("/a")
+    begin = time.monotonic()
+    for number in range(3):
+        await finds_nothing(node, f"/none{number}")
+    assert time.monotonic() - begin < 0.9
