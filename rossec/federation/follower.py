@@ -23,13 +23,14 @@ from rossec.federation.answers import METHOD, SiteChange, SiteCursor
 from rossec.federation.foreign import ForeignLists
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
-from rossec.federation.states import SILENCE, Effect, Event, Phase, SiteState
+from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
+LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -278,7 +279,9 @@ class Follower:
         self._own.state.notify()
 
     async def _pause(self) -> None:
+        """Wait to dial again; a foreign master that shows nothing still says what is revoked."""
         self._woken.clear()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self.state.pause(self._rand())):
+            longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
+            async with asyncio.timeout(self.state.pause(self._rand(), longest)):
                 await self._woken.wait()
