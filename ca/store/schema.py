@@ -140,7 +140,7 @@ VERSION_5: Final = (
         root BLOB NOT NULL, terms BLOB NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
     """CREATE TABLE foreign_domain_end (
-        number INTEGER PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+        number INTEGER NOT NULL UNIQUE, reason TEXT NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
     """CREATE TABLE domain_list (
         epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,

@@ -3,7 +3,8 @@
 Two sources. The graph of a running master names publishers, subscribers and providers; callers
 and parameters are not part of it. The denial log holds what enforcing nodes and masters would have
 denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}` and
-optionally `"type"`. What a rule already decides is not learned again, in particular no denial.
+optionally `"type"`. What a rule already decides is not learned again, in particular no denial; of
+names of other masters (`/remote/...`) nothing is learned: no rule of this policy can be about them.
 """
 
 import json
@@ -11,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from ca.domains.aliases import is_alias
 from ca.names import check_name
 from grants.errors import GrantError, PolicyRefused
 from grants.model import Right
@@ -83,7 +85,8 @@ def learn(
     Args:
         day: the date of observation, for the reason.
     """
-    new = [item for item in observed if not _decided(decider, item)]
+    own = [item for item in observed if not (is_alias(item.node) or is_alias(item.name))]
+    new = [item for item in own if not _decided(decider, item)]
     by_node: dict[str, list[Observation]] = {}
     for item in new:
         by_node.setdefault(item.node, []).append(item)

@@ -30,7 +30,6 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
-_GATHER: Final = 0.05  # seconds in which wishes of local nodes are gathered
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -64,6 +63,7 @@ class Follower:
         self._rand = rand
         self._cursor = SiteCursor()
         self._woken = asyncio.Event()
+        self._lists_changed = asyncio.Event()
         self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
 
     async def run(self) -> None:
@@ -76,7 +76,8 @@ class Follower:
                 self._failed(Event.REFUSED, error)
             except Failures as error:
                 self._failed(Event.FAILED, error)
-            await self._pause()
+            if self.state.phase is not Phase.FOLLOWING:
+                await self._pause()
 
     def tick(self) -> None:
         """Let the facts go that are too old; called once in a second."""
@@ -93,7 +94,11 @@ class Follower:
         self._take(Event.REMOVED)
 
     async def send_lists(self) -> None:
-        """The own lists have changed: settle it with the site at once, on another connection."""
+        """The own lists have changed: judge the site again, and send it the newer list at once.
+
+        The connection on which it is followed waits for an answer, so another one is made.
+        """
+        self._lists_changed.set()
         if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
@@ -136,14 +141,50 @@ class Follower:
         }
 
     async def _follow(self) -> None:
+        """Follow on one connection, until local nodes want more than it is asked for."""
+        was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connection() as (client, peer):
             self._take(Event.CONNECTED)
-            await self._greet(client, peer)
+            if not was_followed:
+                await self._greet(client, peer)
             while True:
-                change, demand = await self._next_change(client)
+                demand = self._own.state.imports.demand.version
+                asking = asyncio.ensure_future(self._next_change(client))
+                try:
+                    if not await self._is_answered(asking, peer, demand):
+                        return
+                    change = asking.result()
+                finally:
+                    asking.cancel()
                 self._take_over(change)
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
+
+    async def _is_answered(
+        self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
+    ) -> bool:
+        """Wait for an answer; False: local nodes want more meanwhile.
+
+        Raises:
+            SiteRefused: a new list revokes the site, or ends the trust in its domain.
+        """
+        imports, changes = self._own.state.imports, self._own.state.demand_changes
+        while not asking.done():
+            if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
+                return False
+            if self._lists_changed.is_set():
+                self._lists_changed.clear()
+                self._check_trust(peer)
+            others: list[asyncio.Future[Any]] = [
+                asyncio.ensure_future(changes.wait(SILENCE)),
+                asyncio.ensure_future(self._lists_changed.wait()),
+            ]
+            try:
+                await asyncio.wait([asking, *others], return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for each in others:
+                    each.cancel()
+        return True
 
     def _check(self, stream: SecureStream[Identity]) -> None:
         """The peer is the master that is followed, and not revoked."""
@@ -157,12 +198,14 @@ class Follower:
                 + (f" of {expected.domain}" if expected.domain else ""),
                 "check the address: rossec federation list",
             )
+        self._check_trust(peer)
+
+    def _check_trust(self, peer: Identity) -> None:
         try:
             self._own.state.trust.caller(peer, self._own.state.now())
         except RevocationsStale:  # of its domain: it is asked for them
             return
         except CAError as error:
-            stream.abort("the master's identity is revoked")
             raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
@@ -182,10 +225,9 @@ class Follower:
         if change.domains != self._own.state.trust.domains.digest():
             await exchange.settle_domains(client, self._own, peer)
 
-    async def _next_change(self, client: RpcClient) -> tuple[SiteChange, int]:
-        """The next complete answer, and the version of the demand it is for."""
+    async def _next_change(self, client: RpcClient) -> SiteChange:
+        """The next complete answer."""
         imports = self._own.state.imports
-        demand = imports.demand.version
         wanted = imports.wanted(self.settings.site, self._own.state.now())
         while True:
             try:
@@ -194,7 +236,7 @@ class Follower:
                 raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
             change = self._cursor.take(answer)
             if change is not None:
-                return change, demand
+                return change
 
     def _take_over(self, change: SiteChange) -> None:
         state = self._own.state
@@ -226,6 +268,10 @@ class Follower:
                 pass
             case Effect.MARK:
                 self._own.state.imports.lose(label)
+            case Effect.EXPIRE:
+                self._cursor = SiteCursor()
+                self._own.state.imports.expire(label)
+                self._own.state.notify()
             case Effect.DROP:
                 self._cursor = SiteCursor()
                 self._deliver(self._own.state.imports.drop(label))
@@ -233,7 +279,7 @@ class Follower:
     def _deliver(self, events: Iterable[Any]) -> None:
         for event in events:
             self._own.effects.deliver(event)
-        self._own.state.graph_changes.notify()
+        self._own.state.notify()
 
     async def _pause(self) -> None:
         self._woken.clear()

@@ -44,19 +44,21 @@ class Effect(Enum):
 
     NONE = "nothing"
     MARK = "they are marked as lost"
-    DROP = "they go"
+    EXPIRE = "they go, and connections with the site's nodes stay"
+    DROP = "they go, and subscribers here leave the site's publishers"
 
 
 _CONNECTING: Final = (Phase.DIALLING, Phase.GREETING)
 TABLE: Final = {
     (Phase.IDLE, Event.DUE): (Phase.DIALLING, Effect.NONE),
     (Phase.LOST, Event.DUE): (Phase.DIALLING, Effect.NONE),
+    (Phase.FOLLOWING, Event.DUE): (Phase.DIALLING, Effect.NONE),  # local nodes want more
     (Phase.DIALLING, Event.CONNECTED): (Phase.GREETING, Effect.NONE),
     (Phase.GREETING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
     (Phase.FOLLOWING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
     **{(at, Event.FAILED): (Phase.LOST, Effect.MARK) for at in (*_CONNECTING, Phase.FOLLOWING)},
     **{(at, Event.REFUSED): (Phase.IDLE, Effect.DROP) for at in (*_CONNECTING, Phase.FOLLOWING)},
-    **{(at, Event.EXPIRED): (at, Effect.DROP) for at in (*_CONNECTING, Phase.LOST)},
+    **{(at, Event.EXPIRED): (at, Effect.EXPIRE) for at in (*_CONNECTING, Phase.LOST)},
     **{(at, Event.REMOVED): (Phase.IDLE, Effect.DROP) for at in Phase},
 }
 
@@ -75,6 +77,7 @@ class SiteState:
         self.phase = Phase.IDLE
         self.lost_since: float | None = None
         self.failures = 0
+        self._has_facts = False
 
     def take(self, event: Event, clock: float) -> Effect:
         """Go where the table says; returns what becomes of the facts.
@@ -85,14 +88,14 @@ class SiteState:
         found = TABLE.get((self.phase, event))
         if found is None:
             raise FederationError(f"a site that is {self.phase.value}, and: {event.value}")
-        before, (self.phase, effect) = self.phase, found
+        self.phase, effect = found
         if event in (Event.FAILED, Event.REFUSED):
             self.failures += 1
         if event is Event.ANSWERED:
-            self.lost_since, self.failures = None, 0
-        elif effect is Effect.DROP:
-            self.lost_since = None
-        elif event is Event.FAILED and before is Phase.FOLLOWING:
+            self.lost_since, self.failures, self._has_facts = None, 0, True
+        elif effect in (Effect.EXPIRE, Effect.DROP):
+            self.lost_since, self._has_facts = None, False
+        elif event is Event.FAILED and self._has_facts and self.lost_since is None:
             self.lost_since = clock
         return effect
 

@@ -8,7 +8,7 @@ version, is used without them; one with an older list receives the newer one.
 """
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Final
@@ -77,7 +77,7 @@ class DomainUpdates:
         return True
 
     def take_foreign(
-        self, domain: str, revocations: bytes, timestamp: bytes, chain: list[object]
+        self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[object]
     ) -> None:
         """Take a foreign domain's list (empty: the one held) and its master's timestamp.
 

@@ -12,14 +12,18 @@ from ca.authority import create_root
 from ca.errors import DomainsRefused
 from ca.keys.publickey import thumbprint
 from grants.model import Right
+from rossec.channel.edhoc.known import KnownCertificates
 from rossec.errors import RossecError
 from rossec.master.rights.access_rules import RULES, Scope
 from rossec.master.rights.domain_trust import GRACE
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
+from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.visiting import HOSPITAL, Hospital, VisitWorld
 from tests.rossec.master.world import EVERYTHING, T, ends, until
 from tests.support.authority import EnrolledNode
+from tests.support.contexts import unlimited
 
 ALIAS = "/remote/hospital/rounds/robot3"
 OURS: dict[str, tuple[object, ...]] = {
@@ -339,3 +343,21 @@ async def test_a_revoked_foreigner_within_a_multicall(world: VisitWorld) -> None
     calls = [{"methodName": "getPid", "params": [world.robot.name]}]
     with pytest.raises((Fault, RossecError)):
         await visitor.client.call("system.multicall", calls)
+
+
+@pytest.mark.attack("foreign-node")
+async def test_a_certificate_named_by_its_hash_is_verified_again(world: VisitWorld) -> None:
+    """The master remembers certificates of handshakes; what it remembers is not trusted."""
+    host, port = parse_uri(world.server.uri)
+    own, known = world.robot.credentials, KnownCertificates()
+    context = unlimited(own, world.site.anchor.verify, known=known)
+    for _ in range(2):  # the second one names the certificate it has sent before
+        stream = await connect(host, port, context, WireProtocol.HTTP)
+        await RpcClient(stream).ask("getPid", world.robot.name)
+        await stream.close()
+    assert known.is_introduced(world.master.credentials.chain[0])
+    world.trust.update_domains(world.lists.next())
+    with pytest.raises(RossecError):
+        await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask(
+            "getPid", world.robot.name
+        )

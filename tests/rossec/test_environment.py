@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PathRefused
-from rossec.environment import own_home, rossec_home
+from rossec.environment import own_home, own_master, rossec_home
 from rossec.errors import ConfigurationError
 
 
@@ -41,3 +41,23 @@ def test_a_home_that_others_can_write_in_is_refused(tmp_path: Path) -> None:
     (tmp_path / "home").chmod(0o777)
     with pytest.raises(PathRefused):
         own_home(environ)
+
+
+@pytest.mark.parametrize(
+    ("variables", "name"),
+    [({}, "/master"), ({"ROSSEC_MASTER": ""}, "/master"),
+     ({"ROSSEC_MASTER": "/master"}, "/master"),
+     ({"ROSSEC_MASTER": "/master/kitchen"}, "/master/kitchen")],
+)  # fmt: skip
+def test_the_own_master_is_called_as_the_environment_says(
+    variables: dict[str, str], name: str
+) -> None:
+    assert own_master(variables) == name
+
+
+@pytest.mark.parametrize(
+    "name", ["master", "/robot", "/master/", "/master/a/b", "/masters", "/remote/hospital/master"]
+)
+def test_no_other_name_is_that_of_a_master(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="which is not the name of a master"):
+        own_master({"ROSSEC_MASTER": name})

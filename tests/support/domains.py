@@ -1,5 +1,6 @@
 """Two trust domains in memory: what one authority says of the other, and its revocations."""
 
+from secrets import token_bytes
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -19,6 +20,8 @@ from ca.revocation.state import (
     sign_timestamp,
 )
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
+from grants import document
+from grants.model import Draft, Permission, Right
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 
@@ -47,6 +50,28 @@ def domains(
 def alone(anchor: TrustAnchor, own: Revocations) -> Standing:
     """What a node knows that has no list of foreign domains."""
     return Standing(Anchors(anchor), own)
+
+
+def grant(
+    signed_by: Site,
+    holder: bytes,
+    right: Right,
+    pattern: str,
+    *,
+    subject: str = "/somebody",
+    domain: str = "",
+    **changes: Any,
+) -> bytes:
+    """A grant for a day, signed by one site; `domain` is by default its own."""
+    fields: dict[str, Any] = {
+        "not_before": NOW - 60, "expires": NOW + DAY, "cap": NOW + DAY, "serial": token_bytes(16),
+        "permissions": (Permission(pattern, right),),
+    }  # fmt: skip
+    draft = Draft(
+        domain=domain or signed_by.anchor.domain, subject=subject, holder=holder,
+        **(fields | changes),
+    )  # fmt: skip
+    return document.sign(KeySigner(signed_by.key), draft)
 
 
 class SomeNode:

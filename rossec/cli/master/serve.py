@@ -117,6 +117,7 @@ async def _serve(
         newest=None if newest is None else newest[0],
         entries=None if newest is None else newest[1],
         find_revocations=local_list.newest_if_changed,
+        find_domains=local_list.domains_if_changed,
         renewer=renewer,
         now=now(),
         on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,

@@ -7,6 +7,7 @@ clocks of two hosts may differ, and XML-RPC's integers end in 2038.
 from collections.abc import Callable, Iterable
 from typing import Final
 
+from ca.domains.aliases import is_alias
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply
 from rossec.master.rights.caller import Peer
 from rossec.master.rights.recent_denials import RecentDenials
@@ -43,7 +44,8 @@ class AuthorityCalls:
 
     def _standing(self, request: CallRequest) -> Reply:
         key = request.caller.thumbprint  # the authority has signed the list and needs none
-        nodes = [peer for peer in self._connected() if peer.thumbprint != key]
+        own = (peer for peer in self._connected() if not is_alias(peer.name))
+        nodes = [peer for peer in own if peer.thumbprint != key]
         found = self._statements.standing(nodes, request.now)
         epoch, seq = self._statements.list_number
         answer = {

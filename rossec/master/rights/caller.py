@@ -132,7 +132,7 @@ class Caller:
         Raises:
             Refused: its identity does not cover `name`.
         """
-        if name == self.name and not self.is_foreign:
+        if name == self.name and not name.startswith(REMOTE):  # the usual case
             return self
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
         if not names.covers(own, name, wildcard=self.wildcard):

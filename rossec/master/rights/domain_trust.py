@@ -96,19 +96,22 @@ class DomainTrust:
         self._exports: dict[str, Reach | None] = {}
         self._list_replaced(frozenset())
 
-    def update(self, data: bytes) -> bool:
-        """Take a list of domains; returns whether it differs from the one held.
+    def update(self, data: bytes) -> frozenset[str] | None:
+        """Take a list of domains; returns those that are gone or have another root.
+
+        None: it is the list held.
 
         Raises:
             DomainsRefused: not of the own authority, or older than one seen.
             HintedError: it could not be persisted; nothing has changed.
         """
-        before = self.anchors.data
+        before, roots = self.anchors.data, self._roots()
         ended = self.anchors.update(data, self._persist)
         if self.anchors.data == before:
-            return False
+            return None
         self._list_replaced(ended)
-        return True
+        kept = self._roots().items()
+        return frozenset(domain for domain, root in roots.items() if (domain, root) not in kept)
 
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
@@ -181,9 +184,22 @@ class DomainTrust:
     def admit(self, peer: Identity, now: int) -> None:
         """Return if a foreigner may open a connection; raises as `Standing.check_peer`.
 
-        The own master is the source of the own list's freshness: that it is held is enough.
+        The own master is the source of the own list's freshness: that it is held is enough. A
+        foreign master may come while its domain's revocations are stale, or two masters that know
+        nothing of each other yet would wait for each other; it has no right until they are not.
         """
         self.check_connected(peer, now)
+        if is_master_name(peer.certified_name):
+            return
+        self.check_fresh(peer, now)
+
+    def check_fresh(self, peer: Identity, now: int) -> None:
+        """Return if no key of a foreigner is revoked, as its domain's master said lately.
+
+        Raises:
+            Revoked: one is.
+            RevocationsStale: this is not known.
+        """
         for key in peer.keys:
             self.standing.check(peer.domain, key, now)
 
@@ -202,7 +218,7 @@ class DomainTrust:
                 self.standing.check(peer.domain, key, now)
             except RevocationsStale as error:
                 stale = stale or error
-        if stale is None:
+        if stale is None or is_master_name(peer.certified_name):
             self._stale_since.pop(peer.thumbprint, None)
         elif now - self._stale_since.setdefault(peer.thumbprint, now) >= GRACE:
             raise stale
@@ -211,6 +227,17 @@ class DomainTrust:
         """Raise if `entry` is known to be revoked by `domain`, or `domain` is not listed."""
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
+
+    def check_for(self, peer: Identity, entry: bytes, now: int) -> None:
+        """As `check_known` with a foreigner's domain; nothing counts for a master that is stale."""
+        self.check_known(peer.domain, entry, now)
+        if is_master_name(peer.certified_name):  # `admit` did not ask
+            self.check_fresh(peer, now)
+
+    def label_of(self, domain: str) -> str:
+        """The label of a listed foreign domain; empty for any other."""
+        listed = self.anchors.listed_domain(domain)
+        return "" if listed is None else listed.entry.label
 
     def domain_of(self, label: str) -> str | None:
         """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
@@ -222,8 +249,7 @@ class DomainTrust:
     def is_own_master(self, peer: Identity) -> bool:
         """Whether a peer is a listed master of the own domain."""
         return (
-            peer.name.startswith("/master")
-            and not peer.is_foreign
+            not peer.is_foreign
             and not peer.wildcard
             and is_master_name(peer.name)
             and peer.thumbprint in self._own_masters
@@ -261,6 +287,9 @@ class DomainTrust:
         """When the trust in a listed domain ends next; None: never."""
         ends = [each.entry.until for each in self.anchors.all_listed if each.entry.until > now]
         return min(ends, default=None)
+
+    def _roots(self) -> dict[str, bytes]:
+        return {each.entry.domain: each.anchor.thumbprint for each in self.anchors.all_listed}
 
     def _data(self, domain: str) -> bytes:
         held = self.standing.foreign(domain)

@@ -11,11 +11,12 @@ from dataclasses import replace
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.domains.aliases import is_alias
+from ca.domains.aliases import REMOTE, is_alias
 from ca.domains.anchors import Anchors
 from ca.domains.standing import Standing
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signer import Signer
+from ca.names import MASTER
 from ca.revocation.state import Revocations, digest
 from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
@@ -91,10 +92,10 @@ class TrustState(ListInForce):
         if self._is_revoked(keys):
             shown = display(peer.name)
             raise Revoked(f"the key of {shown} is revoked", "enroll the node with a new key")
-        if peer.is_foreign:
+        if peer.certified:  # a foreigner
             return self._foreign_caller(peer, now)
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
-        if self.domains.is_own_master(peer):
+        if peer.name.startswith(MASTER) and self.domains.is_own_master(peer):
             return replace(caller, is_own_master=True)
         return replace(caller, is_authority=True) if is_authority(peer) else caller
 
@@ -110,7 +111,7 @@ class TrustState(ListInForce):
 
         def check(domain: str, entry: bytes, now: int) -> None:
             self._check_grant(domain, entry, now)
-            self.domains.check_known(peer.domain, entry, now)
+            self.domains.check_for(peer, entry, now)
 
         exported = self.domains.exported(peer.domain)
         return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
@@ -136,19 +137,15 @@ class TrustState(ListInForce):
     def update_domains(self, data: bytes) -> bool:
         """Take a list of domains; returns whether it differs from the one held.
 
-        Grants of domains that are gone, or trusted under other terms, are discarded.
+        Grants of domains that are gone, or have another root, are discarded.
 
         Raises:
             DomainsRefused: not of the own authority, or older than one seen.
         """
-        before = {each.entry.domain: each.anchor for each in self.domains.anchors.all_listed}
-        if not self.domains.update(data):
-            return False
-        kept = {each.entry.domain: each.anchor for each in self.domains.anchors.all_listed}
-        ended = {domain for domain, anchor in before.items() if kept.get(domain) != anchor}
+        ended = self.domains.update(data)
         for held in self._held.values() if ended else ():
-            held.drop_domains(ended)
-        return True
+            held.drop_domains(ended or ())
+        return ended is not None
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and store grants; a refused one does not affect the others.
@@ -270,7 +267,7 @@ class TrustState(ListInForce):
 
         One key may be certified in several domains, where it is another peer.
         """
-        if is_alias(peer.name):
+        if peer.name.startswith(REMOTE) and is_alias(peer.name):
             place = peer.name.split("/")[2], peer.thumbprint
             return self._held_by_foreigners.setdefault(place, PresentedGrants())
         held = self._held.get(peer.thumbprint)
@@ -296,7 +293,9 @@ class TrustState(ListInForce):
             raise GrantNotHeld(
                 "the grant is bound to another key", f"it was issued to {grant.subject}"
             )
-        check_one_domain(grant, self._label_of(grant.domain), caller.certified or caller.name)
+        check_one_domain(
+            grant, self.domains.label_of(grant.domain), caller.certified or caller.name
+        )
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -327,10 +326,6 @@ class TrustState(ListInForce):
         delegates = (self._signer.public_key, *domains.own_delegates())
         check = self._revocations.check
         return Verifier(anchor.public_key, anchor.domain, delegates, self.number, check)
-
-    def _label_of(self, domain: str) -> str:
-        listed = self.domains.anchors.listed_domain(domain)
-        return "" if listed is None else listed.entry.label
 
     def _confirm(self, now: int) -> None:
         """Confirm the list to this process, once in each second and for each list."""

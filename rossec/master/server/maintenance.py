@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from rossec.clock import Setbacks
-from rossec.master.api.methods import RevocationsChanged
+from rossec.master.api.methods import DomainsChanged, RevocationsChanged
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.local_authority import SOURCE, LocalAuthority
 from rossec.net.aio.tasks import TaskSet
@@ -31,7 +31,7 @@ class Maintenance:
     Args:
         interval: seconds between two rounds.
         check_own_identity: called with the time in each round.
-        local_authority: may have signed a newer list.
+        local_authority: may have signed newer lists.
     """
 
     def __init__(
@@ -85,6 +85,8 @@ class Maintenance:
         self._check_own_identity(self._state.now())
         if self._local_authority.has_newer_list(self._state.now()):
             self._effects.deliver(RevocationsChanged(SOURCE))
+        if self._local_authority.has_newer_domains():
+            self._effects.deliver(DomainsChanged(SOURCE))
         for file in (self._state.parameter_file, self._state.deposit_file):
             if file is not None:
                 file.sync()

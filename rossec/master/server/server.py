@@ -17,7 +17,8 @@ from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
+from ca.names import is_master_name
 from rossec.channel.edhoc.credentials import OwnCredential, Verify
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
@@ -39,9 +40,11 @@ from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.grant_changes import WAIT, GrantChanges
 from rossec.master.server.local_authority import (
+    FindDomains,
     FindRevocations,
     LocalAuthority,
     no_authority,
+    no_domains,
 )
 from rossec.master.server.maintenance import Maintenance
 from rossec.master.server.parameter_file import ParameterFile
@@ -80,7 +83,7 @@ class MasterServer:
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
         check_own_identity: called with the time in each round of maintenance.
         turns: limits how long one call may delay others.
-        find_revocations: reads what an authority on this host has signed.
+        find_revocations, find_domains: read what an authority on this host has signed.
 
     Attributes:
         state: what the master knows, for its event loop.
@@ -106,6 +109,7 @@ class MasterServer:
         check_own_identity: Callable[[int], None] = lambda _: None,
         turns: Turns | None = None,
         find_revocations: FindRevocations = no_authority,
+        find_domains: FindDomains = no_domains,
     ) -> None:
         self._address = (host, port)
         self._advertise = advertise
@@ -133,7 +137,7 @@ class MasterServer:
         )
         self._maintenance = Maintenance(
             state, self._effects, timestamp_every, check_own_identity,
-            LocalAuthority(find_revocations, trust),
+            LocalAuthority(find_revocations, trust, find_domains),
         )  # fmt: skip
         self._revoked_connections = RevokedConnections()
         self._parameters: ParameterCalls  # set by `start`
@@ -260,6 +264,9 @@ class MasterServer:
         try:
             state.trust.admit(stream.peer, state.now())
         except HintedError as error:
+            if _is_stale_master(stream.peer, error):
+                await self._serve_revoked(stream, confirmed=True)
+                return
             if stream.peer.is_foreign:  # its own master tells it what is revoked
                 _denials.warning("%s is refused: %s", name, printable(error))
                 stream.abort(str(error))
@@ -288,7 +295,9 @@ class MasterServer:
         of_key = sum(other.thumbprint == peer.thumbprint for other in peers)
         return of_key < self._limits.connections_per_identity
 
-    async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
+    async def _serve_revoked(
+        self, stream: SecureStream[Identity], *, confirmed: bool = False
+    ) -> None:
         """Answer for a few seconds; not one of the streams, so it is sent no updates."""
         keys = stream.peer.keys
         if not self._revoked_connections.admit(keys):
@@ -297,8 +306,18 @@ class MasterServer:
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(CONNECTION_SECONDS):
-                    answer = RevokedCalls(self.state.trust, self.state.now).answer
+                    calls = RevokedCalls(self.state.trust, self.state.now, confirmed=confirmed)
+                    answer = calls.answer
                     await serve_calls(stream, answer, limit=self._limits.body)
         finally:
             stream.abort("the identity is revoked")
             self._revoked_connections.release(keys)
+
+
+def _is_stale_master(peer: Identity, error: HintedError) -> bool:
+    """Whether a foreign master is refused because its domain's revocations are not fresh here.
+
+    It is told the own domain's all the same: of two masters one must speak first.
+    """
+    stale = isinstance(error, RevocationsStale)
+    return stale and peer.is_foreign and is_master_name(peer.certified_name)

@@ -20,7 +20,12 @@ from rossec.master.rights.deposits import verifier
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.statements import Renewer, TrustState
 from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.local_authority import FindRevocations, no_authority
+from rossec.master.server.local_authority import (
+    FindDomains,
+    FindRevocations,
+    no_authority,
+    no_domains,
+)
 from rossec.master.server.own_identity import OwnIdentity
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.saved_list import ListFile
@@ -48,6 +53,7 @@ def master_of(
     limits: MasterLimits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
     find_revocations: FindRevocations = no_authority,
+    find_domains: FindDomains = no_domains,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -61,7 +67,7 @@ def master_of(
         on_denial: called for every right that a caller lacks.
         limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
-        find_revocations: reads what an authority on this host has signed.
+        find_revocations, find_domains: read what an authority on this host has signed.
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -89,6 +95,7 @@ def master_of(
         suites=suites,
         check_own_identity=partial(_maintain, own_identity, saved_list),
         find_revocations=find_revocations,
+        find_domains=find_domains,
     )
 
 

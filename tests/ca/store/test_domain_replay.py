@@ -56,6 +56,14 @@ def test_what_was_done_is_in_order(record: Record) -> None:
         record.store.log.audit(new_signer().public_key)
 
 
+def test_domains_may_end_in_any_order(record: Record) -> None:
+    for name in ("cafe", "office", "zoo"):
+        record.store.domains.accept(foreign(Site.create(name), name), NOW)
+    for name in ("zoo", "cafe", "office"):
+        record.store.domains.end(name, f"{name} is over", NOW)
+    record.audit()
+
+
 def list_of_a_removed_domain(record: Record) -> None:
     record.list(record.hospital)
 

@@ -91,3 +91,12 @@ def test_only_what_no_rule_decides_is_learned() -> None:
 def test_rights_of_a_pinned_key_are_not_learned_for_the_name() -> None:
     seen = [Observation("/heating", Right.SUBSCRIBE, "/robot/pose")]
     assert learn(SMALL, Decider(policy()), seen, "today")[1] == []
+
+
+def test_nothing_is_learned_of_other_masters_names() -> None:
+    decider = Decider(policy(SMALL))
+    observed = [
+        Observation("/remote/hospital/robot", Right.SUBSCRIBE, "/pose"),
+        Observation("/viewer", Right.SUBSCRIBE, "/remote/hospital/pose"),
+    ]
+    assert learn(SMALL, decider, observed, "2026-11-22") == (SMALL, [])

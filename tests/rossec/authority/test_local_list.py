@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from ca.domains.lists import open_domains
 from ca.revocation.state import open_list
 from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from rossec.authority.home import AuthorityHome
@@ -23,6 +24,21 @@ def test_without_an_authority_there_is_no_list(tmp_path: Path) -> None:
     local_list = LocalList(tmp_path)
     assert local_list.newest() is None
     assert local_list.newest_if_changed() is None
+    assert local_list.domains() == local_list.domains_if_changed() == b""
+
+
+def test_a_new_list_of_domains_is_returned_once(shell: Shell) -> None:
+    local_list = LocalList(shell.root)
+    assert local_list.domains_if_changed() == b""
+    shell.enroll("/master")
+    assert local_list.domains_if_changed() == b""
+    shell.enroll("/master/kitchen")
+    found = local_list.domains_if_changed()
+    assert len(open_domains(found, AuthorityHome.at(shell.root).anchor()).masters) == 2
+    for _ in range(3):
+        local_list.domains_if_changed()
+    assert local_list.domains_if_changed() == b""
+    assert local_list.domains() == found
 
 
 def test_a_new_list_is_returned_once(shell: Shell) -> None:

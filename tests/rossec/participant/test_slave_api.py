@@ -65,6 +65,8 @@ MASTER_CALLS: list[Call] = [
     ("paramUpdate", "/k", 3),
     ("shutdown", "replaced"),
     ("rossec.revocationUpdate", b"list", b"stamp"),
+    ("rossec.domainsUpdate", b"list"),
+    ("rossec.foreignRevocationUpdate", "hospital.example", b"list", b"stamp", [b"leaf"]),
     ("getName",),
     ("getUri",),
     ("getPid",),
@@ -101,6 +103,32 @@ async def test_calls_of_the_master_reach_the_node(node: Node, identity: Identity
     await call(node, master, "rossec.revocationUpdate", "/master", b"list", b"stamp")
     await call(node, master, "shutdown", "/master", "replaced")
     assert node.received == [("/t", ["http://a:1"]), (b"list", b"stamp", "/master"), ("replaced",)]
+
+
+async def test_other_updates_of_the_master_reach_the_node(node: Node, identity: Identity) -> None:
+    master = replace(identity, name="/master")
+    await call(node, master, "rossec.domainsUpdate", "/master", b"list")
+    word = ("hospital", b"list", b"stamp", [b"leaf"])
+    await call(node, master, "rossec.foreignRevocationUpdate", "/master", *word)
+    assert node.received == [
+        ("rossec.domainsUpdate", b"list", "/master"),
+        ("rossec.foreignRevocationUpdate", *word, "/master"),
+    ]
+    answer = await call(node, master, "rossec.domainsUpdate", "/master", b"older")
+    assert answer == [-1, "rossec: older than one seen", 0]
+
+
+async def test_the_master_is_who_the_node_calls_so(node: Node, identity: Identity) -> None:
+    kitchen = replace(identity, name="/master/kitchen")
+    foreign = replace(identity, name="/remote/hospital/master", certified="/master")
+    given = ("shutdown", ("/master/kitchen", "x"))
+    assert await SlaveApi(node, "/master/kitchen")(*given, kitchen) == [1, "shutdown", 0]
+    for master, peer, caller in (
+        ("/master", kitchen, "/master/kitchen"), ("/master/kitchen", identity, "/viewer"),
+        ("/master", foreign, "/master"),
+    ):  # fmt: skip
+        answer = await SlaveApi(node, master)("shutdown", (caller, "x"), peer)
+        assert answer == [-1, "rossec: shutdown is for the master alone", 0]
 
 
 async def test_any_node_may_call_request_topic(node: Node, identity: Identity) -> None:

@@ -119,10 +119,14 @@ async def test_a_subscriber_that_sends_data_is_disconnected(pair: SidecarPair) -
             await stream.receive()
 
 
-async def test_only_the_master_may_update_revocations(pair: SidecarPair) -> None:
+async def test_only_the_master_may_update_lists(pair: SidecarPair) -> None:
     agent, endpoint = await ingress_endpoint(pair, WireProtocol.HTTP)
     client = RpcClient(await agent.dial(endpoint))
-    params = ("/master", b"list", b"timestamp")
-    answer = await client.call("rossec.revocationUpdate", *params)
-    assert answer == [-1, "rossec: rossec.revocationUpdate is for the master alone", 0]
+    for method, *params in (
+        ("rossec.revocationUpdate", b"list", b"timestamp"),
+        ("rossec.domainsUpdate", b"list"),
+        ("rossec.foreignRevocationUpdate", "hospital", b"list", b"timestamp", [b"leaf"]),
+    ):
+        answer = await client.call(str(method), "/master", *params)
+        assert answer == [-1, f"rossec: {method} is for the master alone", 0]
     await client.close()

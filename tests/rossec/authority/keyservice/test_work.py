@@ -1,5 +1,6 @@
 """What the service does by itself: joins, the policy, its maintenance."""
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,9 @@ from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
+from tests.support.domains import foreign
 from tests.support.joining import asked, fresh
+from tests.support.pki import Site
 
 NOW, DAY = 1_800_000_000, 86_400
 SECRET = "four random words here"
@@ -306,3 +309,17 @@ def test_a_round_without_a_policy_is_logged(
 ) -> None:
     working.work.apply_if_changed()
     assert "the policy is not applied: " in caplog.text
+
+
+def test_a_list_of_domains_is_signed_and_delivered_in_a_round(working: Working) -> None:
+    working.work.maintain()
+    assert "rossec.updateDomains" not in working.calls
+    with closing(working.home.store()) as store:
+        store.domains.accept(foreign(Site.create("hospital.example")), NOW)
+    for _ in range(2):
+        working.work.maintain()
+    assert working.calls.count("rossec.updateDomains") == 1
+    assert any(line.startswith("signs a list of domains") for line in working.audit)
+    working.now += 8 * DAY
+    working.work.maintain()
+    assert working.calls.count("rossec.updateDomains") == 2

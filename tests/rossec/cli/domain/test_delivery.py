@@ -32,7 +32,7 @@ async def running_master(shell: Shell) -> AsyncIterator[MasterServer]:
         await master.close()
 
 
-async def held_by(master: MasterServer, sites: Neighbours) -> DomainList:
+async def list_at(master: MasterServer, sites: Neighbours) -> DomainList:
     """The list that the master has."""
     call = MasterCall(sites.home.node(), "rossec.domains", (b"",), "a query", "")
     data = await asyncio.to_thread(call_master, Environment(sites.shell.environ), master.uri, call)
@@ -50,13 +50,13 @@ async def test_each_change_reaches_the_master(sites: Neighbours) -> None:
         said = await run("domain", "accept", str(sites.card), "--yes")
         assert said.code == 0, said
         assert said.out.endswith("the master has the new list of domains\n")
-        assert [each.label for each in (await held_by(master, sites)).domains] == ["hospital"]
+        assert [each.label for each in (await list_at(master, sites)).domains] == ["hospital"]
         assert (await run("domain", "limit", "hospital", "--fresh", "60s", "--yes")).code == 0
-        assert [each.fresh for each in (await held_by(master, sites)).domains] == [60]
+        assert [each.fresh for each in (await list_at(master, sites)).domains] == [60]
         assert (await run("domain", "remove", "hospital")).code == 0
-        assert (await held_by(master, sites)).domains == ()
+        assert (await list_at(master, sites)).domains == ()
         assert (await run("ca", "refresh")).code == 0
-        assert (await held_by(master, sites)).seq == 4
+        assert (await list_at(master, sites)).seq == 4
         assert (await run("ca", "publish")).code == 0
 
 
@@ -67,7 +67,7 @@ async def test_the_key_of_a_second_master_reaches_the_first(sites: Neighbours) -
         sign = ("ca", "sign", request, "--yes", "--master", master.uri)
         said = await asyncio.to_thread(sites.shell.unlocked, *sign)
         assert "the master has the new list of domains, with the keys of all masters" in said.out
-        assert len((await held_by(master, sites)).masters) == 2
+        assert len((await list_at(master, sites)).masters) == 2
 
 
 def test_a_second_master_is_enrolled_while_the_first_is_off(sites: Neighbours) -> None:

@@ -38,7 +38,9 @@ def office() -> Office:
 
 
 def test_the_standing_of_the_list_in_force(office: Office) -> None:
-    office.connected = [node("/doctor"), node("/heating"), node("/ca")]
+    office.connected = [
+        node("/doctor"), node("/heating"), node("/ca"), node("/remote/hospital/robot"),
+    ]  # fmt: skip
     office.statements.held_lists.record(office.connected[0], LIST, NOW)
     answer = {"list": "1.1", "nodes": 2, "holding": 1, "lacking": ["/heating"]}
     assert office.ask(STANDING) == [1, "standing of the revocation list", answer]

@@ -82,8 +82,8 @@ def test_a_list_that_cannot_be_saved_changes_nothing(master: Master) -> None:
 
 def test_a_newer_list_of_domains_counts_once(master: Master) -> None:
     generation, newer = master.trust.generation, domains(master.home, seq=2)
-    assert master.trust.update(newer)
-    assert not master.trust.update(newer)
+    assert master.trust.update(newer) == frozenset({DOMAIN})
+    assert master.trust.update(newer) is None
     assert master.trust.generation == generation + 1
     assert master.trust.number == 2
     assert master.trust.digest() == digest(newer)
@@ -94,7 +94,7 @@ def test_a_newer_list_of_domains_counts_once(master: Master) -> None:
 def test_without_a_list_there_is_no_number_and_no_digest(master: Master) -> None:
     empty = DomainTrust(Standing(Anchors(master.home.anchor), master.standing.own))
     assert (empty.number, empty.digest(), empty.next_end(NOW)) == (0, b"", None)
-    assert empty.update(master.list)
+    assert empty.update(master.list) == frozenset()
 
 
 def test_the_word_of_a_foreign_master_is_relayed(master: Master) -> None:
@@ -143,7 +143,7 @@ def test_a_saved_list_is_restored_unconfirmed(master: Master) -> None:
     with pytest.raises(Revoked):
         other.check_connected(master.peer(), NOW)
     with pytest.raises(RevocationsStale):
-        other.admit(master.peer(master.speaker), NOW)
+        other.check_fresh(master.peer(master.speaker), NOW)
     with pytest.raises(RollbackRefused):
         other.take(DOMAIN, master.data, b"", [], NOW)
 
@@ -153,6 +153,16 @@ def test_a_foreigner_connects_while_its_domains_revocations_are_fresh(master: Ma
     master.trust.admit(peer, NOW + 3600)
     with pytest.raises(RevocationsStale):
         master.trust.admit(peer, NOW + 3601)
+
+
+def test_a_foreign_master_connects_while_its_domains_revocations_are_stale(master: Master) -> None:
+    """Else two masters that know nothing of each other would wait for each other."""
+    peer, stale = master.peer(master.speaker), NOW + 3601
+    master.trust.admit(peer, stale)
+    master.trust.check_connected(peer, stale + GRACE)
+    master.trust.check_for(peer, b"g" * 16, NOW)
+    with pytest.raises(RevocationsStale):
+        master.trust.check_for(peer, b"g" * 16, stale)
 
 
 def test_a_connection_stands_a_minute_longer(master: Master) -> None:
@@ -192,6 +202,8 @@ def test_labels_of_foreign_domains_and_of_own_sites(master: Master) -> None:
     assert master.trust.domain_of("hospital") == DOMAIN
     assert master.trust.domain_of("kitchen") == OWN_DOMAIN
     assert master.trust.domain_of("clinic") is None
+    assert master.trust.label_of(DOMAIN) == "hospital"
+    assert master.trust.label_of("home") == ""
 
 
 def test_the_label_of_a_domain_is_not_that_of_an_own_site(master: Master) -> None:

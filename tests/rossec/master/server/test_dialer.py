@@ -2,12 +2,15 @@
 
 import asyncio
 import socket
+from dataclasses import replace
 
 import pytest
 
 from rossec.errors import AnswerRefused
+from rossec.master.server.dialer import is_node
 from rossec.master.state.registry import NodeRef
 from tests.rossec.master.world import EVERYTHING, SlaveNode, T, World, until
+from tests.support.authority import Site
 
 
 async def test_the_peer_must_be_the_registered_node(world: World) -> None:
@@ -87,3 +90,21 @@ async def test_an_update_for_one_key_is_not_sent_to_another_of_the_same_name(wor
     await other.ask("registerPublisher", "/t", T, other.uri)
     await until(lambda: other.received_calls("publisherUpdate") != [])
     assert newer.received == []
+
+
+@pytest.mark.parametrize(
+    ("registered", "key", "expected"),
+    [
+        ("/remote/hospital/rounds/robot3", b"k" * 32, True),
+        ("/rounds/robot3", b"k" * 32, False),
+        ("/remote/clinic/rounds/robot3", b"k" * 32, False),
+        ("/remote/hospital/rounds/robot3", b"o" * 32, False),
+    ],
+)
+def test_a_foreigner_is_the_node_of_its_alias(registered: str, key: bytes, expected: bool) -> None:
+    """Its certified name is that of another node, were it one of ours."""
+    own = Site().enroll("/rounds/robot3").identity
+    alias = "/remote/hospital/rounds/robot3"
+    found = replace(own, name=alias, certified=own.name, thumbprint=b"k" * 32)
+    assert is_node(found, NodeRef(registered, "http://10.0.0.9:1/", key)) == expected
+    assert is_node(own, NodeRef(own.name, "http://10.0.0.9:1/", own.thumbprint))

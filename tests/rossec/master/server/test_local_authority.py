@@ -1,11 +1,18 @@
 """Lists of an authority on the same host: accepted when newer; failures are only logged."""
 
+from pathlib import Path
+
 import pytest
 
 from ca.errors import RevocationRefused
+from ca.revocation.state import Revocations
 from rossec.errors import ConfigurationError
+from rossec.master.rights.delegation import discard
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.local_authority import LocalAuthority, no_authority
 from tests.rossec.master.fakes import FakeStatements
+from tests.support import trust
+from tests.support.site import Site
 
 
 class Found:
@@ -73,3 +80,28 @@ def test_each_reason_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     found.there = ConfigurationError("another", "")
     found.local_authority.has_newer_list(7)
     assert caplog.text.count("is not accepted: another") == 2
+
+
+def test_a_newer_list_of_domains_is_accepted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    home, hospital = Site(tmp_path / "home", "home"), Site(tmp_path / "hospital", "hospital")
+    there = [b""]
+    revocations = Revocations(home.anchor.public_key)
+    statements = TrustState(home.anchor, home.authority.signer, revocations, discard)
+    local = LocalAuthority(no_authority, statements, lambda: there[0])
+    assert not local.has_newer_domains()
+    old = there[0] = trust.accept(home, hospital)
+    assert local.has_newer_domains()
+    assert not local.has_newer_domains()
+    assert statements.domains.anchors.data == old
+    there[0] = trust.remove(home, "hospital")
+    assert local.has_newer_domains()
+    there[0] = old
+    for _ in range(3):
+        assert not local.has_newer_domains()
+        assert not local.has_newer_list(7)
+    assert caplog.text.count("the list of domains of the authority on this host is not") == 1
+    assert not LocalAuthority(no_authority, statements).has_newer_domains()
+    for site in (home, hospital):
+        site.authority.store.close()

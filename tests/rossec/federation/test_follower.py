@@ -1,0 +1,101 @@
+import asyncio
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from rossec.federation import states
+from tests.support.masters import Master, masters
+from tests.support.site import Site
+from tests.support.witness import until
+
+
+@pytest.fixture
+async def pair(tmp_path: Path) -> AsyncIterator[list[Master]]:
+    async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as found:
+        for master in found:
+            master.want()
+        yield found
+
+
+async def test_facts_of_another_master_come_and_go(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose") == ["http://127.0.0.1:4711/"])
+    await kitchen.register("/arm", "/arm/pose", 4712)
+    await until(lambda: hall.imported("/arm/pose") == ["http://127.0.0.1:4712/"])
+    kitchen.unregister("/robot")
+    await until(lambda: hall.imported("/pose") == [])
+    assert hall.state_of("kitchen")["state"] == "following"
+    assert hall.state_of("kitchen")["error"] == ""
+    assert hall.state_of("kitchen")["facts"] == 3
+    assert kitchen.imported("/pose") == []
+
+
+async def test_both_ways_without_a_loop(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await hall.register("/robot", "/pose", 4711)
+    await kitchen.register("/arm", "/arm/pose", 4712)
+    hall.follow(kitchen.as_site("kitchen"))
+    kitchen.follow(hall.as_site("hall"))
+    await until(lambda: hall.imported("/arm/pose"))
+    await until(lambda: kitchen.imported("/pose"))
+    assert hall.state_of("kitchen")["facts"] == kitchen.state_of("hall")["facts"] == 3
+
+
+async def test_a_restarted_master_is_followed_again(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose"))
+    await kitchen.stop()
+    await until(lambda: hall.state_of("kitchen")["state"] in ("lost", "dialling"))
+    assert hall.imported("/pose"), "its facts stay for a minute"
+    assert hall.state_of("kitchen")["lost_s"] is not None
+    await kitchen.start()
+    await kitchen.register("/arm", "/arm/pose", 4712)
+    await until(lambda: hall.imported("/arm/pose"))
+    assert hall.imported("/pose") == [], "what the new run does not know is gone"
+
+
+async def test_the_facts_of_a_lost_master_go(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(states, "LOST_FOR", 1.5)
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose"))
+    await kitchen.stop()
+    await asyncio.sleep(0.5)
+    assert hall.imported("/pose")
+    await until(lambda: not hall.imported("/pose"))
+    assert hall.state_of("kitchen")["facts"] == 0
+    await kitchen.start()
+    await kitchen.register("/robot", "/pose", 4711)
+    await until(lambda: hall.imported("/pose"))
+
+
+async def test_another_master_than_expected_is_refused(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    kitchen.name = "/master/cellar"
+    hall.follow(kitchen.as_site("cellar"))
+    await until(lambda: hall.state_of("cellar")["error"])
+    assert "/master/kitchen answers at" in hall.state_of("cellar")["error"]
+    assert hall.state_of("cellar")["state"] in ("idle", "dialling")
+
+
+async def test_facts_travel_by_need(tmp_path: Path) -> None:
+    async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as (hall, kitchen):
+        await kitchen.register("/robot", "/pose", 4711)
+        await kitchen.register("/arm", "/arm/pose", 4712)
+        hall.follow(kitchen.as_site("kitchen"))
+        await until(lambda: hall.state_of("kitchen")["state"] == "following")
+        assert hall.state_of("kitchen")["facts"] == 0
+        hall.want("/pose")
+        await until(lambda: hall.imported("/pose"), within=3)
+        assert not hall.imported("/arm/pose")
+        hall.want()
+        await until(lambda: hall.imported("/arm/pose"), within=3)
+        assert hall.state_of("kitchen")["error"] == ""
