@@ -17,6 +17,7 @@ from ca.revocation.state import Revocations, open_timestamp
 from grants.model import Grant
 from rossec import files
 from rossec.channel.suite_selection import post_quantum
+from rossec.cli.node.known_domains import check_domains
 from rossec.cli.node.known_revocations import known_revocations
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.tokens import open_held
@@ -42,7 +43,7 @@ _MAX_FILE = 64 * 1024
 def doctor(environment: Environment, name: str, offline: bool) -> None:
     """Check the set-up of NODE on this machine: identity, grants, master, what is plain."""
     home = NodeHome.find(environment.home, name)
-    checks = [_identity, _grants] if offline else [_identity, _grants, _master]
+    checks = [_identity, _grants, _domains] if offline else [_identity, _grants, _domains, _master]
     failed = 0
     for check in checks:
         try:
@@ -101,6 +102,10 @@ def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
                 f"grant {grant.short_id} is revoked according to {revoked[entry]}",
                 f"ask for another; it does no harm in {grant.subject}'s directory",
             )
+
+
+def _domains(environment: Environment, home: NodeHome) -> Iterator[str]:
+    yield from check_domains(environment.home, home, now())
 
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
