@@ -287,6 +287,10 @@ class Follower:
                 pass
             case Effect.MARK:
                 self._own.state.imports.lose(label)
+            case Effect.EXPIRE:
+                self._cursor = SiteCursor()
+                self._own.state.imports.expire(label)
+                self._own.state.notify()
             case Effect.DROP:
                 self._cursor = SiteCursor()
                 self._deliver(self._own.state.imports.drop(label))
