@@ -52,7 +52,7 @@ def measure(seconds: float) -> dict[str, object]:
     }
 
 
-def _us(seconds: float, *actions: Callable[[], object]) -> list[float]:
+def shortest_us(seconds: float, *actions: Callable[[], object]) -> list[float]:
     """The shortest time of each action, taking turns."""
     timers = [timeit.Timer(action) for action in actions]
     counts = [max(1, int(seconds / max(timer.timeit(3) / 3, 1e-8))) for timer in timers]
@@ -91,7 +91,7 @@ def _filter(
 
     if b"".join(compiled(data)) != by_genpy():
         raise AssertionError(f"{kind.__name__}: the two sides differ")
-    wire, genpy = _us(seconds, lambda: compiled(data), by_genpy)
+    wire, genpy = shortest_us(seconds, lambda: compiled(data), by_genpy)
     return wire, genpy
 
 
@@ -191,7 +191,7 @@ def _conditions(seconds: float) -> dict[str, float]:
         ' && msg.header.frame_id == "map"',
     }
     compiled = {name: compile_condition(shape, text) for name, text in texts.items()}
-    times = _us(seconds, *[lambda c=c: c(data, NOW) for c in compiled.values()])
+    times = shortest_us(seconds, *[lambda c=c: c(data, NOW) for c in compiled.values()])
     return dict(zip(compiled, times, strict=True))
 
 
@@ -226,7 +226,7 @@ def _verify(seconds: float) -> tuple[float, float, float, float]:
         r, s = int.from_bytes(raw[:32]), int.from_bytes(raw[32:])
         public.verify(encode_dss_signature(r, s), data, ec.ECDSA(hashes.SHA256()))
 
-    first, again, bare, signing = _us(
+    first, again, bare, signing = shortest_us(
         seconds,
         lambda: open_grant(next(new), public, NOW),
         lambda: open_grant(data, public, NOW),

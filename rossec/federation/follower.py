@@ -63,6 +63,7 @@ class Follower:
         self._rand = rand
         self._cursor = SiteCursor()
         self._woken = asyncio.Event()
+        self._lists_changed = asyncio.Event()
         self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
 
     async def run(self) -> None:
@@ -93,7 +94,11 @@ class Follower:
         self._take(Event.REMOVED)
 
     async def send_lists(self) -> None:
-        """The own lists have changed: settle it with the site at once, on another connection."""
+        """The own lists have changed: judge the site again, and send it the newer list at once.
+
+        The connection on which it is followed waits for an answer, so another one is made.
+        """
+        self._lists_changed.set()
         if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
@@ -146,7 +151,7 @@ class Follower:
                 demand = self._own.state.imports.demand.version
                 asking = asyncio.ensure_future(self._next_change(client))
                 try:
-                    if not await self._is_answered(asking, demand):
+                    if not await self._is_answered(asking, peer, demand):
                         return
                     change = asking.result()
                 finally:
@@ -155,16 +160,30 @@ class Follower:
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
 
-    async def _is_answered(self, asking: asyncio.Future[SiteChange], demand: int) -> bool:
-        """Wait for an answer; False: local nodes want more meanwhile."""
+    async def _is_answered(
+        self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
+    ) -> bool:
+        """Wait for an answer; False: local nodes want more meanwhile.
+
+        Raises:
+            SiteRefused: a new list revokes the site, or ends the trust in its domain.
+        """
         imports, changes = self._own.state.imports, self._own.state.demand_changes
         while not asking.done():
             if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
                 return False
-            waiting: asyncio.Future[Any] = asyncio.ensure_future(changes.wait(SILENCE))
-            both: set[asyncio.Future[Any]] = {asking, waiting}
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-            waiting.cancel()
+            if self._lists_changed.is_set():
+                self._lists_changed.clear()
+                self._check_trust(peer)
+            others: list[asyncio.Future[Any]] = [
+                asyncio.ensure_future(changes.wait(SILENCE)),
+                asyncio.ensure_future(self._lists_changed.wait()),
+            ]
+            try:
+                await asyncio.wait([asking, *others], return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for each in others:
+                    each.cancel()
         return True
 
     def _check(self, stream: SecureStream[Identity]) -> None:
@@ -179,12 +198,14 @@ class Follower:
                 + (f" of {expected.domain}" if expected.domain else ""),
                 "check the address: rossec federation list",
             )
+        self._check_trust(peer)
+
+    def _check_trust(self, peer: Identity) -> None:
         try:
             self._own.state.trust.caller(peer, self._own.state.now())
         except RevocationsStale:  # of its domain: it is asked for them
             return
         except CAError as error:
-            stream.abort("the master's identity is revoked")
             raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
@@ -247,6 +268,10 @@ class Follower:
                 pass
             case Effect.MARK:
                 self._own.state.imports.lose(label)
+            case Effect.EXPIRE:
+                self._cursor = SiteCursor()
+                self._own.state.imports.expire(label)
+                self._own.state.notify()
             case Effect.DROP:
                 self._cursor = SiteCursor()
                 self._deliver(self._own.state.imports.drop(label))

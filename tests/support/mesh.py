@@ -6,68 +6,50 @@ record is outside of it, so that lists reach a master only over the network.
 """
 
 import asyncio
+import base64
 import contextlib
+import json
 import os
 import signal
 import sys
-import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys.publickey import to_coordinates
+from ca.domains.lists import open_domains, sign_domains
 from grants.model import Right
+from rossec.federation.settings import SiteSettings
+from rossec.federation.site_file import SiteFile
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from tests.support.crewprocess import CrewProcess
 from tests.support.hosts import Host
 from tests.support.lan import Lan, lan_of
-from tests.support.site import DAY, Site
+from tests.support.site import Site
+from tests.support.trust import share
 from tests.support.witness import until
 
 PORT: Final = 11311
-FRESH: Final = 3600
+_SHORTENED: Final = """
+from rossec.federation import follower, states
+follower.SILENCE = 6
+states.LOST_FOR = 4
+states.LONGEST_PAUSE = 2
+from rossec.cli.main import main
+main()
+"""
 OBSERVER: Final = "/observer"  # may see everything at its master
 
 
 class Domain:
-    """One trust domain: its site, and its list of the others."""
+    """One trust domain with its masters."""
 
     def __init__(self, root: Path, name: str) -> None:
         self.name = name
         self.site = Site(root, name)
-        self.listed: dict[str, ForeignDomain] = {}  # by label
-        self.masters = [MASTER]
-        self._seq = 0
-
-    def accept(self, other: "Domain", *admitted: str, label: str = "", **terms: int) -> None:
-        """Trust the nodes of `other` with these names; `terms` are `fresh` and `until`."""
-        label = label or other.name
-        until = int(terms.get("until", time.time() + 30 * DAY))
-        self.listed[label] = ForeignDomain(
-            other.name, label, other.site.anchor.certificate, admitted,
-            terms.get("fresh", FRESH), until,
-        )  # fmt: skip
-
-    def sign_list(self, lifetime: int = 30 * DAY) -> bytes:
-        """The next list of domains."""
-        self._seq += 1
-        now = int(time.time())
-        keys = sorted(to_coordinates(self.site.identity(name).public_key) for name in self.masters)
-        domains = DomainList(
-            0, self._seq, now, now + lifetime,
-            tuple(sorted(self.listed.values(), key=lambda each: each.domain)), tuple(keys),
-        )  # fmt: skip
-        return sign_domains(self.site.authority.signer, domains, self.name)
-
-    def carry_list(self) -> None:
-        """Put the next list into every home, as delivered."""
-        data = self.sign_list()
-        for node in (self.site.root / "nodes").iterdir():
-            (node / "domains.cose").write_bytes(data)
 
     def enroll(self, name: str, **rights: str) -> None:
         """Enroll a node with rights on names of this domain: `publish="/a /b"`."""
@@ -75,6 +57,22 @@ class Domain:
         for right, patterns in rights.items():
             for pattern in patterns.split():
                 self.site.grant(name, Right[right.upper()], pattern)
+
+    def invite(self, other: "Domain", name: str, **rights: str) -> None:
+        """Give a node of `other` rights on names of this domain; it has the grants at once."""
+        for right, patterns in rights.items():
+            for pattern in patterns.split():
+                share(self.site, other.site, name, Right[right.upper()], pattern)
+
+    def list_for(self, seconds: int) -> bytes:
+        """The newest list of domains, but one that expires so soon; `trust.newest` follows it."""
+        newest = open_domains(self.site.authority.store.domains.newest_list(), self.site.anchor)
+        epoch, seq = newest.number
+        now = self.site.now()
+        brief = replace(newest, seq=seq + 1, issued=now, expires=now + seconds)
+        data = sign_domains(self.site.authority.signer, brief, self.name)
+        self.site.authority.store.domains.save_list((epoch, seq + 1), data, now)
+        return data
 
 
 class Place:
@@ -84,10 +82,11 @@ class Place:
         self.domain, self.name, self.host, self.master = domain, name, host, master
         self.directory = domain.site.root.parent / name
         self.directory.mkdir(mode=0o700)
-        self.config = self.directory / "master.yaml"
         self.log = self.directory / "master.log"
         self._process: asyncio.subprocess.Process | None = None
         self._crew: CrewProcess | None = None
+        self._module: tuple[str, ...] = ("-m", "rossec")
+        self._options: tuple[str, ...] = ()
 
     @property
     def uri(self) -> str:
@@ -122,22 +121,41 @@ class Place:
         assert process.returncode == 0, said.decode()
         return said.decode()
 
-    async def begin(self, *options: str) -> None:
-        """Start the master and the crew, and wait until the master answers."""
-        await self.start(*options)
+    async def begin(self, *options: str, shortened: bool = False) -> None:
+        """Start the master and the crew, and wait until the master answers.
+
+        `shortened`: it forgets a silent site sooner, also when it is started again.
+        """
+        self._module = ("-c", _SHORTENED) if shortened else ("-m", "rossec")
+        self._options = options
+        await self.start()
         if self._crew is None:
             self._crew = await CrewProcess.started(
                 self.host.prefix, self.environ, self.directory / "crew.log"
             )
 
-    async def start(self, *options: str) -> None:
-        """Start the master, and wait until it answers."""
+    def follow(self, other: "Place", domain: str = "") -> None:
+        """Have this master follow another one, which is of the foreign domain with this label."""
+        label = domain or other.name
+        site = SiteSettings(label, other.uri, other.master, domain)
+        self._file.change(lambda sites: sites.update({label: site}))
+
+    def unfollow(self, label: str) -> None:
+        """Have this master follow a site no longer."""
+        self._file.change(lambda sites: sites.__delitem__(label))
+
+    @property
+    def _file(self) -> SiteFile:
+        return SiteFile(NodeHome.of(self.domain.site.root, self.master).path)
+
+    async def start(self) -> None:
+        """Start the master as before, and wait until it answers."""
         name = () if self.master == MASTER else ("--name", self.master)
-        config = ("--config", str(self.config)) if self.config.exists() else ()
         before = self.said().count(self.uri)
         with self.log.open("ab") as log:
             self._process = await asyncio.create_subprocess_exec(
-                *self.rossec("master", *name, *config, *options), env=self.environ,
+                *self.host.at(sys.executable, *self._module, "master", *name, *self._options),
+                env=self.environ,
                 stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log,
             )  # fmt: skip
         process = self._process
@@ -176,6 +194,15 @@ class Place:
         """An answer of this place's master to one who may see all."""
         return await self.crew.do(OBSERVER, "ask", method, *params)
 
+    async def deliver(self, method: str, data: bytes) -> object:
+        """Give a signed list to this place's master, as its authority would."""
+        return await self.crew.do(OBSERVER, "deliver", method, base64.b64encode(data).decode())
+
+    async def sites(self) -> dict[str, dict[str, Any]]:
+        """The sites that this master follows, by label."""
+        said = json.loads(await self.run("federation", "status", "--json"))
+        return {site["label"]: site for site in said["sites"]}
+
     async def close(self) -> None:
         """Kill everything of this host."""
         if self._crew is not None:
@@ -198,8 +225,6 @@ class Mesh:
         added.enroll(OBSERVER, graph="/**")
         for number, host in enumerate(hosts):
             master = f"{MASTER}/{host}" if number else MASTER
-            if number:
-                added.masters.append(master)
             home = added.site.enroll(master)
             home.save_revocations(added.site.authority.store.newest_list() or b"")
             self.places[host] = Place(added, host, self.lan[host], master)

@@ -6,6 +6,7 @@ trusted for addresses; anybody else what it has `graph` on, a foreigner only wha
 domain. Only what the follower wants is sent (docs/spec/multimaster.md).
 """
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
@@ -62,7 +63,9 @@ class SiteCalls:
         key, version = request.caller.thumbprint, self._registry.version
         revocations, domains = self._digests()
         lists = revocations, b"" if request.caller.is_foreign else domains
-        answer = self.views.answer(key, known, frozenset(seen), version, lists)
+        # an answer to other wants is one at once: the follower waits for it, also if it is no
+        beside = (*lists, _digest(request.arguments[3]))
+        answer = self.views.answer(key, known, frozenset(seen), version, beside)
         answer |= {"revocations": lists[0], "domains": lists[1]}
         return Reply(answer, "facts of this site")
 
@@ -96,6 +99,10 @@ def _is_shown(caller: Caller, wanted: Reach | None, name: str) -> bool:
         return False
     exported = caller.exported is None or caller.exported.covers_any(ALL_RIGHTS, name)
     return exported and caller.may(Right.GRAPH, name)
+
+
+def _digest(wanted: object) -> bytes:
+    return hashlib.sha256(repr(wanted).encode()).digest()
 
 
 def _wanted(value: object) -> Reach | None:

@@ -184,9 +184,22 @@ class DomainTrust:
     def admit(self, peer: Identity, now: int) -> None:
         """Return if a foreigner may open a connection; raises as `Standing.check_peer`.
 
-        The own master is the source of the own list's freshness: that it is held is enough.
+        The own master is the source of the own list's freshness: that it is held is enough. A
+        foreign master may come while its domain's revocations are stale, or two masters that know
+        nothing of each other yet would wait for each other; it has no right until they are not.
         """
         self.check_connected(peer, now)
+        if is_master_name(peer.certified_name):
+            return
+        self.check_fresh(peer, now)
+
+    def check_fresh(self, peer: Identity, now: int) -> None:
+        """Return if no key of a foreigner is revoked, as its domain's master said lately.
+
+        Raises:
+            Revoked: one is.
+            RevocationsStale: this is not known.
+        """
         for key in peer.keys:
             self.standing.check(peer.domain, key, now)
 
@@ -205,7 +218,7 @@ class DomainTrust:
                 self.standing.check(peer.domain, key, now)
             except RevocationsStale as error:
                 stale = stale or error
-        if stale is None:
+        if stale is None or is_master_name(peer.certified_name):
             self._stale_since.pop(peer.thumbprint, None)
         elif now - self._stale_since.setdefault(peer.thumbprint, now) >= GRACE:
             raise stale
@@ -214,6 +227,12 @@ class DomainTrust:
         """Raise if `entry` is known to be revoked by `domain`, or `domain` is not listed."""
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
+
+    def check_for(self, peer: Identity, entry: bytes, now: int) -> None:
+        """As `check_known` with a foreigner's domain; nothing counts for a master that is stale."""
+        self.check_known(peer.domain, entry, now)
+        if is_master_name(peer.certified_name):  # `admit` did not ask
+            self.check_fresh(peer, now)
 
     def label_of(self, domain: str) -> str:
         """The label of a listed foreign domain; empty for any other."""

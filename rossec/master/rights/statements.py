@@ -111,7 +111,7 @@ class TrustState(ListInForce):
 
         def check(domain: str, entry: bytes, now: int) -> None:
             self._check_grant(domain, entry, now)
-            self.domains.check_known(peer.domain, entry, now)
+            self.domains.check_for(peer, entry, now)
 
         exported = self.domains.exported(peer.domain)
         return self._caller(peer, now, self._judge._replace(check=check, exported=exported))

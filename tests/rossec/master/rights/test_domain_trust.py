@@ -143,7 +143,7 @@ def test_a_saved_list_is_restored_unconfirmed(master: Master) -> None:
     with pytest.raises(Revoked):
         other.check_connected(master.peer(), NOW)
     with pytest.raises(RevocationsStale):
-        other.admit(master.peer(master.speaker), NOW)
+        other.check_fresh(master.peer(master.speaker), NOW)
     with pytest.raises(RollbackRefused):
         other.take(DOMAIN, master.data, b"", [], NOW)
 
@@ -153,6 +153,16 @@ def test_a_foreigner_connects_while_its_domains_revocations_are_fresh(master: Ma
     master.trust.admit(peer, NOW + 3600)
     with pytest.raises(RevocationsStale):
         master.trust.admit(peer, NOW + 3601)
+
+
+def test_a_foreign_master_connects_while_its_domains_revocations_are_stale(master: Master) -> None:
+    """Else two masters that know nothing of each other would wait for each other."""
+    peer, stale = master.peer(master.speaker), NOW + 3601
+    master.trust.admit(peer, stale)
+    master.trust.check_connected(peer, stale + GRACE)
+    master.trust.check_for(peer, b"g" * 16, NOW)
+    with pytest.raises(RevocationsStale):
+        master.trust.check_for(peer, b"g" * 16, stale)
 
 
 def test_a_connection_stands_a_minute_longer(master: Master) -> None:
