@@ -9,12 +9,13 @@ Names are local here, as `sites` says. What wins is decided when it is asked, so
 hidden appears by itself when what hid it goes.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from itertools import islice
 from typing import Final
 
 from rossec.errors import ImportRefused
 from rossec.master.state.demand import Demand
+from rossec.master.state.import_events import Contradictions, ImportEvent, SiteStatus
 from rossec.master.state.imported_facts import (
     FACTS_LIMIT,
     Address,
@@ -31,32 +32,11 @@ from rossec.master.state.registry import (
 )
 from rossec.master.state.sites import NODE, Site
 
-MAX_REPORTED: Final = 1024  # contradictions of one site that are reported
+MAX_REGISTERED: Final = 4096  # nodes for one name; each update has all addresses
+STEP: Final = 256  # facts between two yields
 
 _Entry = tuple[str, str]
 """The label of a site, and the name there of a node."""
-
-
-@dataclass(frozen=True)
-class TypeContradicted:
-    """A topic is not imported from a site, where it has another type than here."""
-
-    label: str
-    topic: str
-    type_here: str
-    type_there: str
-
-
-ImportEvent = PublishersChanged | TypeContradicted
-
-
-@dataclass(frozen=True)
-class SiteStatus:
-    """One site, for people."""
-
-    site: Site
-    facts: int
-    is_lost: bool
 
 
 class Imports:
@@ -82,7 +62,7 @@ class Imports:
         self._limit = limit
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
-        self._reported: dict[str, set[str]] = {}
+        self._contradictions = Contradictions(registry)
         registry.imported_publishers = self.publisher_uris
 
     def apply(
@@ -99,9 +79,27 @@ class Imports:
             ImportRefused: a malformed fact, or too many. The facts of the site are still held.
             NameRefused: the site's label is not one.
         """
+        steps = self.apply_in_steps(site, added, removed, whole=whole)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                events: list[ImportEvent] = end.value
+                return events
+
+    def apply_in_steps(
+        self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
+    ) -> Generator[None, None, list[ImportEvent]]:
+        """As `apply`; yields where other calls may be answered, and returns the events.
+
+        One answer of a site is taken over at a time; `drop` ends it.
+        """
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()
-        new = set(checked(added))
+        new = set[Fact]()
+        for part in _parts(added):
+            new.update(checked(part))
+            yield
         gone = old - new if whole else old.intersection(removed) - new
         new -= old
         if len(old) - len(gone) + len(new) > self._limit:
@@ -111,7 +109,8 @@ class Imports:
             events += self.drop(site.label)
             held = self._sites[site.label] = SiteFacts(site)
         held.is_lost = False
-        return [*events, *self._change(held, new, gone), *self._contradictions(held, new)]
+        events += yield from self._change(held, new, gone)
+        return [*events, *self._contradictions.report(held, new)]
 
     def lose(self, label: str) -> None:
         """There is no connection with a site: its facts stay, marked."""
@@ -124,11 +123,15 @@ class Imports:
         held = self._sites.get(label)
         if held is None:
             return []
-        events = self._change(held, set(), set(held.facts))
+        topics = self._followed_topics(held, held.facts)
+        before = {topic: self.publisher_uris(topic) for topic in topics}
+        for fact in tuple(held.facts):
+            self._remove(held, fact)
         del self._sites[label]
-        self._reported.pop(label, None)
+        self.version += 1
+        self._contradictions.forget(label)
         self._report_settled()
-        return [*events]
+        return [*self._changed(before)]
 
     def wanted(self, site: Site, now: int) -> tuple[str, ...]:
         """What to ask a site for, as `Demand.wanted`."""
@@ -266,35 +269,45 @@ class Imports:
     def _agrees(self, label: str, topic: str, type_name: str) -> bool:
         return self._sites[label].types.get(topic, type_name) == type_name
 
-    def _change(self, held: SiteFacts, new: set[Fact], gone: set[Fact]) -> list[PublishersChanged]:
+    def _change(
+        self, held: SiteFacts, new: set[Fact], gone: set[Fact]
+    ) -> Generator[None, None, list[PublishersChanged]]:
         if not new and not gone:
             return []
         topics = self._followed_topics(held, new | gone)
         before = {topic: self.publisher_uris(topic) for topic in topics}
-        for fact in gone:
-            self._remove(held, fact)
-        for fact in new:
-            self._add(held, fact)
-        self.version += 1
+        for change, facts in ((self._remove, gone), (self._add, new)):
+            for part in _parts(facts):
+                for fact in part:
+                    change(held, fact)
+                self.version += 1
+                yield
+                if self._sites.get(held.site.label) is not held:
+                    return self._changed(before)
+        return self._changed(before)
+
+    def _changed(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
+        """The events of the topics that have other publishers than `before`."""
         return [
             self._registry.publishers_changed(topic)
-            for topic in topics
-            if self.publisher_uris(topic) != before[topic]
+            for topic, uris in before.items()
+            if self.publisher_uris(topic) != uris
         ]
 
     def _add(self, held: SiteFacts, fact: Fact) -> None:
         found = held.add(fact)
         if found is not None:
             entries = self._entries[found.kind].setdefault(found.key, {})
-            entries[held.site.label, fact[2]] = None
+            if len(entries) < MAX_REGISTERED:
+                entries[held.site.label, fact[2]] = None
 
     def _remove(self, held: SiteFacts, fact: Fact) -> None:
         found = held.remove(fact)
         if found is not None:
-            entries = self._entries[found.kind][found.key]
-            del entries[held.site.label, fact[2]]
+            entries = self._entries[found.kind].get(found.key, {})
+            entries.pop((held.site.label, fact[2]), None)
             if not entries:
-                del self._entries[found.kind][found.key]
+                self._entries[found.kind].pop(found.key, None)
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
         """The topics with local subscribers whose publishers may change."""
@@ -308,18 +321,11 @@ class Imports:
                 found.add(key)
         return sorted(found.intersection(followed))
 
-    def _contradictions(self, held: SiteFacts, new: Iterable[Fact]) -> list[TypeContradicted]:
-        reported = self._reported.setdefault(held.site.label, set())
-        events: list[TypeContradicted] = []
-        for kind, name, there in new:
-            topic = held.local_key(name) if kind == "type" else None
-            here = ANY_TYPE if topic is None else self._registry.topic_type(topic)
-            if topic is None or here in (ANY_TYPE, there) or topic in reported:
-                continue
-            if len(reported) < MAX_REPORTED:
-                reported.add(topic)
-                events.append(TypeContradicted(held.site.label, topic, here, there))
-        return events
+
+def _parts(facts: Iterable[Fact]) -> Iterator[list[Fact]]:
+    rest = iter(facts)
+    while part := list(islice(rest, STEP)):
+        yield part
 
 
 def _ignore() -> None:
