@@ -122,7 +122,7 @@ class Services:
 
     async def probe(self, name: str) -> tuple[Fields, Identity]:
         """The header and identity of the provider of `name`; raises as `service_client.probe`."""
-        return await probe(self.dial, self._context.name, name, self._context.access)
+        return await probe(self.dial, self._context.name_for, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
         """Services this node may see, each with its providers.
@@ -173,7 +173,9 @@ class Services:
             raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
         check_md5(fields, name, service.kind.md5sum)
         answer = header.encode(
-            server_header(context.name, name, service.expected, context.access, now)
+            server_header(
+                context.name_for(stream.peer), name, service.expected, context.access, now
+            )
         )
         if is_set(fields, "probe"):
             return partial(stream.send, answer)

@@ -13,12 +13,13 @@ from rossec.federation.config import FederationConfig
 from rossec.federation.mesh import Mesh
 from rossec.federation.settings import SiteSettings
 from rossec.federation.start import mesh_of
+from rossec.master.api.methods import DomainsChanged, RevocationsChanged
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
-from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.settings import parse_uri
 from tests.support.site import DAY, Site
 
@@ -63,13 +64,13 @@ class Master:
     def as_site(self, label: str, domain: str = "", *patterns: str) -> SiteSettings:
         return SiteSettings(label, self.server.uri, self.name, domain, patterns)
 
-    def register(self, node: str, topic: str, port: int = 4711) -> None:
-        """As if `node` had registered a publisher."""
-        ref = NodeRef(node, f"http://127.0.0.1:{port}/", bytes(32))
-        registry = self.server.state.registry
-        for event in registry.register_publisher(topic, TYPE, ref):
-            self.server.effects.deliver(event)
-        self.server.state.notify()
+    async def register(self, node: str, topic: str, port: int = 4711) -> None:
+        """Have `node` publish `topic`; its slave API is on a port where nobody listens."""
+        grant = self.site.publish(node, topic)
+        async with self.caller(node) as client:
+            await client.ask(PRESENT_GRANTS, node, [grant])
+            uri = f"http://127.0.0.1:{port}/"
+            await client.ask("registerPublisher", node, topic, TYPE, uri)
 
     def unregister(self, node: str) -> None:
         for event in self.server.state.registry.remove_node(node):
@@ -85,6 +86,25 @@ class Master:
         }  # fmt: skip
         return Node(name, environ=environ)
 
+    @property
+    def list_number(self) -> tuple[int, int]:
+        return self.server.state.trust.list_number
+
+    def take_list(self, data: bytes) -> None:
+        """As `rossec ca publish` to this master."""
+        if self.server.state.trust.update(data, self.site.now()):
+            self.server.effects.deliver(RevocationsChanged("/ca"))
+
+    def take_tree(self, data: bytes, entries: bytes) -> None:
+        """The same with a tree."""
+        if self.server.state.trust.update_tree(data, entries, self.site.now()):
+            self.server.effects.deliver(RevocationsChanged("/ca"))
+
+    def take_domains(self, data: bytes) -> None:
+        """As a list of domains delivered to this master."""
+        if self.server.state.trust.update_domains(data):
+            self.server.effects.deliver(DomainsChanged("/ca"))
+
     def want(self, *topics: str) -> None:
         """As if local nodes looked these up; none: as if a tool listed the graph."""
         state = self.server.state
@@ -98,7 +118,8 @@ class Master:
         return self.server.state.imports.publisher_uris(topic)
 
     def state_of(self, label: str) -> dict[str, Any]:
-        return next(row for row in self.mesh.status()["sites"] if row["label"] == label)
+        rows = self.mesh.status()["sites"]
+        return next((row for row in rows if row["label"] == label), {"state": "", "error": ""})
 
     @contextlib.asynccontextmanager
     async def caller(self, node: str) -> AsyncIterator[RpcClient]:

@@ -73,6 +73,7 @@ class StatementCalls:
             "rossec.updateRevocationTree": Method(
                 (arg.binary("tree"), arg.binary("entries")), 0, self._update_tree
             ),
+            "rossec.revocationEntries": Method((), b"", self._entries),
             "rossec.revocationProofs": Method(
                 (arg.binaries("entries", PROOF_LIMIT),), [], self._proofs
             ),
@@ -131,6 +132,12 @@ class StatementCalls:
         with refusals_answered():
             newer = self._statements.update_tree(request.binary(1), request.binary(2), request.now)
         return _update_reply(newer, request)
+
+    def _entries(self, request: CallRequest) -> Reply:
+        """All entries of the tree in force, which name what was ever revoked: to own masters."""
+        if not request.caller.is_own_master:
+            raise Refused("only another master of this domain may call this")
+        return Reply(self._statements.tree_entries, "entries")
 
     def _proofs(self, request: CallRequest) -> Reply:
         return Reply(self._statements.proofs(binaries(request.arguments[1])), "proofs")

@@ -97,6 +97,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.revocations": AccessRule(Scope.OPEN),
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
     "rossec.updateRevocationTree": AccessRule(Scope.MEMBER),
+    "rossec.revocationEntries": AccessRule(Scope.MASTER, Right.GRAPH),  # only for own masters
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),

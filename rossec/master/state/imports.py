@@ -23,6 +23,7 @@ from rossec.master.state.imported_facts import (
     SiteFacts,
     checked,
 )
+from rossec.master.state.kept_publishers import KeptPublishers
 from rossec.master.state.mirrors import Mirrors
 from rossec.master.state.registry import (
     ANY_TYPE,
@@ -63,6 +64,7 @@ class Imports:
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
         self._contradictions = Contradictions(registry)
+        self._kept: Final = KeptPublishers()
         registry.imported_publishers = self.publisher_uris
 
     def apply(
@@ -104,12 +106,11 @@ class Imports:
         new -= old
         if len(old) - len(gone) + len(new) > self._limit:
             raise ImportRefused(f"site {site.label} has more than {self._limit} facts")
-        events: list[ImportEvent] = []
-        if held is None or held.site != site:
-            events += self.drop(site.label)
-            held = self._sites[site.label] = SiteFacts(site)
+        events = self.drop(site.label) if held is not None and held.site != site else []
+        held = self._sites.setdefault(site.label, SiteFacts(site))
         held.is_lost = False
         events += yield from self._change(held, new, gone)
+        events += self._forget_kept(site.label)
         return [*events, *self._contradictions.report(held, new)]
 
     def lose(self, label: str) -> None:
@@ -118,12 +119,23 @@ class Imports:
             self._sites[label].is_lost = True
             self._report_settled()
 
+    def expire(self, label: str) -> None:
+        """A site is lost for too long: forget its facts, but let nobody leave its publishers."""
+        if (held := self._sites.get(label)) is not None:
+            for topic in self._followed_topics(held, held.facts):
+                used = self._used(Kind.PUBLISHER, topic)
+                found = [held.nodes[node] for each, node in used if each == label]
+                self._kept.keep(label, topic, found)
+            self._forget(held)
+
     def drop(self, label: str) -> list[ImportEvent]:
-        """Forget a site and its facts."""
+        """Forget a site, its facts, and what `expire` kept of it."""
         held = self._sites.get(label)
-        if held is None:
-            return []
-        topics = self._followed_topics(held, held.facts)
+        events = [] if held is None else self._forget(held)
+        return [*events, *self._forget_kept(label)]
+
+    def _forget(self, held: SiteFacts) -> list[PublishersChanged]:
+        label, topics = held.site.label, self._followed_topics(held, held.facts)
         before = {topic: self.publisher_uris(topic) for topic in topics}
         for fact in tuple(held.facts):
             self._remove(held, fact)
@@ -131,7 +143,12 @@ class Imports:
         self.version += 1
         self._contradictions.forget(label)
         self._report_settled()
-        return [*self._changed(before)]
+        return self._changed(before)
+
+    def _forget_kept(self, label: str) -> list[PublishersChanged]:
+        before = {topic: self.publisher_uris(topic) for topic in self._kept.topics(label)}
+        self._kept.forget(label)
+        return self._changed(before)
 
     def wanted(self, site: Site, now: int) -> tuple[str, ...]:
         """What to ask a site for, as `Demand.wanted`."""
@@ -146,16 +163,14 @@ class Imports:
     @property
     def is_settled(self) -> bool:
         """Whether every site that is connected has answered for all that is wanted now."""
-        connected = [held for held in self._sites.values() if not held.is_lost]
-        return all(held.settled >= self.demand.version for held in connected)
+        demand = self.demand.version
+        return all(held.is_lost or held.settled >= demand for held in self._sites.values())
 
     @property
     def sites(self) -> tuple[SiteStatus, ...]:
         """All sites, by label."""
-        return tuple(
-            SiteStatus(held.site, len(held.facts), held.is_lost)
-            for _, held in sorted(self._sites.items())
-        )
+        held = (self._sites[label] for label in sorted(self._sites))
+        return tuple(SiteStatus(each.site, len(each.facts), each.is_lost) for each in held)
 
     def own_sites(self) -> Collection[str]:
         """The labels of the sites that are other masters of the own domain."""
@@ -173,10 +188,10 @@ class Imports:
         return tuple(dict.fromkeys(self._sites[label].nodes[node].name for label, node in found))
 
     def publisher_uris(self, topic: str) -> list[str]:
-        """The slave API URIs of the imported publishers of a topic."""
-        return [
-            self._sites[label].nodes[node].uri for label, node in self._used(Kind.PUBLISHER, topic)
-        ]
+        """The slave API URIs of the imported publishers of a topic, and of those kept."""
+        found = [self._sites[each].nodes[name] for each, name in self._used(Kind.PUBLISHER, topic)]
+        kept = [each for each in self._kept.addresses(topic) if self._is_elsewhere(each)]
+        return list(dict.fromkeys(address.uri for address in (*found, *kept)))
 
     def service_uri(self, service: str) -> str | None:
         """The rosrpc URI of an imported service."""
@@ -251,11 +266,11 @@ class Imports:
         for label, node in sorted(entries):
             held = self._sites[label]
             address = held.providers.get(service)
-            if address is not None and self._is_provided(address) and self._is_used(held, node):
+            if address is not None and self._is_elsewhere(address) and self._is_used(held, node):
                 return [(label, node)]
         return []
 
-    def _is_provided(self, address: Address) -> bool:
+    def _is_elsewhere(self, address: Address) -> bool:
         return not self._registry.is_registered_endpoint(address.endpoint)
 
     def _type_that_counts(self, topic: str) -> str:

@@ -20,10 +20,10 @@ async def pair(tmp_path: Path) -> AsyncIterator[list[Master]]:
 
 async def test_facts_of_another_master_come_and_go(pair: list[Master]) -> None:
     hall, kitchen = pair
-    kitchen.register("/robot", "/pose", 4711)
+    await kitchen.register("/robot", "/pose", 4711)
     hall.follow(kitchen.as_site("kitchen"))
     await until(lambda: hall.imported("/pose") == ["http://127.0.0.1:4711/"])
-    kitchen.register("/arm", "/arm/pose", 4712)
+    await kitchen.register("/arm", "/arm/pose", 4712)
     await until(lambda: hall.imported("/arm/pose") == ["http://127.0.0.1:4712/"])
     kitchen.unregister("/robot")
     await until(lambda: hall.imported("/pose") == [])
@@ -35,8 +35,8 @@ async def test_facts_of_another_master_come_and_go(pair: list[Master]) -> None:
 
 async def test_both_ways_without_a_loop(pair: list[Master]) -> None:
     hall, kitchen = pair
-    hall.register("/robot", "/pose", 4711)
-    kitchen.register("/arm", "/arm/pose", 4712)
+    await hall.register("/robot", "/pose", 4711)
+    await kitchen.register("/arm", "/arm/pose", 4712)
     hall.follow(kitchen.as_site("kitchen"))
     kitchen.follow(hall.as_site("hall"))
     await until(lambda: hall.imported("/arm/pose"))
@@ -46,7 +46,7 @@ async def test_both_ways_without_a_loop(pair: list[Master]) -> None:
 
 async def test_a_restarted_master_is_followed_again(pair: list[Master]) -> None:
     hall, kitchen = pair
-    kitchen.register("/robot", "/pose", 4711)
+    await kitchen.register("/robot", "/pose", 4711)
     hall.follow(kitchen.as_site("kitchen"))
     await until(lambda: hall.imported("/pose"))
     await kitchen.stop()
@@ -54,7 +54,7 @@ async def test_a_restarted_master_is_followed_again(pair: list[Master]) -> None:
     assert hall.imported("/pose"), "its facts stay for a minute"
     assert hall.state_of("kitchen")["lost_s"] is not None
     await kitchen.start()
-    kitchen.register("/arm", "/arm/pose", 4712)
+    await kitchen.register("/arm", "/arm/pose", 4712)
     await until(lambda: hall.imported("/arm/pose"))
     assert hall.imported("/pose") == [], "what the new run does not know is gone"
 
@@ -64,7 +64,7 @@ async def test_the_facts_of_a_lost_master_go(
 ) -> None:
     monkeypatch.setattr(states, "LOST_FOR", 1.5)
     hall, kitchen = pair
-    kitchen.register("/robot", "/pose", 4711)
+    await kitchen.register("/robot", "/pose", 4711)
     hall.follow(kitchen.as_site("kitchen"))
     await until(lambda: hall.imported("/pose"))
     await kitchen.stop()
@@ -73,7 +73,7 @@ async def test_the_facts_of_a_lost_master_go(
     await until(lambda: not hall.imported("/pose"))
     assert hall.state_of("kitchen")["facts"] == 0
     await kitchen.start()
-    kitchen.register("/robot", "/pose", 4711)
+    await kitchen.register("/robot", "/pose", 4711)
     await until(lambda: hall.imported("/pose"))
 
 
@@ -88,8 +88,8 @@ async def test_another_master_than_expected_is_refused(pair: list[Master]) -> No
 
 async def test_facts_travel_by_need(tmp_path: Path) -> None:
     async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as (hall, kitchen):
-        kitchen.register("/robot", "/pose", 4711)
-        kitchen.register("/arm", "/arm/pose", 4712)
+        await kitchen.register("/robot", "/pose", 4711)
+        await kitchen.register("/arm", "/arm/pose", 4712)
         hall.follow(kitchen.as_site("kitchen"))
         await until(lambda: hall.state_of("kitchen")["state"] == "following")
         assert hall.state_of("kitchen")["facts"] == 0
