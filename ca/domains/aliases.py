@@ -10,6 +10,7 @@ from typing import Final
 
 from ca.errors import NameRefused
 from ca.names import MAX_NAME, check_name
+from ca.patterns import check_pattern
 
 REMOTE: Final = "/remote"
 MAX_LABEL: Final = 32
@@ -109,3 +110,17 @@ def local_name(text: str) -> str:
     """
     label, colon, name = text.partition(":")
     return alias_of(label, name) if colon else text
+
+
+def local_pattern(text: str) -> str:
+    """The pattern of local names of what a person wrote: `hospital:/rounds/*` is one of aliases.
+
+    Raises:
+        NameRefused: what is around the colon is no label and pattern, or it is no pattern.
+    """
+    label, colon, pattern = text.partition(":")
+    if not colon:
+        return check_pattern(text)
+    if is_alias(check_pattern(pattern)):
+        raise NameRefused(f"{pattern} is an alias at the origin itself", "a name travels one hop")
+    return check_pattern(f"{_PREFIX}{check_label(label)}{pattern}")

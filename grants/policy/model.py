@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
+from ca.domains.aliases import is_alias
 from ca.patterns import covers
 from grants.model import FilterRule, Restriction, Right
 
@@ -38,6 +39,9 @@ class Subject:
 class SubjectPattern:
     """The nodes a rule is for: a name or name pattern, and optionally one pinned key.
 
+    Nodes of foreign domains match only what names their domain (`hospital:/rounds/*`, an alias
+    here), whatever else would cover the alias; a denial needs no more than to cover it.
+
     Args:
         label: its name in the policy.
         node: a name or pattern; None for any node with the key.
@@ -59,6 +63,8 @@ class SubjectPattern:
         return by_key or by_name
 
     def _name_fits(self, subject: Subject) -> bool:
+        if is_alias(subject.name):
+            return self.node is not None and is_alias(self.node) and covers(self.node, subject.name)
         return self.node is None or covers(self.node, subject.name)
 
 

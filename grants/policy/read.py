@@ -128,13 +128,13 @@ class _PolicyReader:
         return found
 
     def _identity(self, name: str, key: YamlScalar, part: Part) -> SubjectPattern | None:
-        if name == EVERYONE or name.startswith("/"):
+        if name == EVERYONE or name.startswith("/") or ":" in name:
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
         mapping = readers.mapping(part, f"identity {name}", self._mistakes)
         if mapping is None:
             return None
         readers.check_keys(mapping, f"identity {name}", ("node", "key"), (), self._mistakes)
-        node = readers.pattern(mapping.get("node"), f"node of {name}", self._mistakes)
+        node = readers.subject(mapping.get("node"), f"node of {name}", self._mistakes)
         pinned = readers.key(mapping.get("key"), self._mistakes)
         if mapping.get("node") is None and mapping.get("key") is None:
             self._mistakes.add(

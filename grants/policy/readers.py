@@ -8,9 +8,10 @@ import re
 from collections.abc import Collection
 from typing import Final, Literal, TypeAlias
 
+from ca.domains.aliases import is_alias, local_pattern
 from ca.errors import NameRefused
 from ca.patterns import check_pattern
-from grants.model import MAX_RATE
+from grants.model import MAX_RATE, Right
 from grants.policy.mistakes import Mistakes, suggest
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
@@ -94,6 +95,35 @@ def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
         return check_pattern(value)
     except NameRefused as error:
         mistakes.add(part, f"{what}: {error}", error.hint)
+        return None
+
+
+def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) -> str | None:
+    """A pattern of names of this domain; of names of others only the own graph is shown."""
+    value = text(part, what, mistakes)
+    if value is None or part is None:
+        return None
+    foreign = ":" in value or is_alias(value)
+    if foreign and (right is not Right.GRAPH or ":" in value):
+        hint = "its own authority grants rights on it, by its name there"
+        mistakes.add(part, f"{what}: {value[:80]!r} is a name of another domain", hint)
+        return None
+    return pattern(part, what, mistakes)
+
+
+def subject(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    """A pattern of node names: of this domain, or `hospital:/rounds/*`, which becomes an alias."""
+    value = text(part, what, mistakes)
+    if value is None or part is None:
+        return None
+    if is_alias(value):
+        hint = "LABEL:/NAME, for example hospital:/rounds/*"
+        mistakes.add(part, f"{what}: write {value[:80]!r} with the label of the domain", hint)
+        return None
+    try:
+        return local_pattern(value)
+    except NameRefused as error:
+        mistakes.add(part, f"{what}: {error}", error.hint or "LABEL:/NAME")
         return None
 
 

@@ -130,8 +130,8 @@ class RuleReader:
             return None
         if label == EVERYONE:
             return SubjectPattern(label, "/**")
-        if label.startswith("/"):
-            node = readers.pattern(part, "who", self._mistakes)
+        if label.startswith("/") or ":" in label:
+            node = readers.subject(part, "who", self._mistakes)
             return SubjectPattern(label, node) if node is not None else None
         if label not in self._identities:
             message = f"unknown identity {label[:60]!r}"
@@ -174,7 +174,7 @@ class RuleReader:
             if not items:
                 self._mistakes.add(value, f"rule {name}: {label} has no names", "add a name")
             for item in items:
-                pattern = readers.pattern(item, label, self._mistakes)
+                pattern = readers.own_pattern(item, label, RIGHTS[label], self._mistakes)
                 if pattern is not None:
                     found.append((RIGHTS[label], pattern, item))
         return found

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from ca.domains.aliases import is_alias
 from grants.model import Permission, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.drafts import permissions
@@ -40,7 +41,8 @@ class WantedRight:
         """What a verdict of ALLOW gives."""
         return cls(
             verdict.right, verdict.name, tuple(permissions(verdict)),
-            tuple(dict.fromkeys(verdict.rules)), verdict.lifetime, verdict.renew_until,
+            tuple(dict.fromkeys(verdict.rules)), verdict.lifetime,
+            0 if is_alias(verdict.subject.name) else verdict.renew_until,
         )  # fmt: skip
 
     @property
@@ -107,7 +109,8 @@ class WantedState:
         """The rules for `subject`, and what names them: the policy keeps them alive."""
         if self._last[0] != subject:
             rules = self._decider.rules_of(subject)
-            self._last = (subject, rules, tuple(map(id, rules)))
+            # No master renews grants of foreigners, so they share nothing with own nodes.
+            self._last = (subject, rules, (is_alias(subject.name), *map(id, rules)))
         return self._last[1:]
 
     def _decide_all(self, rules: list[PolicyRule], subject: Subject) -> Wanted:

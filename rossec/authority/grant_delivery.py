@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from ca.domains.aliases import is_alias
 from grants import document
 from grants.model import Grant
+from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.master_call import MasterCall
 from rossec.errors import NotDelivered
@@ -54,6 +56,11 @@ class GrantDelivery(ABC):
     def deliver(self, call: MasterCall) -> object:
         """Make a call at the master; returns the value of its answer. Raises `NotDelivered`."""
 
+    @property
+    def outgoing(self) -> Path:
+        """The directory of grants that somebody carries to another domain."""
+        return self.home.path / "outgoing"
+
     def store_grant(self, data: bytes) -> Path | None:
         """Store a grant in its node's directory if that is in this home; returns the directory."""
         grant = document.peek(data)
@@ -66,14 +73,22 @@ class GrantDelivery(ABC):
     def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
         """Deliver grants: deposit each at the master, and store it where its node is in this home.
 
+        Those of nodes of other domains, who ask another master, are put into `outgoing`.
+
         What the master has already does no harm. Returns those it refuses.
 
         Raises:
             NotDelivered: the master is out of reach; `rossec grant deliver` tries again.
         """
-        everything = tuple(grants)
-        for data in everything:
+        everything = []
+        for data in grants:
+            grant = document.peek(data)
+            if is_alias(grant.subject):
+                files.make_private_directory(self.outgoing)
+                files.replace(self.outgoing / f"{grant.id.hex()}.grant", data, 0o644)
+                continue
             self.store_grant(data)
+            everything.append(data)
         return [refused for batch in _batches(everything) for refused in self._deposit(batch)]
 
     def deposit_missing(self) -> tuple[int, list[RefusedDeposit]]:
@@ -85,7 +100,11 @@ class GrantDelivery(ABC):
             NotDelivered: the master is out of reach.
         """
         states = self.delivery_states(within=DEPOSIT_SECONDS)
-        missing = [data for grant, data in self._in_force() if not states.get(grant.id)]
+        missing = [
+            data
+            for grant, data in self._in_force()
+            if not states.get(grant.id) and not is_alias(grant.subject)
+        ]
         refused = self.deposit(missing)
         return len(missing) - len(refused), refused
 

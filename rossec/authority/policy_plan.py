@@ -28,7 +28,7 @@ from grants.policy.difference import (
 )
 from grants.policy.model import Subject
 from grants.policy.wanted import WantedRight, WantedState, rule_ids
-from rossec.authority import list_contents
+from rossec.authority import foreign_nodes, list_contents
 from rossec.authority.list_contents import SKEW
 from rossec.authority.policyfile import PolicyFile
 
@@ -159,7 +159,9 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> set[Subj
         else [row for name in names for row in store.identities.valid(name, now)]
     )
     newest = {row.name: row.thumbprint for row in found if row.name.startswith("/")}
-    return {Subject(name, key) for name, key in newest.items() if not is_reserved(name)}
+    own = {Subject(name, key) for name, key in newest.items() if not is_reserved(name)}
+    foreign = foreign_nodes.subjects(store, now)
+    return own | {each for each in foreign if names is None or each.name in names}
 
 
 def _recorded(

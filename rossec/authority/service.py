@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from ca.certificates import Identity, IdentityRequest
+from ca.domains.aliases import is_alias
 from ca.errors import CertificateExpired
 from ca.keys.signer import Signer
 from ca.revocation.state import RevocationList, open_statement
@@ -22,7 +23,7 @@ from ca.store.rows import INTERMEDIATE
 from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
-from rossec.authority import renewals
+from rossec.authority import foreign_nodes, renewals
 from rossec.authority.domain_operations import DomainOperations
 from rossec.authority.grant_delivery import GrantDelivery
 from rossec.authority.home import AuthorityHome
@@ -227,16 +228,30 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
         lifetime: int,
         renewal: int = 0,
         may_narrow: int = 0,
+        certificate: bytes = b"",
     ) -> SignedGrant:
-        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s."""
+        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s.
+
+        `node` may be an alias: `certificate` (PEM) names its key, else one recorded before. It is
+        never renewed: no master of this domain is asked by nodes of others.
+        """
         with contextlib.closing(self.home.store()) as store:
-            holder = store.valid_certificate(node, self._now()).thumbprint
+            foreign, root = None, b""
+            if is_alias(node) and certificate:
+                foreign, root = foreign_nodes.verify(store, node, certificate, self._now())
+                holder = foreign.thumbprint
+            elif is_alias(node):
+                holder = foreign_nodes.holder(store, node, self._now())
+            else:
+                holder = store.valid_certificate(node, self._now()).thumbprint
         authority, at = self.unlock(), self._now()
         draft = Draft(
             domain=authority.domain, subject=node, holder=holder, not_before=at - SKEW,
             expires=at + lifetime, cap=at + max(lifetime, renewal),
             serial=secrets.token_bytes(16), permissions=permissions, may_narrow=may_narrow,
         )  # fmt: skip
+        if foreign is not None:
+            authority.store.domains.add_certificate(root, foreign, at)
         return draft, authority.issue_grant(draft, at)
 
     def revoke_grant(self, beginning: str, reason: str) -> tuple[RevocationList, bytes]:

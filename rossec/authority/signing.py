@@ -6,7 +6,7 @@ recorded in one transaction, and so is a revocation with its list.
 """
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, check_request, to_pem
+from ca.domains.aliases import is_alias, shown
 from ca.domains.lists import DomainList
 from ca.errors import ForeignCertificate, RequestClosed
 from ca.keys.signer import Signer
@@ -26,7 +27,7 @@ from ca.store.log_entries import sign_head
 from ca.store.record import CertificateRow, GrantRow, Store
 from ca.store.rows import INTERMEDIATE
 from grants import document
-from grants.model import Draft
+from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
 from rossec import files
 from rossec.authority import domain_list, list_contents
@@ -150,6 +151,8 @@ class SigningAuthority:
             ConfigurationError, StoreError: as `issue_grant`.
         """
         self._check_root("sign grants")
+        for draft, _ in drafts:
+            check_own_names(draft.permissions)
         signed = [document.sign(self.signer, draft) for draft, _ in drafts]  # tokens are slow
         with self.store.transaction():
             check()
@@ -323,3 +326,17 @@ def certificate_row(identity: Identity) -> CertificateRow:
         identity.serial, identity.name, identity.thumbprint, identity.certificate,
         identity.not_before, identity.not_after,
     )  # fmt: skip
+
+
+def check_own_names(permissions: Iterable[Permission]) -> None:
+    """Return if an authority may grant these: of others' names it shows its own graph, no more.
+
+    Raises:
+        ConfigurationError: a right on a name below `/remote`, which another authority grants.
+    """
+    for permission in permissions:
+        if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
+            raise ConfigurationError(
+                f"{shown(permission.pattern)} is a name of another domain or site",
+                "its own authority grants rights on it, by its name there; here only --graph",
+            )

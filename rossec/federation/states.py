@@ -44,7 +44,8 @@ class Effect(Enum):
 
     NONE = "nothing"
     MARK = "they are marked as lost"
-    DROP = "they go"
+    EXPIRE = "they go, and connections with the site's nodes stay"
+    DROP = "they go, and subscribers here leave the site's publishers"
 
 
 _CONNECTING: Final = (Phase.DIALLING, Phase.GREETING)
@@ -57,7 +58,7 @@ TABLE: Final = {
     (Phase.FOLLOWING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
     **{(at, Event.FAILED): (Phase.LOST, Effect.MARK) for at in (*_CONNECTING, Phase.FOLLOWING)},
     **{(at, Event.REFUSED): (Phase.IDLE, Effect.DROP) for at in (*_CONNECTING, Phase.FOLLOWING)},
-    **{(at, Event.EXPIRED): (at, Effect.DROP) for at in (*_CONNECTING, Phase.LOST)},
+    **{(at, Event.EXPIRED): (at, Effect.EXPIRE) for at in (*_CONNECTING, Phase.LOST)},
     **{(at, Event.REMOVED): (Phase.IDLE, Effect.DROP) for at in Phase},
 }
 
@@ -92,7 +93,7 @@ class SiteState:
             self.failures += 1
         if event is Event.ANSWERED:
             self.lost_since, self.failures, self._has_facts = None, 0, True
-        elif effect is Effect.DROP:
+        elif effect in (Effect.EXPIRE, Effect.DROP):
             self.lost_since, self._has_facts = None, False
         elif event is Event.FAILED and self._has_facts and self.lost_since is None:
             self.lost_since = clock
@@ -102,7 +103,7 @@ class SiteState:
         """Whether `EXPIRED` is due."""
         return self.lost_since is not None and clock - self.lost_since >= LOST_FOR
 
-    def pause(self, rand: float) -> float:
-        """Seconds to wait before the next dial; `rand` is from 0 up to 1."""
-        pause = min(FIRST_PAUSE * 2.0 ** min(max(self.failures - 1, 0), 16), LONGEST_PAUSE)
+    def pause(self, rand: float, longest: float = LONGEST_PAUSE) -> float:
+        """Seconds to wait before the next dial, about; `rand` is from 0 up to 1."""
+        pause = min(FIRST_PAUSE * 2.0 ** min(max(self.failures - 1, 0), 16), longest)
         return pause * (1 + _SPREAD * (2 * rand - 1))

@@ -98,7 +98,8 @@ class Connections:
         proof = self._local_identity.access.present(right, protocol.resolved_name, now())
         stock = protocol.get_header_fields()
         named = {key: origin_of(stock[key]) for key in ("topic", "service") if key in stock}
-        return {**stock, **named, "callerid": self._local_identity.name, FIELD: proof}
+        caller = self._local_identity.name_for(sock.peer)
+        return {**stock, **named, "callerid": caller, FIELD: proof}
 
     def _check_plain(self, name: str, sock: RosSocket) -> None:
         """Checked before the first plain byte is sent."""

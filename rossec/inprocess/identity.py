@@ -18,6 +18,7 @@ from rossec.home import NodeHome
 from rossec.net.context import SecureContext
 from rossec.participant.access import Access
 from rossec.participant.membership import LoadedIdentity
+from rossec.participant.remote_names import caller_for
 from rossec.ros.names import MASTER
 
 P = ParamSpec("P")
@@ -98,6 +99,10 @@ class LocalIdentity(LoadedIdentity):
         super().__init__(home, name, master)
         self.live_context = SecureContext(self.live_credentials, self.anchors.verify, suites=suites)
         self.access = LockedAccess(Access(self.standing, master=master))
+
+    def name_for(self, peer: Identity) -> str:
+        """By which name this node calls itself to `peer`."""
+        return caller_for(peer, self.name, self.identity.name)
 
     @property
     def credentials(self) -> Credentials:

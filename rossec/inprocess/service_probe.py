@@ -50,7 +50,9 @@ class ServiceProbe(RosSocket):
             local_identity.access.check_peer(self.peer, now())
             proof = caller_proof(service, local_identity.access, now())
             named = fields_on_wire(fields)
-            self.send_unit(header.encode({**named, "callerid": local_identity.name, **proof}))
+            self.send_unit(
+                header.encode({**named, "callerid": local_identity.name_for(self.peer), **proof})
+            )
             answer = headers.receive(self)
             admit_provider(answer, self.peer, service, local_identity.access, now())
             self._answer = header.encode(headers.for_rospy(fields_here(answer, self.peer)))

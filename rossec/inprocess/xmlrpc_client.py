@@ -187,23 +187,21 @@ class XmlRpcClient:
     # -- other nodes
 
     def _call_node(self, address: tuple[str, int], method: str, params: Params) -> object:
-        name = self._process.local_identity.name  # tools give other names
-        request = dump_call(
-            method, _named_on_wire(method, (name, *params[1:]) if params else params)
-        )
+        local_identity = self._process.local_identity
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
             stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
         except PlainPeer:
             if not self._process.plain or method != "requestTopic":
                 raise
+            request = _request(method, params, local_identity.name)
             return self._call_plain(address, params, request)
         try:
-            if stream.peer is not None:
-                self._process.local_identity.access.check_peer(stream.peer, now())
+            peer = stream.do_handshake()
+            local_identity.access.check_peer(peer, now())
             self._present_grants(method, stream, address[0])
-            answer = load_response(_exchange(stream, address[0], request))
-            return answer if stream.peer is None else self._here(stream.peer, method, answer)
+            request = _request(method, params, local_identity.name_for(peer))
+            return self._here(peer, method, load_response(_exchange(stream, address[0], request)))
         finally:
             stream.close()
 
@@ -231,13 +229,15 @@ class XmlRpcClient:
             return load_response(_exchange(PlainStream(sock), address[0], request))
 
 
-def _named_on_wire(method: str, params: Params) -> Params:
-    """The parameters for a peer: a topic by the name of its origin."""
+def _request(method: str, params: Params, caller: str) -> bytes:
+    """The call of a peer: under the node's name, of a topic by the name at its origin."""
     match method, params:
-        case "requestTopic", (caller, str() as topic, *rest):
-            return (caller, origin_of(topic), *rest)
+        case _, ():
+            return dump_call(method, ())
+        case "requestTopic", (_, str() as topic, *rest):
+            return dump_call(method, (caller, origin_of(topic), *rest))
         case _:
-            return params
+            return dump_call(method, (caller, *params[1:]))
 
 
 def _uri_of(proxy: Any) -> str:

@@ -15,6 +15,7 @@ from rossec.participant.access import Access
 from rossec.participant.connections import AuthorizedConnection, ConnectionTable
 from rossec.participant.dialer import Dialer
 from rossec.participant.grant_renewal import MasterCall
+from rossec.participant.remote_names import caller_for
 
 _log = logging.getLogger("rossec.node")
 
@@ -32,6 +33,7 @@ class NodeContext:
         memory_scope: finds what a limited right has used up.
         uri: its API URI, as registered; empty until it listens.
         rosrpc: the URI of its services, as registered.
+        certified: its name without a tail; empty: it has none.
     """
 
     name: str
@@ -43,6 +45,11 @@ class NodeContext:
     memory_scope: MemoryScope
     uri: str = ""
     rosrpc: str = ""
+    certified: str = ""
+
+    def name_for(self, peer: Identity) -> str:
+        """By which name it calls itself to `peer`."""
+        return caller_for(peer, self.name, self.certified or self.name)
 
     @contextlib.contextmanager
     def restoring(self, what: str) -> Iterator[None]:

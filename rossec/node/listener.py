@@ -24,6 +24,7 @@ from rossec.participant import slave_api
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.own_addresses import OwnAddresses
+from rossec.participant.remote_names import caller_for
 from rossec.participant.slave_api import SlaveApi
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.participant.topic_handshake import (
@@ -54,8 +55,10 @@ class Listener:
         slave: SlaveApi,
         connections: ConnectionTable[SecureStream[Identity]],
         own_addresses: OwnAddresses,
+        certified: str,
     ) -> None:
         self._name = name
+        self._certified = certified
         self._context = context
         self._access = access
         self._publishers = publishers
@@ -163,8 +166,9 @@ class Listener:
             )
         check_type(fields, publisher.endpoint.expected)
         guard = publisher.guard(decision)
+        name = caller_for(stream.peer, self._name, self._certified)
         answer = publisher_header(
-            self._name, publisher.endpoint, self._access, now, latching=publisher.latch
+            name, publisher.endpoint, self._access, now, latching=publisher.latch
         )
         return partial(publisher.serve, stream, decision, guard, header.encode(answer))
 

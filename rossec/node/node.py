@@ -75,7 +75,9 @@ class Node:
             suites=post_quantum(environ), known=KnownCertificates(),
         )  # fmt: skip
         own_addresses = OwnAddresses()
-        self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses)
+        self._dialer = Dialer(
+            self.name, secure, self.access.check_peer, own_addresses, self.identity.name
+        )
         connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
             loaded.standing, master=loaded.master
         )
@@ -89,13 +91,14 @@ class Node:
             self._dialer,
             self.home.filter_key,
             memory_scope(self.name),
+            certified=self.identity.name,
         )
         self._topics = Topics(context, grace)
         self.services = Services(context)
         self.params = NodeParameters(context, self.settings.resolve)
         self._listener = Listener(
             self.name, secure, self.access, self._topics.publishers, self.services,
-            SlaveApi(self, loaded.master), connections, own_addresses,
+            SlaveApi(self, loaded.master), connections, own_addresses, self.identity.name,
         )  # fmt: skip
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()

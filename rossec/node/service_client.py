@@ -42,6 +42,7 @@ CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
 
 ProviderConnection: TypeAlias = NodeConnection[ServiceGuard]
+CallerFor = Callable[[Identity], str]  # by which name the node calls itself to a peer
 Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream to its provider
 
 
@@ -85,7 +86,9 @@ async def exchange_headers(
     return answer, admit_provider(answer, stream.peer, service, access, clock.now())
 
 
-async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[Fields, Identity]:
+async def probe(
+    dial: Dial, caller_for: CallerFor, service: str, access: Access
+) -> tuple[Fields, Identity]:
     """Request the header of the provider of `service`; returns it and the provider's identity.
 
     Raises:
@@ -95,6 +98,7 @@ async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:
+            caller = caller_for(stream.peer)
             answer, _ = await exchange_headers(stream, caller, service, ANY, access, probe=True)
         finally:
             stream.abort("only a probe")
@@ -234,7 +238,7 @@ class ServiceClient:
         kind = ExpectedService(self.kind.name, self.kind.md5sum)
         answer, decision = await exchange_headers(
             stream,
-            self._context.name,
+            self._context.name_for(stream.peer),
             self.service,
             kind,
             self._context.access,

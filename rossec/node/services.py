@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
 from rossec import clock
 from rossec.errors import (
     AnswerMalformed,
@@ -41,6 +41,7 @@ from rossec.ros import header
 from rossec.ros.service import REQUEST_LIMIT
 
 _POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
+_PASSING: Final = (ServiceUnavailable, ChannelError, OSError, TimeoutError, RevocationsStale)
 _ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
 
 
@@ -115,14 +116,14 @@ class Services:
 
     async def _wait_for_probe(self, name: str) -> None:
         while True:
-            with contextlib.suppress(ServiceUnavailable, ChannelError, OSError, TimeoutError):
+            with contextlib.suppress(*_PASSING):
                 await self.probe(name)
                 return
             await asyncio.sleep(_POLL_PERIOD)
 
     async def probe(self, name: str) -> tuple[Fields, Identity]:
         """The header and identity of the provider of `name`; raises as `service_client.probe`."""
-        return await probe(self.dial, self._context.name, name, self._context.access)
+        return await probe(self.dial, self._context.name_for, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
         """Services this node may see, each with its providers.
@@ -173,7 +174,9 @@ class Services:
             raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
         check_md5(fields, name, service.kind.md5sum)
         answer = header.encode(
-            server_header(context.name, name, service.expected, context.access, now)
+            server_header(
+                context.name_for(stream.peer), name, service.expected, context.access, now
+            )
         )
         if is_set(fields, "probe"):
             return partial(stream.send, answer)

@@ -158,7 +158,8 @@ class Subscriber:
         self, stream: SecureStream[Identity], frames: FrameReader
     ) -> tuple[PublisherConnection, list[bytes]]:
         context = self._context
-        fields = subscriber_header(context.name, self.endpoint, context.access, clock.now())
+        name = context.name_for(stream.peer)
+        fields = subscriber_header(name, self.endpoint, context.access, clock.now())
         await stream.send(header.encode(fields))
         units: list[bytes] = []
         while not units:

@@ -14,13 +14,14 @@ from rossec.errors import ConnectionHeaderRefused
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.own_addresses import OwnAddresses
+from rossec.participant.remote_names import caller_for
 from rossec.ros import settings
 
 CheckPeer = Callable[[Identity, int], None]
 
 
 class Dialer:
-    """Connects as one node."""
+    """Connects as one node; `certified`: its name without a tail, by default the same."""
 
     def __init__(
         self,
@@ -28,8 +29,10 @@ class Dialer:
         context: SecureContext[Identity],
         check_peer: CheckPeer,
         own_addresses: OwnAddresses | None = None,
+        certified: str = "",
     ) -> None:
         self._name = name
+        self._certified = certified or name
         self._context = context
         self._check_peer = check_peer
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
@@ -69,7 +72,8 @@ class Dialer:
         self._check_identity(stream)
         try:
             named = origin_of(topic)
-            answer = await RpcClient(stream).ask("requestTopic", self._name, named, [["TCPROS"]])
+            caller = caller_for(stream.peer, self._name, self._certified)
+            answer = await RpcClient(stream).ask("requestTopic", caller, named, [["TCPROS"]])
         finally:
             await stream.close()
         match answer:

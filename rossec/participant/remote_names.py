@@ -89,6 +89,11 @@ def fields_here(fields: Mapping[str, bytes], peer: Identity, name: str | None = 
     return {**fields, **renamed}
 
 
+def caller_for(peer: Identity, name: str, certified: str) -> str:
+    """By which name a node calls itself to `peer`: a foreigner honours no certified tails."""
+    return certified if peer.is_foreign else name
+
+
 def caller_here(peer: Identity, caller: str) -> str:
     """The caller_id of a peer for a program: that of a foreign one is its alias."""
     return peer.name if peer.is_foreign else caller

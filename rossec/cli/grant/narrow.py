@@ -20,7 +20,7 @@ from grants.validity import check_time
 from rossec import files
 from rossec.authority.list_contents import SKEW
 from rossec.cli.grant import permission_options
-from rossec.cli.grant.sign import check_new
+from rossec.cli.grant.sign import MAX_PEM, check_new
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.tokens import read_token
@@ -31,7 +31,6 @@ from rossec.participant.token_opening import MAX_PRESENTED
 from rossec.terminal import printable, say
 
 MAX_DAYS: Final = 365
-MAX_PEM: Final = 64 * 1024
 _OVERHEAD: Final = 16  # of the array it is presented in
 
 

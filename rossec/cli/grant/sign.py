@@ -5,10 +5,12 @@ from typing import Any, Final
 
 import click
 
+from ca.domains.aliases import is_alias, local_name
 from ca.names import check_name
 from grants import document
 from grants.filters.presets import PRESETS
 from grants.model import MAX_NARROWINGS
+from rossec import files
 from rossec.authority.service import AuthorityService
 from rossec.cli.grant import permission_options
 from rossec.cli.shared import options
@@ -18,6 +20,7 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
+MAX_PEM: Final = 64 * 1024
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 
 
@@ -37,6 +40,10 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
     help="how often it may be handed on, restricted further; see: rossec grant narrow",
 )  # fmt: skip
 @click.option(
+    "--certificate", type=options.FILE,
+    help="the certificate of a node of another domain: its node.pem, without its key",
+)  # fmt: skip
+@click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
 )
 @options.master_uri
@@ -49,18 +56,24 @@ def sign(
     renewal: int,
     out: Path | None,
     may_narrow: int,
+    certificate: Path | None,
     **wishes: Any,
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
     The node gets the grant from the master, or from its directory if that is in this ROSSEC_HOME.
     PATTERN is a name; * stands for one segment, ** for any depth.
+
+    NODE may be one of another domain, as hospital:/rounds/robot3: its key is that of CERTIFICATE,
+    verified below that domain's listed root, and the grant is a file that somebody carries there.
     """
-    check_name(node)
+    name = check_name(local_name(node))
+    _check_foreign(node, renewal, out, certificate, foreign=is_alias(name))
     if out is not None:
         check_new(out)
     permissions = permission_options.read(wishes)
-    draft, data = service.sign_grant(node, permissions, lifetime, renewal, may_narrow)
+    pem = b"" if certificate is None else files.read(certificate, MAX_PEM)
+    draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
     deliver_grant(service, data, out)
     remind_to_publish(service)
@@ -73,6 +86,27 @@ def presets() -> None:
         say(entry.name)
         say(f"  hides {entry.hides}")
         say(f"  still discloses {entry.reveals}")
+
+
+def _check_foreign(
+    node: str, renewal: int, out: Path | None, certificate: Path | None, *, foreign: bool
+) -> None:
+    """What differs for a node of another domain, before anything is signed."""
+    if not foreign:
+        if certificate is not None:
+            raise ConfigurationError(
+                f"{node} is a node of this domain, whose key is in the record",
+                "--certificate is for nodes of other domains: LABEL:/NAME",
+            )
+    elif renewal:
+        raise ConfigurationError(
+            "a grant for another domain is not renewed: its nodes ask another master",
+            "give the whole time: --for",
+        )
+    elif out is None:
+        raise ConfigurationError(
+            f"no master of this domain delivers to {node}", "give --out FILE, and carry it there"
+        )
 
 
 def check_new(out: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from ca.domains.aliases import is_alias
 from rossec.authority.policy_plan import PolicyPlan
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
@@ -64,6 +65,8 @@ def _carry_out(
     if not plan.is_empty:
         confirm(f"{apply_report.summary(plan)}?", yes=yes)
         service.apply_policy(plan, report)
+        if any(node.sign and is_alias(node.subject.name) for node in plan.nodes):
+            say(f"grants for nodes of other domains are in {service.outgoing}: carry them there")
         if not plan.revoke:  # else the list was published
             remind_to_publish(service)
         return

@@ -5,6 +5,7 @@ What is the same for many nodes is one line of text. JSON has each right of each
 
 from collections.abc import Iterable, Iterator
 
+from ca.domains.aliases import shown
 from ca.revocation.lists import MAX_ENTRIES
 from grants.policy.changes import Change, Kind
 from grants.policy.difference import Contradiction
@@ -22,14 +23,16 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
     """The plan as text, for people."""
     changes = [change for node in plan.nodes for change in node.changes]
     yield from _by_nodes(
-        (change.subject.name, _change(change)) for change in changes if change.kind != Kind.KEPT
+        (shown(change.subject.name), _change(change))
+        for change in changes
+        if change.kind != Kind.KEPT
     )
     kept = {change.subject for change in changes if change.kind is Kind.KEPT}
     if kept:
         rights = sum(change.kind is Kind.KEPT for change in changes)
         yield f"= {count(rights, 'right')} of {count(len(kept), 'node')} as before"
     yield from _by_nodes(
-        (node.subject.name, _withheld(each)) for node in plan.nodes for each in node.withheld
+        (shown(node.subject.name), _withheld(each)) for node in plan.nodes for each in node.withheld
     )
     yield from _by_nodes(
         (each.grant.subject, _contradiction(each, pruned=plan.options.prune))
@@ -58,7 +61,7 @@ def as_json(plan: PolicyPlan) -> dict[str, object]:
         "policy": str(plan.policy.path),
         "changes": [_change_row(each) for node in plan.nodes for each in node.changes],
         "withheld": [
-            {"node": node.subject.name, "right": each.right.label, "name": each.pattern,
+            {"node": shown(node.subject.name), "right": each.right.label, "name": each.pattern,
              "effect": each.effect, "rule": _rule_row(each.rule), "by": _rule_row(each.by)}
             for node in plan.nodes for each in node.withheld
         ],
@@ -142,7 +145,7 @@ def _change_row(change: Change) -> dict[str, object]:
     return {
         "sign": change.kind.sign,
         "kind": str(change.kind),
-        "node": change.subject.name,
+        "node": shown(change.subject.name),
         "right": change.right.label,
         "name": change.pattern,
         "restrictions": list(change.restrictions),

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from ca.domains.aliases import is_alias, local_name
 from ca.names import check_name
 from grants.errors import PolicyRefused
 from grants.model import Right
@@ -12,6 +13,7 @@ from grants.policy.model import Subject
 from grants.policy.rules import RIGHTS
 from grants.policy.trial import Trial
 from rossec import files
+from rossec.authority import foreign_nodes
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import layout_of, read_policy
 from rossec.cli.shared import options
@@ -79,10 +81,12 @@ def explain(
 
 def subject_of(environment: Environment, node: str) -> Subject:
     """The node with the key it is enrolled with; with no key where it is not."""
-    check_name(node)
+    name = check_name(local_name(node))
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
         try:
+            if is_alias(name):
+                return Subject(name, foreign_nodes.holder(store, name, now()))
             name = store.identities.certified_name(node, now())
             rows = [row for row in store.identities.all() if row.name == name]
         finally:
@@ -90,7 +94,7 @@ def subject_of(environment: Environment, node: str) -> Subject:
         if rows:
             return Subject(name, rows[-1].thumbprint)
     note(f"{node} is not enrolled here: rules that pin its key do not count")
-    return Subject(node, bytes(32))
+    return Subject(name, bytes(32))
 
 
 def changes(kind: str, before: bytes, after: bytes) -> list[str]:

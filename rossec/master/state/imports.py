@@ -9,7 +9,7 @@ Names are local here, as `sites` says. What wins is decided when it is asked, so
 hidden appears by itself when what hid it goes.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +22,7 @@ from rossec.master.state.imported_facts import (
     SiteFacts,
     checked,
 )
+from rossec.master.state.kept_publishers import KeptPublishers
 from rossec.master.state.mirrors import Mirrors
 from rossec.master.state.registry import (
     ANY_TYPE,
@@ -83,6 +84,7 @@ class Imports:
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
         self._reported: dict[str, set[str]] = {}
+        self._kept: Final = KeptPublishers()
         registry.imported_publishers = self.publisher_uris
 
     def apply(
@@ -106,12 +108,11 @@ class Imports:
         new -= old
         if len(old) - len(gone) + len(new) > self._limit:
             raise ImportRefused(f"site {site.label} has more than {self._limit} facts")
-        events: list[ImportEvent] = []
-        if held is None or held.site != site:
-            events += self.drop(site.label)
-            held = self._sites[site.label] = SiteFacts(site)
+        events = self.drop(site.label) if held is not None and held.site != site else []
+        held = self._sites.setdefault(site.label, SiteFacts(site))
         held.is_lost = False
-        return [*events, *self._change(held, new, gone), *self._contradictions(held, new)]
+        events += self._change(held, new, gone)
+        return [*events, *self._forget_kept(site.label), *self._contradictions(held, new)]
 
     def lose(self, label: str) -> None:
         """There is no connection with a site: its facts stay, marked."""
@@ -119,16 +120,32 @@ class Imports:
             self._sites[label].is_lost = True
             self._report_settled()
 
+    def expire(self, label: str) -> None:
+        """A site is lost for too long: forget its facts, but let nobody leave its publishers."""
+        if (held := self._sites.get(label)) is not None:
+            for topic in self._followed_topics(held, held.facts):
+                used = self._used(Kind.PUBLISHER, topic)
+                found = [held.nodes[node] for each, node in used if each == label]
+                self._kept.keep(label, topic, found)
+            self._forget(held)
+
     def drop(self, label: str) -> list[ImportEvent]:
-        """Forget a site and its facts."""
+        """Forget a site, its facts, and what `expire` kept of it."""
         held = self._sites.get(label)
-        if held is None:
-            return []
-        events = self._change(held, set(), set(held.facts))
+        events = [] if held is None else self._forget(held)
+        return [*events, *self._forget_kept(label)]
+
+    def _forget(self, held: SiteFacts) -> list[PublishersChanged]:
+        events, label = self._change(held, set(), set(held.facts)), held.site.label
         del self._sites[label]
         self._reported.pop(label, None)
         self._report_settled()
-        return [*events]
+        return events
+
+    def _forget_kept(self, label: str) -> list[PublishersChanged]:
+        before = {topic: self.publisher_uris(topic) for topic in self._kept.topics(label)}
+        self._kept.forget(label)
+        return self._told(before)
 
     def wanted(self, site: Site, now: int) -> tuple[str, ...]:
         """What to ask a site for, as `Demand.wanted`."""
@@ -170,10 +187,10 @@ class Imports:
         return tuple(dict.fromkeys(self._sites[label].nodes[node].name for label, node in found))
 
     def publisher_uris(self, topic: str) -> list[str]:
-        """The slave API URIs of the imported publishers of a topic."""
-        return [
-            self._sites[label].nodes[node].uri for label, node in self._used(Kind.PUBLISHER, topic)
-        ]
+        """The slave API URIs of the imported publishers of a topic, and of those kept."""
+        found = [self._sites[each].nodes[name] for each, name in self._used(Kind.PUBLISHER, topic)]
+        kept = [each for each in self._kept.addresses(topic) if self._is_elsewhere(each)]
+        return list(dict.fromkeys(address.uri for address in (*found, *kept)))
 
     def service_uri(self, service: str) -> str | None:
         """The rosrpc URI of an imported service."""
@@ -248,11 +265,11 @@ class Imports:
         for label, node in sorted(entries):
             held = self._sites[label]
             address = held.providers.get(service)
-            if address is not None and self._is_provided(address) and self._is_used(held, node):
+            if address is not None and self._is_elsewhere(address) and self._is_used(held, node):
                 return [(label, node)]
         return []
 
-    def _is_provided(self, address: Address) -> bool:
+    def _is_elsewhere(self, address: Address) -> bool:
         return not self._registry.is_registered_endpoint(address.endpoint)
 
     def _type_that_counts(self, topic: str) -> str:
@@ -276,10 +293,14 @@ class Imports:
         for fact in new:
             self._add(held, fact)
         self.version += 1
+        return self._told(before)
+
+    def _told(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
+        """What subscribers are told of the topics whose publishers are others than `before`."""
         return [
             self._registry.publishers_changed(topic)
-            for topic in topics
-            if self.publisher_uris(topic) != before[topic]
+            for topic, uris in before.items()
+            if self.publisher_uris(topic) != uris
         ]
 
     def _add(self, held: SiteFacts, fact: Fact) -> None:

@@ -12,7 +12,7 @@ unparsed: roscpp's is malformed, and it holds no address.
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import origin_of
+from ca.domains.aliases import is_alias, origin_of
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.remote_names import answer_for, answer_here, caller_here
@@ -193,9 +193,11 @@ def handle_program_call(
         refused = _invalid_request_topic(params)
     if refused is not None:
         return refused
-    changed = (agent.name_for(str(params[0])), *params[1:])
+    changed = (agent.identity.name, *params[1:])  # the peer may be foreign: without a tail
     if method == REQUEST_TOPIC:
-        changed = (changed[0], origin_of(str(params[1])), [[TCPROS]])
+        topic = str(params[1])
+        caller = agent.identity.name if is_alias(topic) else agent.name_for(str(params[0]))
+        changed = (caller, origin_of(topic), [[TCPROS]])
     parse = method not in _UNPARSED
     event = yield CallPeer(remote, method, changed, SLAVE_CALLS.get(method), parse)
     match event:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from ca.certificates import Identity
+from ca.domains.aliases import is_alias
 from grants.decision import Decision
 from grants.guard import Guard
 from grants.memory import MemoryScope
@@ -96,7 +97,7 @@ def admit_peer(
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
     arrived = _require_header(event)
-    answer = _answer_for_peer(agent, fields, arrived.fields)
+    answer = _answer_for_peer(agent, fields, arrived.fields, peer)
     guard = None
     if decision.restrictions:
         kind = sender_definition(from_header(answer), decision, agent.known_types)
@@ -149,12 +150,12 @@ def _is_service(fields: Mapping[str, bytes]) -> bool:
 
 
 def _answer_for_peer(
-    agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes]
+    agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes], peer: Identity
 ) -> dict[str, bytes]:
     """The program's answer under a certified name; rospy's publishers leave out the topic."""
     if "error" in answer:
         raise ConnectionHeaderRefused(text(answer, "error"))
-    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer)}
+    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer, peer.is_foreign)}
     if "topic" in request:
         completed["topic"] = request["topic"]
     return completed
@@ -165,8 +166,9 @@ def _program_name(fields: Mapping[str, bytes]) -> str:
     return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
-def _caller_name(agent: AgentState, fields: Mapping[str, bytes]) -> bytes:
-    given = text(fields, _CALLER) if _CALLER in fields else ""
+def _caller_name(agent: AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
+    """The callerid for a peer: a foreign one honours no certified tails."""
+    given = text(fields, _CALLER) if _CALLER in fields and not foreign else ""
     return agent.name_for(given).encode()
 
 
@@ -191,21 +193,22 @@ def connect_to_peer(
         publish or provide. HangUp: the peer does not answer.
     """
     service = _is_service(fields)
-    request = {**fields_on_wire(without_grants(fields)), _CALLER: _caller_name(agent, fields)}
+    wanted = text(fields, "service" if service else "topic")
+    caller = _caller_name(agent, fields, is_alias(wanted))
+    request = {**fields_on_wire(without_grants(fields)), _CALLER: caller}
     guard = message_size = None
     if service:
-        name = text(fields, "service")
-        request |= service_handshake.caller_proof(name, agent.access, now)
+        request |= service_handshake.caller_proof(wanted, agent.access, now)
         event = yield ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
         decision = service_handshake.admit_provider(
-            arrived.fields, peer, name, agent.access, arrived.now
+            arrived.fields, peer, wanted, agent.access, arrived.now
         )
         decision.require_unrestricted()
         answer = fields_here(without_grants(arrived.fields), peer)
     else:
         own = from_header(fields)
-        expected = topic_handshake.ExpectedTopic(text(fields, "topic"), own.name, own.md5sum)
+        expected = topic_handshake.ExpectedTopic(wanted, own.name, own.md5sum)
         request[FIELD] = agent.access.present(Right.SUBSCRIBE, expected.topic, now)
         arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
         decision = topic_handshake.admit_publisher(

@@ -57,3 +57,18 @@ def test_names_without_an_alias_are_refused_below_remote() -> None:
 def test_an_alias_is_no_longer_than_a_name() -> None:
     with pytest.raises(NameRefused, match="at most 255"):
         aliases.alias_of("hospital", "/" + "a" * 250)
+
+
+def test_a_pattern_with_a_label_is_one_of_aliases() -> None:
+    assert aliases.local_pattern("hospital:/rounds/*") == "/remote/hospital/rounds/*"
+    assert aliases.local_pattern("hospital:/**") == "/remote/hospital/**"
+    assert aliases.local_pattern("/rounds/*") == "/rounds/*"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["*:/a", "hospital:*", "hospital:/a*", ":/a", "hospital:/remote/x/y", "x" * 33 + ":/a", ""],
+)
+def test_text_that_is_no_pattern_of_names_is_refused(text: str) -> None:
+    with pytest.raises(NameRefused):
+        aliases.local_pattern(text)

@@ -29,6 +29,13 @@ BY_KEY = SubjectPattern("anywhere", None, HEATING_KEY)
         (BY_KEY, "/other", bytes(32), False, False),
         (SubjectPattern("nav", "/nav/**"), "/nav/a", bytes(32), True, True),
         (SubjectPattern("nav", "/nav/**"), "/navy/a", bytes(32), False, False),
+        # what names no domain matches no foreigner, but a denial of everybody is one of them too
+        (SubjectPattern("*", "/**"), "/remote/hospital/a", bytes(32), False, True),
+        (SubjectPattern("/*/*/*", "/*/*/*"), "/remote/hospital/a", bytes(32), False, True),
+        (BY_KEY, "/remote/hospital/a", HEATING_KEY, False, True),
+        (SubjectPattern("h:/*", "/remote/hospital/*"), "/remote/hospital/a", bytes(32), True, True),
+        (SubjectPattern("h:/*", "/remote/hospital/*"), "/remote/clinic/a", bytes(32), False, False),
+        (SubjectPattern("h:/*", "/remote/hospital/*"), "/hospital/a", bytes(32), False, False),
     ],
 )
 def test_allowing_needs_name_and_key_denying_either(

@@ -164,3 +164,30 @@ def test_a_valid_policy_has_rules() -> None:
 )  # fmt: skip
 def test_invalid_uses_of_on_stale(line: str, message: str) -> None:
     assert [said for said, _ in found(line)] == [message]
+
+
+def test_a_subject_with_a_label_is_a_node_of_another_domain() -> None:
+    line = (
+        '{id: a, who: ["hospital:/rounds/*", /y], allow: {subscribe: [/pose], graph: [/remote/**]}}'
+    )
+    (rule,) = rules(line, head=HEAD).rules
+    assert [(who.label, who.node) for who in rule.who] == [
+        ("hospital:/rounds/*", "/remote/hospital/rounds/*"), ("/y", "/y"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("{id: a, who: /remote/hospital/a, allow: {call: /b}}", "with the label of the domain"),
+        ('{id: a, who: "hospital:a", allow: {call: /b}}', "who: not a name pattern"),
+        ('{id: a, who: "*:/a", allow: {call: /b}}', "is not a label"),
+        ('{id: a, who: /a, allow: {call: "hospital:/b"}}', "'hospital:/b' is a name of another"),
+        ('{id: a, who: /a, allow: {graph: "hospital:/b"}}', "'hospital:/b' is a name of another"),
+        ("{id: a, who: /a, allow: {subscribe: /remote/hospital/b}}", "is a name of another domain"),
+    ],
+)
+def test_names_of_other_domains_are_subjects_and_no_objects(line: str, message: str) -> None:
+    ((said, hint),) = found(line)
+    assert message in said
+    assert hint

@@ -104,3 +104,15 @@ def test_a_verdict_is_for_the_subject_asked() -> None:
 def test_rules_are_named_in_one_order() -> None:
     found = rules("{id: b, who: /x, allow: {call: [/a]}}", "{id: a, who: /x, allow: {call: [/b]}}")
     assert rule_ids((*found.rules, found.rules[0])) == "a b"
+
+
+def test_what_nobody_renews_is_not_wanted_renewed() -> None:
+    policy = rules(
+        '{id: a, who: [/x, "hospital:/x"], allow: {subscribe: [/b]}, renew_until: 30d}',
+        '{id: b, who: "*", allow: {subscribe: [/c]}}',
+    )
+    found = state(policy)
+    (own, everybody), (foreign,) = found.of(X).rights, found.of(node("/remote/hospital/x")).rights
+    assert (own.renew_until, foreign.renew_until) == (30 * DAY, 0)
+    assert (own.pattern, everybody.pattern, foreign.pattern) == ("/b", "/c", "/b")
+    assert found.of(node("/remote/clinic/x")).rights == ()

@@ -1,12 +1,13 @@
 """How the authority delivers grants: its calls at the master, and what becomes of the answers."""
 
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from grants import document
-from grants.model import Permission, Right
+from grants.model import Draft, Permission, Right
 from rossec.authority import grant_delivery as module
 from rossec.authority.grant_delivery import RefusedDeposit
 from rossec.authority.master_call import MasterCall
@@ -156,3 +157,15 @@ def test_without_a_master_what_is_here_is_stored_all_the_same(office: Delivering
     assert office.robot.grants() == [data]
     with pytest.raises(NotDelivered):
         office.service.deposit_missing()
+
+
+def test_grants_for_other_domains_are_kept_to_be_carried(office: Delivering) -> None:
+    own = office.grant()
+    foreign = replace(document.peek(own), subject="/remote/hospital/rounds/robot3")
+    draft = Draft(**{each.name: getattr(foreign, each.name) for each in fields(Draft)})
+    data = office.service.unlock().issue_grant(draft, foreign.not_before)
+    assert office.service.deposit([data, own]) == []
+    assert office.made("rossec.depositGrants") == [[own]]
+    (file,) = office.service.outgoing.iterdir()
+    assert file.read_bytes() == data
+    assert office.service.deposit_missing() == (0, [])

@@ -29,7 +29,7 @@ def test_a_lost_site_keeps_its_facts_for_a_minute() -> None:
         assert state.take(Event.FAILED, clock) is Effect.MARK
     assert not state.has_expired(10.0 + LOST_FOR - 0.1)
     assert state.has_expired(10.0 + LOST_FOR), "the minute begins with the loss"
-    assert state.take(Event.EXPIRED, 70.0) is Effect.DROP
+    assert state.take(Event.EXPIRED, 70.0) is Effect.EXPIRE
     assert state.phase is Phase.LOST
     assert not state.has_expired(1000.0), "once"
 

@@ -232,6 +232,39 @@ def test_a_lost_site_keeps_its_facts_until_it_is_dropped(imports: Imports) -> No
     assert (imports.sites, list(imports.keys(Kind.PUBLISHER))) == ((), [])
 
 
+def test_subscribers_do_not_leave_the_publishers_of_a_site_that_is_lost_for_long(
+    registry: Registry, imports: Imports
+) -> None:
+    """Also when another publisher comes; when the site is back they learn what has changed."""
+    subscribe(registry, "/pose")
+    imports.apply(KITCHEN, POSE, [])
+    imports.lose("kitchen")
+    imports.expire("kitchen")
+    assert imports.nodes_of(Kind.PUBLISHER, "/pose") == ()
+    assert list(imports.nodes()) == []
+    assert imports.publisher_uris("/pose") == [ROBOT[2]]
+    other = ("node", "/robot", "http://10.0.0.9:9/")
+    assert imports.apply(ATTIC, [other, *POSE[1:]], []) == [changed("/pose", other[2], ROBOT[2])]
+    assert imports.apply(KITCHEN, POSE, [], whole=True) == []
+    imports.expire("kitchen")
+    assert imports.apply(KITCHEN, [], [], whole=True) == [changed("/pose", other[2])]
+
+
+def test_what_was_kept_of_a_site_goes_when_it_is_dropped(
+    registry: Registry, imports: Imports
+) -> None:
+    subscribe(registry, "/pose")
+    imports.apply(KITCHEN, POSE, [])
+    imports.expire("kitchen")
+    imports.expire("kitchen")
+    assert imports.drop("kitchen") == [changed("/pose")]
+    assert imports.drop("kitchen") == []
+    imports.apply(KITCHEN, POSE, [])
+    imports.expire("kitchen")
+    registry.register_service("/s", "rosrpc://10.0.0.2:1", NodeRef("/r", ROBOT[2], b"r"))
+    assert imports.publisher_uris("/pose") == [], "it is an address of a node here now"
+
+
 def test_another_site_under_a_label_replaces_the_one_before(imports: Imports) -> None:
     imports.apply(KITCHEN, POSE, [])
     imports.apply(Site("kitchen", "hospital"), RESET, [])
