@@ -4,13 +4,13 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from ca.certificates import TrustAnchor
+from ca.names import is_master_name
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ConfigurationError
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import settings
-from rossec.ros.names import MASTER
 
 
 @asynccontextmanager
@@ -18,6 +18,9 @@ async def master_connection(
     own: Credentials, anchor: TrustAnchor, uri: str, suites: tuple[int, ...]
 ) -> AsyncIterator[RpcClient]:
     """A connection to the master at `uri`, with the identity `own`, under the root `anchor`.
+
+    Any master of the own domain will do: what is delivered is signed, and who calls names a URI.
+    Those of other domains are not, so that the list of them is not needed here.
 
     Raises:
         ConfigurationError: not a URI, or another node answers there.
@@ -32,7 +35,7 @@ async def master_connection(
     )
     stream = await connect(host, port, context, WireProtocol.HTTP)
     try:
-        if stream.peer.name != MASTER:
+        if not is_master_name(stream.peer.name):
             raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")
         yield RpcClient(stream)
     finally:

@@ -35,7 +35,7 @@ from tests.support.witness import TOPIC, Witness, until
 DOMAIN: Final = "hospital"
 
 
-class Visit:
+class Visitor:
     """The home of the witness has listed a hospital, where Eve is enrolled."""
 
     def __init__(self, home: Site, hospital: Site, witness: Witness) -> None:
@@ -90,8 +90,8 @@ class Visit:
 
 
 @pytest.fixture
-async def visit(site: Site, witness: Witness, tmp_path: Path) -> Visit:
-    visit = Visit(site, Site(tmp_path / "hospital", DOMAIN), witness)
+async def visit(site: Site, witness: Witness, tmp_path: Path) -> Visitor:
+    visit = Visitor(site, Site(tmp_path / "hospital", DOMAIN), witness)
     await visit.list(trust.accept(site, visit.hospital))
     await visit.word(visit.newest)
     return visit
@@ -107,7 +107,7 @@ def refused(caplog: pytest.LogCaptureFixture, kind: type[Exception]) -> str:
 
 @pytest.mark.attack("foreign-node")
 async def test_a_listed_foreigner_reads_what_the_home_grants_and_nothing_else(
-    visit: Visit, caplog: pytest.LogCaptureFixture
+    visit: Visitor, caplog: pytest.LogCaptureFixture
 ) -> None:
     said = await visit.ask(visit.shared())
     assert said.fields["callerid"] == b"/robot"
@@ -119,7 +119,7 @@ async def test_a_listed_foreigner_reads_what_the_home_grants_and_nothing_else(
 @pytest.mark.attack("foreign-node")
 @pytest.mark.parametrize("how", ["unlisted", "removed", "not admitted"])
 async def test_a_foreigner_without_trust_is_refused_in_the_handshake(
-    visit: Visit, how: str, caplog: pytest.LogCaptureFixture, tmp_path: Path
+    visit: Visitor, how: str, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     eve, grant = visit.eve, visit.shared()
     match how:
@@ -139,7 +139,7 @@ async def test_a_foreigner_without_trust_is_refused_in_the_handshake(
 
 @pytest.mark.attack("foreign-node")
 async def test_the_trust_that_ended_admits_nobody(
-    visit: Visit, caplog: pytest.LogCaptureFixture
+    visit: Visitor, caplog: pytest.LogCaptureFixture
 ) -> None:
     grant = visit.shared()
     trust.remove(visit.home, DOMAIN)
@@ -152,7 +152,7 @@ async def test_the_trust_that_ended_admits_nobody(
 
 @pytest.mark.attack("foreign-node")
 async def test_another_authority_with_the_hospitals_name_is_refused(
-    visit: Visit, caplog: pytest.LogCaptureFixture, tmp_path: Path
+    visit: Visitor, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     """Its own root, the same domain: the list says which key is the hospital's."""
     forger = credentials(Site(tmp_path / "forger", DOMAIN))
@@ -163,7 +163,7 @@ async def test_another_authority_with_the_hospitals_name_is_refused(
 
 @pytest.mark.attack("foreign-node")
 async def test_the_hospitals_root_certifies_nobody_of_the_home(
-    visit: Visit, caplog: pytest.LogCaptureFixture
+    visit: Visitor, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A certificate for a name of the home, signed by the hospital's key."""
     stolen = Site(visit.hospital.root.parent / "twin", "home")
@@ -174,7 +174,7 @@ async def test_the_hospitals_root_certifies_nobody_of_the_home(
 
 @pytest.mark.attack("foreign-node")
 async def test_a_foreigner_is_refused_while_nothing_fresh_is_known(
-    visit: Visit, caplog: pytest.LogCaptureFixture, tmp_path: Path
+    visit: Visitor, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     clinic = Site(tmp_path / "clinic", "clinic")
     await visit.list(trust.accept(visit.home, clinic))
@@ -184,7 +184,7 @@ async def test_a_foreigner_is_refused_while_nothing_fresh_is_known(
 
 
 @pytest.mark.attack("foreign-node")
-async def test_old_lists_of_the_hospital_are_played_back(visit: Visit) -> None:
+async def test_old_lists_of_the_hospital_are_played_back(visit: Visitor) -> None:
     """By its own master: what was revoked stays so, and nothing is confirmed by it."""
     old = visit.newest
     await visit.word(visit.hospital.revoke(visit.hospital.identity(EVE).thumbprint))
@@ -203,7 +203,7 @@ async def test_old_lists_of_the_hospital_are_played_back(visit: Visit) -> None:
 
 @pytest.mark.attack("foreign-node")
 async def test_a_list_confirmed_under_another_root_counts_for_nothing(
-    visit: Visit, tmp_path: Path
+    visit: Visitor, tmp_path: Path
 ) -> None:
     forger = Site(tmp_path / "forger", DOMAIN)
     robot, master = visit.witness.robot, visit.home.identity(MASTER)
@@ -228,7 +228,7 @@ async def test_a_list_confirmed_under_another_root_counts_for_nothing(
 @pytest.mark.attack("foreign-grants")
 @pytest.mark.parametrize("domain", [DOMAIN, "home"])
 async def test_a_grant_that_the_hospital_signed_opens_nothing_of_the_home(
-    visit: Visit, domain: str, caplog: pytest.LogCaptureFixture
+    visit: Visitor, domain: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     grant = signed(
         visit.hospital, pattern="/**", right=Right.SUBSCRIBE,
@@ -241,7 +241,7 @@ async def test_a_grant_that_the_hospital_signed_opens_nothing_of_the_home(
 
 @pytest.mark.attack("foreign-grants")
 async def test_a_grant_of_the_home_for_the_other_domain_opens_nothing(
-    visit: Visit, caplog: pytest.LogCaptureFixture
+    visit: Visitor, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Signed by the right key; `aud` says that it is about the hospital's names."""
     grant = signed(visit.home, domain=DOMAIN, holder=visit.hospital.identity(EVE).thumbprint)
@@ -251,7 +251,7 @@ async def test_a_grant_of_the_home_for_the_other_domain_opens_nothing(
 
 @pytest.mark.attack("foreign-names")
 async def test_the_viewer_of_the_hospital_is_not_ours(
-    visit: Visit, caplog: pytest.LogCaptureFixture
+    visit: Visitor, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Same name, another domain: with the grants from our viewer's disk."""
     twin, ours = credentials(visit.hospital, "/viewer"), visit.home.enroll("/viewer").grants()
@@ -274,7 +274,7 @@ async def test_the_viewer_of_the_hospital_is_not_ours(
     ],
 )
 async def test_the_master_of_the_hospital_controls_no_node_of_the_home(
-    visit: Visit, method: str, params: tuple[object, ...]
+    visit: Visitor, method: str, params: tuple[object, ...]
 ) -> None:
     master = credentials(visit.hospital, MASTER)
     client = RpcClient(await dial(visit.witness.robot.uri, master))
@@ -286,7 +286,7 @@ async def test_the_master_of_the_hospital_controls_no_node_of_the_home(
 
 @pytest.mark.attack("foreign-node")
 @pytest.mark.parametrize("by", ["hospital", "home", "removal", "grant"])
-async def test_what_stands_is_cut_within_a_second(visit: Visit, by: str) -> None:
+async def test_what_stands_is_cut_within_a_second(visit: Visitor, by: str) -> None:
     grant = visit.shared()
     stream = await visit.stays(grant)
     began = visit.home._clock()
@@ -307,7 +307,9 @@ async def test_what_stands_is_cut_within_a_second(visit: Visit, by: str) -> None
 
 
 @pytest.mark.attack("foreign-node")
-async def test_a_forged_or_old_list_of_domains_admits_nobody(visit: Visit, tmp_path: Path) -> None:
+async def test_a_forged_or_old_list_of_domains_admits_nobody(
+    visit: Visitor, tmp_path: Path
+) -> None:
     """Pushed by the own master, whose key was stolen: it signs no list."""
     robot, master = visit.witness.robot, visit.home.identity(MASTER)
     old = robot._membership._identity.anchors.data
@@ -325,7 +327,7 @@ async def test_a_forged_or_old_list_of_domains_admits_nobody(visit: Visit, tmp_p
 
 @pytest.mark.attack("foreign-node")
 async def test_a_revoked_key_of_the_hospital_is_refused_by_either_list(
-    visit: Visit, caplog: pytest.LogCaptureFixture
+    visit: Visitor, caplog: pytest.LogCaptureFixture
 ) -> None:
     await visit.word(visit.hospital.revoke(visit.hospital.identity(EVE).thumbprint))
     assert "is revoked" in (await visit.ask(visit.shared())).error

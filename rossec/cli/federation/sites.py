@@ -78,8 +78,8 @@ def remove(environment: Environment, label: str) -> None:
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
     """Mirror the parameters of LABEL that match PATTERN, read-only, at /remote/LABEL/...
 
-    PATTERN has the names they have there, for example '/robot/**'. This master needs the right
-    param-get on them; masters of one domain need no grant.
+    PATTERN has the names they have there, for example '/robot/**'. This master needs a grant of
+    the right param-get on them, in its home.
     """
 
     def change(sites: dict[str, SiteSettings]) -> None:

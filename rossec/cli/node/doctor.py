@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 
 import click
 
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from ca.renewal import signed_at
 from ca.revocation.state import Revocations, open_timestamp
@@ -21,13 +22,14 @@ from rossec.cli.node.known_revocations import known_revocations
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.tokens import open_held
 from rossec.clock import format_time
+from rossec.environment import OWN_MASTER, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.options import file_of, read
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import settings
-from rossec.ros.names import MASTER
+from rossec.saved_domains import DomainFiles
 from rossec.terminal import printable, say
 
 _SOON = 1 / 3  # of an identity's life: by then it should have been renewed
@@ -108,16 +110,23 @@ def _domains(environment: Environment, home: NodeHome) -> Iterator[str]:
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
     own = settings.read((), environment.variables, default_name=home.name)
-    yield asyncio.run(_ask_master(home, own, post_quantum(environment.variables)))
+    variables = environment.variables
+    yield asyncio.run(_ask_master(home, own, post_quantum(variables), own_master(variables)))
 
 
-async def _ask_master(home: NodeHome, own: settings.Settings, suites: tuple[int, ...]) -> str:
+async def _ask_master(
+    home: NodeHome, own: settings.Settings, suites: tuple[int, ...], master: str
+) -> str:
     anchor = home.anchor()
-    context = SecureContext(home.credentials(), anchor.verify, suites=suites)
+    anchors = DomainFiles(home, anchor).anchors()
+    context = SecureContext(home.credentials(), anchors.verify, suites=suites)
     stream = await connect(own.master_host, own.master_port, context, WireProtocol.HTTP)
     try:
-        if stream.peer.name != MASTER:
-            raise ConfigurationError(f"{stream.peer.name} answers there", "check ROS_MASTER_URI")
+        if stream.peer.name != master:
+            raise ConfigurationError(
+                f"{shown(stream.peer.name)} answers there, not {master}",
+                f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
+            )
         answer = await RpcClient(stream).ask("rossec.revocations", home.name)
     finally:
         await stream.close()

@@ -1,7 +1,7 @@
 """Files with a grant or a chain of narrowings, as the commands of a node read them.
 
-A grant of the node's own domain is verified; one of another domain by those who see it, with that
-domain's key: of it, what the node can know is checked, its form, its time and its key.
+A grant of the node's own domain, or of a listed one, is verified. Of one of another domain that is
+checked which the node can know: its form, its time and its key.
 """
 
 from pathlib import Path
@@ -14,6 +14,7 @@ from grants.validity import check_time
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.saved_domains import DomainFiles
 
 
 def read_token(path: Path) -> bytes:
@@ -38,8 +39,10 @@ def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
         GrantError: the subclass for what is wrong.
     """
     anchor, grant = home.anchor(), peek(token)
-    if grant.domain == anchor.domain:
-        return Verifier(anchor.public_key, anchor.domain, (), 0, _not_asked).open(token, now)
+    listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
+    if grant.domain == anchor.domain or listed is not None:
+        signer = anchor if listed is None else listed.anchor
+        return Verifier(signer.public_key, signer.domain, (), 0, _not_asked).open(token, now)
     check_time(grant, now)
     if grant.holder != home.identity(now).thumbprint:
         raise GrantNotHeld(
