@@ -81,8 +81,8 @@ def remove(environment: Environment, label: str) -> None:
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
     """Mirror the parameters of LABEL that match PATTERN, read-only.
 
-    They are at /remote/LABEL/... here. PATTERN has the names they have there, for example '/robot/**'. This master needs a grant of
-    the right param-get on them, in its home.
+    They are at /remote/LABEL/... here. PATTERN has the names they have there, for example
+    '/robot/**'. This master needs a grant of the right param-get on them, in its home.
     """
 
     def change(sites: dict[str, SiteSettings]) -> None:
