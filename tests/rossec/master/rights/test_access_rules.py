@@ -259,3 +259,65 @@ def test_the_authority_sees_the_graph_without_a_grant_and_changes_nothing() -> N
         assert who.may_see("/anything") is sees
     for right in set(Right) - {Right.GRAPH}:
         assert not own.may(right, "/anything"), right
+
+
+FOREIGNER = "/remote/hospital/rounds/robot3"
+
+
+@pytest.mark.parametrize(
+    ("host", "is_local", "taken"),
+    [
+        ("10.0.0.9", False, True), ("robot.example", False, True), ("169.254.3.1", False, False),
+        ("169.254.3.1", True, False), ("[fe80::1]", True, False), ("127.0.0.1", False, False),
+        ("127.0.0.1", True, True), ("localhost", True, True),
+    ],
+)  # fmt: skip
+def test_addresses_that_a_foreigner_may_have(
+    api: MasterApi, host: str, is_local: bool, taken: bool
+) -> None:
+    who, uri = caller(FOREIGNER, {"/**": Right(255)}), f"http://{host}:7/"
+    for method, *params in (
+        ("registerPublisher", "/t", T, uri),
+        ("registerService", "/s", f"rosrpc://{host}:7", "http://10.0.0.9:8/"),
+        ("subscribeParam", uri, "/rate"),
+    ):
+        call = "/rounds/robot3", *params
+        answer = call_api(api, method, call, who, 0, is_local=is_local).answer
+        assert isinstance(answer, list)
+        assert (answer[0] == 1) == taken, answer
+
+
+def test_an_administrator_cleans_up_what_a_foreigner_registered(api: MasterApi) -> None:
+    uri = "http://10.0.0.9:7/"
+    ask(
+        api, caller(FOREIGNER, {"/t": Right.PUBLISH}), "registerPublisher", "/rounds/robot3", "/t",
+        T, uri,
+    )  # fmt: skip
+    admin = caller("/admin", {"/**": Right.ADMIN})
+    assert ask(api, caller("/eve"), "unregisterPublisher", FOREIGNER, "/t", uri)[0] == -1
+    assert ask(api, admin, "unregisterPublisher", FOREIGNER, "/t", uri)[2] == 1
+
+
+def test_a_foreigner_cleans_up_nothing_of_ours(api: MasterApi) -> None:
+    twin = caller("/remote/hospital/victim", BUT_ADMIN)
+    ask(api, twin, "unregisterPublisher", "/victim", "/secret", VICTIM_API)
+    ask(api, twin, "unregisterService", "/victim", "/arm", "rosrpc://victim:2")
+    state = ask(api, everything("/victim"), "getSystemState", "/victim")[2]
+    assert state == [
+        [["/secret", ["/victim"]]], [["/cmd_vel", ["/victim"]]], [["/arm", ["/victim"]]],
+    ]  # fmt: skip
+
+
+def test_a_foreigners_service_is_its_own(api: MasterApi) -> None:
+    twin = caller("/remote/hospital/victim", BUT_ADMIN)
+    uri = "rosrpc://10.0.0.9:2"
+    ask(api, twin, "registerService", "/victim", "/s", uri, "http://10.0.0.9:1/")
+    assert ask(api, twin, "unregisterService", "/victim", "/s", uri)[2] == 1
+
+
+@pytest.mark.parametrize("method", sorted(n for n, r in RULES.items() if r.scope is Scope.MEMBER))
+def test_what_members_may_call_no_foreigner_may(api: MasterApi, method: str) -> None:
+    control = AccessControl(empty_graph(), "/master")
+    control.check(method, caller("/robot"), ("/robot",))
+    with pytest.raises(Refused, match="only nodes of the own domain"):
+        control.check(method, caller(FOREIGNER), ("/rounds/robot3",))
