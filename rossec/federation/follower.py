@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Generator, Iterable
 from secrets import SystemRandom
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from rossec.federation.mirroring import Mirroring
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
+from rossec.master.state.import_events import ImportEvent
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.names import PRESENT_GRANTS
@@ -161,7 +162,7 @@ class Follower:
                     change = asking.result()
                 finally:
                     asking.cancel()
-                self._take_over(change)
+                await self._take_over(change)
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
                 await self._mirror(client)
@@ -257,12 +258,12 @@ class Follower:
             if change is not None:
                 return change
 
-    def _take_over(self, change: SiteChange) -> None:
-        state = self._own.state
+    async def _take_over(self, change: SiteChange) -> None:
+        steps = self._own.state.imports.apply_in_steps(
+            self.settings.site, change.added, change.removed, whole=change.whole
+        )
         try:
-            events = state.imports.apply(
-                self.settings.site, change.added, change.removed, whole=change.whole
-            )
+            events = await _run(steps)
         except HintedError as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
@@ -308,3 +309,14 @@ class Follower:
             longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
             async with asyncio.timeout(self.state.pause(self._rand(), longest)):
                 await self._woken.wait()
+
+
+async def _run(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
+    """Other calls are answered between two steps."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            events: list[ImportEvent] = end.value
+            return events
+        await asyncio.sleep(0)
