@@ -74,13 +74,13 @@ async def fkie_changes(site: Site, other: Master, follower: Master) -> list[floa
 
 async def _synchronize(discovery: Slave, sync: Slave) -> None:
     """Poll one master, and after a change pull its whole state and register it at the other."""
-    state: object = None
+    state: Any = None
     while True:
         found = await discovery.ask("getSystemState")
         if found != state:
-            state = found
             await asyncio.sleep(_RANDOM.uniform(0, MOST_WAIT))
             whole: Any = await discovery.ask("getSystemState")
+            state = whole
             named = any(entry[0] == TOPIC for entry in whole[0])
             method = "registerPublisher" if named else "unregisterPublisher"
             await sync.ask(method, TOPIC, *([TYPE] if named else []), sync.uri)

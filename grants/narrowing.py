@@ -125,9 +125,9 @@ def check_one_domain(grant: Grant, label: str, peer: str) -> None:
         first, found = split_alias(grant.links[0].subject), split_alias(peer)
     except CAError as error:
         raise NarrowingOutsideDomain(f"a chain for nobody: {error}", error.hint) from error
-    held_by = "" if found is None else found[0]
+    found_label = "" if found is None else found[0]
     expected = label if first is None else ("" if label else first[0])
-    if held_by != expected:
+    if found_label != expected:
         raise NarrowingOutsideDomain(
             f"grant {grant.short_id} was narrowed for a node of another domain",
             "a right is handed on within one domain; ask for a grant of your own",

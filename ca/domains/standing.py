@@ -10,6 +10,7 @@ locks it.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -137,18 +138,18 @@ class Standing:
             NotAdmitted: the trust in its domain has ended, or does not extend to its name.
             RevocationsStale: this is not known.
         """
-        self.check_trust(peer, now)
-        domains = [self.anchors.own.domain]
+        checks: list[Callable[[bytes, int], None]] = [self.own.check]
         if peer.is_foreign:
+            self.check_trust(peer, now)
             current = self.anchors.current
             if current is None or now >= current.expires:
                 raise NotAdmitted("the list of domains has expired", "rossec ca refresh")
-            domains.append(peer.domain)
+            checks.append(partial(self.check, peer.domain))
         stale: RevocationsStale | None = None
-        for domain in domains:
+        for check in checks:
             for key in peer.keys:
                 try:
-                    self.check(domain, key, now)
+                    check(key, now)
                 except RevocationsStale as error:
                     stale = stale or error
         if stale is not None:

@@ -264,10 +264,12 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
             raise ConfigurationError(f"{count} with {beginning!r}", "see: rossec grant list")
         return self.unlock().revoke(found[0], reason, self._now()), found[0]
 
-    def delegate(self, lifetime: int, max_ttl: int) -> tuple[OpenDelegation, MasterCall]:
-        """Let the master renew grants: sign the delegation, which is to be delivered."""
+    def delegate(
+        self, lifetime: int, max_ttl: int, master: str = MASTER
+    ) -> tuple[OpenDelegation, MasterCall]:
+        """Let `master` renew grants: sign the delegation, which is to be delivered to it."""
         authority, at = self.unlock(), self._now()
-        holder = authority.store.valid_certificate(MASTER, at).thumbprint
+        holder = authority.store.valid_certificate(master, at).thumbprint
         data = authority.issue_delegation(holder, lifetime, max_ttl, at)
         hint = _DELEGATE.format(authority.path / DELEGATIONS)
         call = MasterCall(self.home.node(), "rossec.updateDelegation", (data,), "it", hint)

@@ -1,7 +1,8 @@
 """The answers of `rossec.followSite`: what one site has sent so far, and where to go on. Pure.
 
-An answer may come in parts; the parts are gathered, and taken over together. A version that runs
-backwards within one run of the master is an error: a master does not forget.
+An answer may come in parts; the parts are gathered, and taken over together. An empty one says that
+nothing has changed. A version that runs backwards within one run of the master is an error: a
+master does not forget.
 """
 
 from typing import Final, NamedTuple
@@ -12,6 +13,7 @@ from rossec.participant.graph_view import Fact, facts_of
 METHOD: Final = "rossec.followSite"
 MAX_PARTS: Final = 256  # of one answer; with 1,024 facts in each more than are imported
 _DIGEST: Final = 32
+_NONE: Final[frozenset[Fact]] = frozenset()
 _HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
 
 
@@ -44,6 +46,7 @@ class SiteCursor:
         self.version = -1
         self._cursor = 0
         self._parts: list[SiteChange] = []
+        self._lists = b"", b""  # the digests of the last answer
 
     @property
     def params(self) -> tuple[str, int]:
@@ -56,6 +59,8 @@ class SiteCursor:
         Raises:
             AnswerMalformed: it is invalid, or the version runs backwards.
         """
+        if answer == {} and self.instance:
+            return self._complete([*self._parts, SiteChange(_NONE, _NONE, False, *self._lists)])
         match answer:
             case {
                 "instance": str() as instance, "version": int() as version,
@@ -69,12 +74,16 @@ class SiteCursor:
         part = SiteChange(facts_of(added), facts_of(removed), whole, revocations, domains)
         self._check(instance, version)
         self.instance, self.version, self._cursor = instance, version, cursor
+        self._lists = revocations, domains
         self._parts = [part] if whole else [*self._parts, part]
         if len(self._parts) > MAX_PARTS:
             raise AnswerMalformed(f"a site's answer in more than {MAX_PARTS} parts")
         if more:
             return None
-        parts, self._parts = self._parts, []
+        return self._complete(self._parts)
+
+    def _complete(self, parts: list[SiteChange]) -> SiteChange:
+        self._parts = []
         return _joined(parts)
 
     def _check(self, instance: str, version: int) -> None:

@@ -10,26 +10,30 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Generator, Iterable
 from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import split_alias
 from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import AnswerRefused, IdentityRefused, SiteRefused
+from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, SiteRefused
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
-from rossec.federation.foreign import ForeignLists
+from rossec.federation.foreign import MAX_PRESENTED, ForeignLists
+from rossec.federation.mirroring import Mirroring
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
-from rossec.federation.states import SILENCE, Effect, Event, Phase, SiteState
+from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
+from rossec.master.state.import_events import ImportEvent
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
+LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -62,6 +66,7 @@ class Follower:
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()
+        self._mirroring = Mirroring(own, settings)
         self._woken = asyncio.Event()
         self._lists_changed = asyncio.Event()
         self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
@@ -138,6 +143,7 @@ class Follower:
             "lost_s": None if lost is None else round(time.monotonic() - lost, 1),
             "error": self.error,
             "parameters": list(settings.parameters),
+            "mirrored": self._mirroring.mirrored,
         }
 
     async def _follow(self) -> None:
@@ -156,9 +162,10 @@ class Follower:
                     change = asking.result()
                 finally:
                     asking.cancel()
-                self._take_over(change)
+                await self._take_over(change)
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
+                await self._mirror(client)
 
     async def _is_answered(
         self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
@@ -208,13 +215,26 @@ class Follower:
         except CAError as error:
             raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
 
+    async def _mirror(self, client: RpcClient) -> None:
+        try:
+            await self._mirroring.keep(client)
+        except (AnswerRefused, ImportRefused) as error:
+            self.error = printable(str(error))
+
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
         """Settle the lists, and show what a foreign master wants to see."""
         if self._foreign is not None:
             await self._foreign.greet(client, peer)
         else:
+            if self.settings.parameters:
+                await self._present_own(client)
             await exchange.settle_revocations(client, self._own, peer)
             await exchange.settle_domains(client, self._own, peer)
+
+    async def _present_own(self, client: RpcClient) -> None:
+        """Show the grants of the own domain: a master needs `param-get` as any node does."""
+        if tokens := list(self._own.grants())[:MAX_PRESENTED]:
+            await client.ask(PRESENT_GRANTS, self._own.name, tokens)
 
     async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
         if self._foreign is not None:
@@ -238,12 +258,12 @@ class Follower:
             if change is not None:
                 return change
 
-    def _take_over(self, change: SiteChange) -> None:
-        state = self._own.state
+    async def _take_over(self, change: SiteChange) -> None:
+        steps = self._own.state.imports.apply_in_steps(
+            self.settings.site, change.added, change.removed, whole=change.whole
+        )
         try:
-            events = state.imports.apply(
-                self.settings.site, change.added, change.removed, whole=change.whole
-            )
+            events = await _run(steps)
         except HintedError as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
@@ -275,6 +295,7 @@ class Follower:
             case Effect.DROP:
                 self._cursor = SiteCursor()
                 self._deliver(self._own.state.imports.drop(label))
+                self._mirroring.drop()
 
     def _deliver(self, events: Iterable[Any]) -> None:
         for event in events:
@@ -282,7 +303,20 @@ class Follower:
         self._own.state.notify()
 
     async def _pause(self) -> None:
+        """Wait to dial again; a foreign master that shows nothing still says what is revoked."""
         self._woken.clear()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self.state.pause(self._rand())):
+            longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
+            async with asyncio.timeout(self.state.pause(self._rand(), longest)):
                 await self._woken.wait()
+
+
+async def _run(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
+    """Other calls are answered between two steps."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            events: list[ImportEvent] = end.value
+            return events
+        await asyncio.sleep(0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from ca.certificates import Identity
 from rossec.federation.chains import Chains
 from rossec.master.server.effects import Effects, MasterState
+from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext
 
 
@@ -18,12 +19,16 @@ class OwnMaster:
         effects: delivers events.
         context: its own identity, to dial with; its `verify` is that of `chains`.
         chains: the certificates by which peers were verified.
-        grants: reads the grants in its home, which a foreign master wants to see.
+        mirror: takes over the parameters of a site; raises ImportRefused.
+        drop_mirror: forgets those of the site with this label.
+        grants: reads the grants in its home, which another master wants to see.
     """
 
     state: MasterState
     effects: Effects
     context: SecureContext[Identity]
+    mirror: Callable[[Site, dict[str, object]], None]
+    drop_mirror: Callable[[str], None]
     chains: Chains = field(default_factory=Chains)
     grants: Callable[[], Sequence[bytes]] = tuple
 

@@ -17,7 +17,10 @@ def mesh_of(server: MasterServer, home: NodeHome, config: FederationConfig) -> M
     """The mesh of `server`, not yet running; with `config` and the file in `home`."""
     chains = Chains()
     context = replace(server.context, verify=chains.recording(server.context.verify))
-    own = OwnMaster(server.state, server.effects, context, chains, home.grants)
+    own = OwnMaster(
+        server.state, server.effects, context, server.mirror, server.drop_mirror, chains,
+        home.grants,
+    )  # fmt: skip
     sources: Mapping[str, Source] = {
         "configuration": lambda: config.sites, "file": SiteFile(home.path).sites,
     }  # fmt: skip

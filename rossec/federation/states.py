@@ -103,7 +103,7 @@ class SiteState:
         """Whether `EXPIRED` is due."""
         return self.lost_since is not None and clock - self.lost_since >= LOST_FOR
 
-    def pause(self, rand: float) -> float:
-        """Seconds to wait before the next dial; `rand` is from 0 up to 1."""
-        pause = min(FIRST_PAUSE * 2.0 ** min(max(self.failures - 1, 0), 16), LONGEST_PAUSE)
+    def pause(self, rand: float, longest: float = LONGEST_PAUSE) -> float:
+        """Seconds to wait before the next dial, about; `rand` is from 0 up to 1."""
+        pause = min(FIRST_PAUSE * 2.0 ** min(max(self.failures - 1, 0), 16), longest)
         return pause * (1 + _SPREAD * (2 * rand - 1))

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
 from rossec import clock
 from rossec.errors import (
     AnswerMalformed,
@@ -41,6 +41,7 @@ from rossec.ros import header
 from rossec.ros.service import REQUEST_LIMIT
 
 _POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
+_PASSING: Final = (ServiceUnavailable, ChannelError, OSError, TimeoutError, RevocationsStale)
 _ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
 
 
@@ -115,7 +116,7 @@ class Services:
 
     async def _wait_for_probe(self, name: str) -> None:
         while True:
-            with contextlib.suppress(ServiceUnavailable, ChannelError, OSError, TimeoutError):
+            with contextlib.suppress(*_PASSING):
                 await self.probe(name)
                 return
             await asyncio.sleep(_POLL_PERIOD)

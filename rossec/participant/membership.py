@@ -259,7 +259,7 @@ class Membership:
         await self._watch.session_opened()
         await self.domains.session_opened(session.call)
         await self._delivery.fetch(session.call)
-        await self._present(self._take_new())
+        await self._present(self._presentable(self._take_new()))
         self._grant_directory.drop_ended(clock.now())
         await self._hooks.restore()
         await self._delivery.save()
@@ -292,9 +292,7 @@ class Membership:
         """Present `new` grants, renew what is due, request proofs and foreign revocations."""
         call = self.session.call
         await self.domains.fetch_wanted(call)
-        if self._domains_are_new:  # grants of a domain count only once it is listed
-            self._domains_are_new = False
-            new = self._access.current(clock.now())[:MAX_CALL]
+        new = self._presentable(new)
         await self._present(new)
         renewed = await renew(call, self._renewals, clock.now())
         if renewed:
@@ -304,6 +302,13 @@ class Membership:
         await renew_identity(call, self._identity_renewal, clock.now())
         if await prove(call, self._access):
             self._connections.cut_ended(clock.now())
+
+    def _presentable(self, new: list[bytes]) -> list[bytes]:
+        """`new` grants, or all: those of a domain count only once it is listed."""
+        if not self._domains_are_new:
+            return new
+        self._domains_are_new = False
+        return self._access.current(clock.now())[:MAX_CALL]
 
     async def _present(self, new: list[bytes]) -> None:
         for batch in batches(new):

@@ -54,10 +54,11 @@ class TokenOpener:
         """
         grants: list[Grant] = []
         refusals: list[GrantError] = []
+        label = self._label(domain)
         for data in _unpack(presented):
             try:
                 grant = self._open_once(data, domain, now)
-                check_one_domain(grant, self._label(domain), peer.name)
+                check_one_domain(grant, label, peer.name)
                 grants.append(grant)
             except GrantError as error:
                 refusals.append(error)
@@ -111,6 +112,8 @@ class TokenOpener:
         )
 
     def _label(self, domain: str) -> str:
+        if domain == self._own.domain:
+            return ""
         listed = self._standing.anchors.listed_domain(domain)
         return "" if listed is None else listed.entry.label
 

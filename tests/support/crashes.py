@@ -19,6 +19,7 @@ from pathlib import Path
 from ca.approvals.statement import Kind
 from ca.authority import Authority, create_root
 from ca.certificates import build_request, check_request, from_pem
+from ca.domains.lists import verify_domains
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
 from ca.renewal import sign_renewal
@@ -32,6 +33,7 @@ from tests.support import approving
 from tests.support.killing import run_killed
 from tests.support.oldstore import write_version_1
 from tests.support.passkeys import Passkey
+from tests.vectors.make_domains import ENTRY
 
 NOW = 1_800_000_000
 ROOT, NODE, NEW = (KeySigner(generate()) for _ in range(3))
@@ -119,13 +121,29 @@ def check_approved(directory: Path) -> None:
         assert len(acts) == len(store.approvals.all()) <= 1
 
 
+def trust(authority: SigningAuthority, _: Path) -> None:
+    """A domain is accepted, and in a list, in one step."""
+    with authority.store.transaction():
+        if not authority.store.domains.accepted():
+            authority.store.domains.accept(ENTRY, NOW)
+            authority.sign_domains(NOW)
+
+
+def check_trusted(directory: Path) -> None:
+    """The newest list names the domains that are trusted, and no others."""
+    with closing(opened(directory).store) as store:
+        data, terms = store.domains.newest_list(), [row.read() for row in store.domains.accepted()]
+        listed = verify_domains(data, ROOT.public_key).domains if data else ()
+        assert terms == [*listed], "a domain is trusted that is not listed, or the reverse"
+
+
 def migrate(authority: SigningAuthority, _: Path) -> None:
     assert authority.store.log.entries()[-1].what == "migrated"
 
 
 SCENARIOS: dict[str, Scenario] = {
     "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
-    "replace": replace, "approve": approve, "migrate": migrate,
+    "replace": replace, "approve": approve, "trust": trust, "migrate": migrate,
 }  # fmt: skip
 
 
@@ -166,10 +184,12 @@ def run(name: str, base: Path, work: Path) -> Counter[str]:
         died = run_killed(partial(act, scenario, directory), deaths.total() + 1)
         check(directory, _count(base))
         check_approved(directory)
+        check_trusted(directory)
         recorded = _newest(directory) if _count(directory) == total else None
         act(scenario, directory)
         check(directory, _count(base))
         check_approved(directory)
+        check_trusted(directory)
         assert _count(directory) == total, "doing it again did not complete it"
         if name != "migrate":  # the old database has no list
             check_listed(directory)

@@ -35,8 +35,8 @@ from tests.support.witness import until
 PORT: Final = 11311
 _SHORTENED: Final = """
 from rossec.federation import follower, states
-follower.SILENCE = 6
-states.LOST_FOR = 4
+follower.SILENCE = 5.5
+states.LOST_FOR = 1
 states.LONGEST_PAUSE = 2
 from rossec.cli.main import main
 main()

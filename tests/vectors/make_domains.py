@@ -15,7 +15,7 @@ from ca.domains.cards import CARD, Card, sign_card
 from ca.domains.lists import DOMAINS, DomainList, ForeignDomain, sign_domains
 from ca.encoding import Value
 from ca.keys.publickey import to_coordinates
-from tests.vectors.make_grants import FixedSigner
+from tests.vectors.narrowings import FixedSigner
 
 FILE: Final = Path(__file__).parent / "domains" / "domains.json"
 NOW: Final = 1_800_000_000

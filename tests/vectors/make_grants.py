@@ -9,9 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, decode, encode
@@ -19,25 +16,10 @@ from ca.keys.publickey import thumbprint
 from grants import document
 from grants.model import ALL_RIGHTS, Draft, Permission, Restriction, Right, filter_rules
 from grants.renewal import TICKET, Delegation, Ticket, sign_delegation, sign_ticket
+from tests.vectors.narrowings import FixedSigner, chains
 
 FOLDER = Path(__file__).parent / "grants"
 NOW = 1_800_000_000
-
-
-class FixedSigner:
-    """Signs the same bytes the same way."""
-
-    def __init__(self, secret: int) -> None:
-        self._key = ec.derive_private_key(secret, ec.SECP256R1())
-
-    @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        return self._key.public_key()
-
-    def sign(self, message: bytes) -> bytes:
-        algorithm = ec.ECDSA(hashes.SHA256(), deterministic_signing=True)
-        r, s = decode_dss_signature(self._key.sign(message, algorithm))
-        return r.to_bytes(32) + s.to_bytes(32)
 
 
 CA, OTHER, MASTER = FixedSigner(1001), FixedSigner(1002), FixedSigner(1003)
@@ -154,7 +136,7 @@ def tokens() -> list[dict[str, object]]:
     common = {key: renewed[key] for key in ("ca_key", "key", "now", "seq")}
     return [
         {"name": name, **common, "data": data.hex(), "failure": failure}
-        for name, (data, failure) in cases.items()
+        for name, (data, failure) in (cases | chains(CA, DRAFT)).items()
     ]
 
 

@@ -8,7 +8,10 @@ from rossec.cli.shared.lazy import LazyGroup
 
 _FEDERATION: Final = {
     "add": ("federation.sites:add", "Follow the master at URI, and call it LABEL."),
-    "list": ("federation.sites:list_", "List the masters to follow."),
+    "list": (
+        "federation.sites:list_",
+        "List the masters to follow, as `rossec federation add` has them.",
+    ),
     "param": (
         "federation.sites:param",
         "Mirror the parameters of LABEL that match PATTERN, read-only.",

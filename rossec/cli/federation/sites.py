@@ -60,7 +60,10 @@ def add(environment: Environment, uri: str, label: str, master: str, domain: str
 @click.argument("label")
 @pass_environment
 def remove(environment: Environment, label: str) -> None:
-    """Follow LABEL no longer: its names go at once; connections between nodes stay."""
+    """Follow LABEL no longer: its names go at once.
+
+    Connections between nodes stay: they judge each other without a master.
+    """
 
     def take(sites: dict[str, SiteSettings]) -> None:
         _find(sites, label)
@@ -76,10 +79,10 @@ def remove(environment: Environment, label: str) -> None:
 @click.option("--remove", "removing", is_flag=True, help="mirror it no longer")
 @pass_environment
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
-    """Mirror the parameters of LABEL that match PATTERN, read-only, at /remote/LABEL/...
+    """Mirror the parameters of LABEL that match PATTERN, read-only.
 
-    PATTERN has the names they have there, for example '/robot/**'. This master needs the right
-    param-get on them; masters of one domain need no grant.
+    They are at /remote/LABEL/... here. PATTERN has the names they have there, for example
+    '/robot/**'. This master needs a grant of the right param-get on them, in its home.
     """
 
     def change(sites: dict[str, SiteSettings]) -> None:

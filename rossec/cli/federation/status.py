@@ -23,7 +23,7 @@ _PERIOD: Final = 1.0
 def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
     """Show how far each master is followed; the own one must have been started with --admin."""
     home = NodeHome.of(environment.home, own_master(environment.variables))
-    shown: list[str] = []
+    shown: list[str] | None = None
     while True:
         answer = send_command(home.path / ADMIN_SOCKET, "federation")
         lines = [] if as_json else _lines(answer)

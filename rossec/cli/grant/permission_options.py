@@ -65,7 +65,7 @@ def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
     """The permissions that the options of `wishes` say.
 
     Raises:
-        ConfigurationError: no right, or a parameter that is none.
+        ConfigurationError: no right is given, or an invalid parameter.
         ConditionRefused, FilterRefused: a restriction that does not fit the message type.
     """
     filters = rules(said["clear"], said["rounds"], said["clamps"])

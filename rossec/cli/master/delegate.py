@@ -4,6 +4,7 @@ from typing import Final
 
 import click
 
+from ca.names import is_master_name
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared.context import Duration
@@ -25,10 +26,16 @@ DAY: Final = 86400
     "--ticket", type=Duration(MAX_TICKET // DAY), default="8h", show_default=True,
     help="how long a renewed grant holds before it is renewed again; at least a minute",
 )  # fmt: skip
+@click.option(
+    "--to", "master", metavar="NAME", default=MASTER, show_default=True,
+    help="which of the domain's masters; give its address with --master",
+)  # fmt: skip
 @click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
 @click.option("--master", "master_uri", help="master to notify, instead of ROS_MASTER_URI")
 @pass_service
-def delegate(service: AuthorityService, lifetime: int, ticket: int, withdraw: bool) -> None:
+def delegate(
+    service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool
+) -> None:
     """Let the master renew grants, unchanged and up to their caps, while the authority is away.
 
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
@@ -38,14 +45,18 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, withdraw: bo
             f"a ticket of {ticket} s ends before a node can be sure to have the next one",
             f"give {MIN_TICKET}s or more: a node renews after two thirds, the rest is for retries",
         )
+    if not is_master_name(master):
+        raise ConfigurationError(
+            f"{master[:255]!a} is not the name of a master", "/master, or /master/kitchen"
+        )
     if withdraw:
         listed, count = service.revoke_delegations("withdrawn")
         say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
         publish_list(service)
         return
-    delegation, call = service.delegate(lifetime, ticket)
+    delegation, call = service.delegate(lifetime, ticket, master)
     until = format_time(delegation.expires)
-    say(f"{MASTER} may renew grants until {until} (delegation {delegation.id.hex()})")
+    say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
     service.deliver(call)
     say("the master has the delegation")
     remind_to_publish(service)

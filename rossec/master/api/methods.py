@@ -7,7 +7,7 @@ from typing import NamedTuple
 from grants.model import Right
 from rossec.master.api.arguments import Check
 from rossec.master.rights.caller import Caller
-from rossec.master.state.imports import TypeContradicted
+from rossec.master.state.import_events import TypeContradicted
 from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.registry import Event, NodeRef
 

@@ -23,6 +23,9 @@ from rossec.master.state.registry import ANY_TYPE, Kind, Registry
 FOLLOW: Final = "rossec.followSite"
 MAX_PATTERNS: Final = 64  # wanted, with a wildcard before their end: each costs with each name
 
+UNCHANGED: Final[tuple[int, str, dict[str, object]]] = (1, "", {})
+"""The answer after a wait without a change; short, as there are many in a silent mesh."""
+
 Digests = Callable[[], tuple[bytes, bytes]]
 """Of the own revocation list and of the list of domains; empty: there is none."""
 

@@ -15,7 +15,7 @@ from rossec.master.api.deposit_calls import WATCH_GRANTS, is_empty
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
-from rossec.master.api.site_calls import FOLLOW
+from rossec.master.api.site_calls import FOLLOW, UNCHANGED
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
@@ -104,7 +104,10 @@ class CallAnswers:
             await self._state.graph_changes.wait(WATCH_WAIT)
         else:
             await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT)
-        return await self._finish(call, self._begin(call))
+        answer = await self._finish(call, self._begin(call))
+        if call.method == FOLLOW and self._is_unchanged(call, answer):
+            return [*UNCHANGED]
+        return answer
 
     async def _watch_grants(self, call: PendingCall) -> object:
         answer = await self._finish(call, self._begin(call))

@@ -43,7 +43,8 @@ from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.site_polls import SitePolls
 from rossec.master.server.updates import Updates
-from rossec.master.state.imports import Imports, TypeContradicted
+from rossec.master.state.import_events import TypeContradicted
+from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE

@@ -9,12 +9,13 @@ Names are local here, as `sites` says. What wins is decided when it is asked, so
 hidden appears by itself when what hid it goes.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from itertools import islice
 from typing import Final
 
 from rossec.errors import ImportRefused
 from rossec.master.state.demand import Demand
+from rossec.master.state.import_events import Contradictions, ImportEvent, SiteStatus
 from rossec.master.state.imported_facts import (
     FACTS_LIMIT,
     Address,
@@ -32,32 +33,11 @@ from rossec.master.state.registry import (
 )
 from rossec.master.state.sites import NODE, Site
 
-MAX_REPORTED: Final = 1024  # contradictions of one site that are reported
+MAX_REGISTERED: Final = 4096  # nodes for one name; each update has all addresses
+STEP: Final = 256  # facts between two yields
 
 _Entry = tuple[str, str]
 """The label of a site, and the name there of a node."""
-
-
-@dataclass(frozen=True)
-class TypeContradicted:
-    """A topic is not imported from a site, where it has another type than here."""
-
-    label: str
-    topic: str
-    type_here: str
-    type_there: str
-
-
-ImportEvent = PublishersChanged | TypeContradicted
-
-
-@dataclass(frozen=True)
-class SiteStatus:
-    """One site, for people."""
-
-    site: Site
-    facts: int
-    is_lost: bool
 
 
 class Imports:
@@ -83,7 +63,7 @@ class Imports:
         self._limit = limit
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
-        self._reported: dict[str, set[str]] = {}
+        self._contradictions = Contradictions(registry)
         self._kept: Final = KeptPublishers()
         registry.imported_publishers = self.publisher_uris
 
@@ -101,9 +81,27 @@ class Imports:
             ImportRefused: a malformed fact, or too many. The facts of the site are still held.
             NameRefused: the site's label is not one.
         """
+        steps = self.apply_in_steps(site, added, removed, whole=whole)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                events: list[ImportEvent] = end.value
+                return events
+
+    def apply_in_steps(
+        self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
+    ) -> Generator[None, None, list[ImportEvent]]:
+        """As `apply`; yields where other calls may be answered, and returns the events.
+
+        One answer of a site is taken over at a time; `drop` ends it.
+        """
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()
-        new = set(checked(added))
+        new = set[Fact]()
+        for part in _parts(added):
+            new.update(checked(part))
+            yield
         gone = old - new if whole else old.intersection(removed) - new
         new -= old
         if len(old) - len(gone) + len(new) > self._limit:
@@ -111,8 +109,9 @@ class Imports:
         events = self.drop(site.label) if held is not None and held.site != site else []
         held = self._sites.setdefault(site.label, SiteFacts(site))
         held.is_lost = False
-        events += self._change(held, new, gone)
-        return [*events, *self._forget_kept(site.label), *self._contradictions(held, new)]
+        events += yield from self._change(held, new, gone)
+        events += self._forget_kept(site.label)
+        return [*events, *self._contradictions.report(held, new)]
 
     def lose(self, label: str) -> None:
         """There is no connection with a site: its facts stay, marked."""
@@ -136,16 +135,20 @@ class Imports:
         return [*events, *self._forget_kept(label)]
 
     def _forget(self, held: SiteFacts) -> list[PublishersChanged]:
-        events, label = self._change(held, set(), set(held.facts)), held.site.label
+        label, topics = held.site.label, self._followed_topics(held, held.facts)
+        before = {topic: self.publisher_uris(topic) for topic in topics}
+        for fact in tuple(held.facts):
+            self._remove(held, fact)
         del self._sites[label]
-        self._reported.pop(label, None)
+        self.version += 1
+        self._contradictions.forget(label)
         self._report_settled()
-        return events
+        return self._changed(before)
 
     def _forget_kept(self, label: str) -> list[PublishersChanged]:
         before = {topic: self.publisher_uris(topic) for topic in self._kept.topics(label)}
         self._kept.forget(label)
-        return self._told(before)
+        return self._changed(before)
 
     def wanted(self, site: Site, now: int) -> tuple[str, ...]:
         """What to ask a site for, as `Demand.wanted`."""
@@ -160,16 +163,14 @@ class Imports:
     @property
     def is_settled(self) -> bool:
         """Whether every site that is connected has answered for all that is wanted now."""
-        connected = [held for held in self._sites.values() if not held.is_lost]
-        return all(held.settled >= self.demand.version for held in connected)
+        demand = self.demand.version
+        return all(held.is_lost or held.settled >= demand for held in self._sites.values())
 
     @property
     def sites(self) -> tuple[SiteStatus, ...]:
         """All sites, by label."""
-        return tuple(
-            SiteStatus(held.site, len(held.facts), held.is_lost)
-            for _, held in sorted(self._sites.items())
-        )
+        held = (self._sites[label] for label in sorted(self._sites))
+        return tuple(SiteStatus(each.site, len(each.facts), each.is_lost) for each in held)
 
     def own_sites(self) -> Collection[str]:
         """The labels of the sites that are other masters of the own domain."""
@@ -283,20 +284,25 @@ class Imports:
     def _agrees(self, label: str, topic: str, type_name: str) -> bool:
         return self._sites[label].types.get(topic, type_name) == type_name
 
-    def _change(self, held: SiteFacts, new: set[Fact], gone: set[Fact]) -> list[PublishersChanged]:
+    def _change(
+        self, held: SiteFacts, new: set[Fact], gone: set[Fact]
+    ) -> Generator[None, None, list[PublishersChanged]]:
         if not new and not gone:
             return []
         topics = self._followed_topics(held, new | gone)
         before = {topic: self.publisher_uris(topic) for topic in topics}
-        for fact in gone:
-            self._remove(held, fact)
-        for fact in new:
-            self._add(held, fact)
-        self.version += 1
-        return self._told(before)
+        for change, facts in ((self._remove, gone), (self._add, new)):
+            for part in _parts(facts):
+                for fact in part:
+                    change(held, fact)
+                self.version += 1
+                yield
+                if self._sites.get(held.site.label) is not held:
+                    return self._changed(before)
+        return self._changed(before)
 
-    def _told(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
-        """What subscribers are told of the topics whose publishers are others than `before`."""
+    def _changed(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
+        """The events of the topics that have other publishers than `before`."""
         return [
             self._registry.publishers_changed(topic)
             for topic, uris in before.items()
@@ -307,15 +313,16 @@ class Imports:
         found = held.add(fact)
         if found is not None:
             entries = self._entries[found.kind].setdefault(found.key, {})
-            entries[held.site.label, fact[2]] = None
+            if len(entries) < MAX_REGISTERED:
+                entries[held.site.label, fact[2]] = None
 
     def _remove(self, held: SiteFacts, fact: Fact) -> None:
         found = held.remove(fact)
         if found is not None:
-            entries = self._entries[found.kind][found.key]
-            del entries[held.site.label, fact[2]]
+            entries = self._entries[found.kind].get(found.key, {})
+            entries.pop((held.site.label, fact[2]), None)
             if not entries:
-                del self._entries[found.kind][found.key]
+                self._entries[found.kind].pop(found.key, None)
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
         """The topics with local subscribers whose publishers may change."""
@@ -329,18 +336,11 @@ class Imports:
                 found.add(key)
         return sorted(found.intersection(followed))
 
-    def _contradictions(self, held: SiteFacts, new: Iterable[Fact]) -> list[TypeContradicted]:
-        reported = self._reported.setdefault(held.site.label, set())
-        events: list[TypeContradicted] = []
-        for kind, name, there in new:
-            topic = held.local_key(name) if kind == "type" else None
-            here = ANY_TYPE if topic is None else self._registry.topic_type(topic)
-            if topic is None or here in (ANY_TYPE, there) or topic in reported:
-                continue
-            if len(reported) < MAX_REPORTED:
-                reported.add(topic)
-                events.append(TypeContradicted(held.site.label, topic, here, there))
-        return events
+
+def _parts(facts: Iterable[Fact]) -> Iterator[list[Fact]]:
+    rest = iter(facts)
+    while part := list(islice(rest, STEP)):
+        yield part
 
 
 def _ignore() -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-SCENARIOS = {"issue", "deny", "collect", "revoke", "renew", "replace", "approve", "migrate"}
+SCENARIOS = {
+    "issue", "deny", "collect", "revoke", "renew", "replace", "approve", "trust", "migrate",
+}  # fmt: skip
 
 
 @pytest.mark.timeout(300)  # some 280 processes: seconds on an idle machine, minutes on a busy one

@@ -88,3 +88,22 @@ def test_names_with_a_common_beginning_are_compared_whatever_their_order(
             other for other in ("/a", name) if asked.startswith(other) or other.startswith(asked)
         }
         assert set(compared) == related - {asked}
+
+
+def test_the_valid_identities_of_masters(store: Store) -> None:
+    names = [
+        "/master",
+        "/masters",
+        "/master/a",
+        "/master/a/b",
+        "/robot",
+        "/robot/master",
+        "/master/b",
+    ]
+    for serial, name in enumerate(names, 101):
+        store.add_certificate(row(serial, bytes([serial]) * 32, name), NOW)
+    found = [each.name for each in store.identities.valid_masters(NOW)]
+    assert found == ["/master", "/master/a", "/master/b"]
+    store.revoke(bytes([103]) * 32, "stolen", NOW)
+    assert [each.name for each in store.identities.valid_masters(NOW)] == ["/master", "/master/b"]
+    assert store.identities.valid_masters(NOW + 400 * DAY) == []

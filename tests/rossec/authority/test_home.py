@@ -4,7 +4,7 @@ from typing import NoReturn
 
 import pytest
 
-from ca.errors import PassphraseRefused, RevocationRefused
+from ca.errors import DomainsRefused, PassphraseRefused, RevocationRefused
 from ca.names import is_reserved
 from ca.revocation.state import open_list
 from ca.revocation.tree import TreeEntries, open_tree
@@ -13,6 +13,8 @@ from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
 from rossec.authority.signing import OWN_NODE
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
+from tests.support.domains import domains, foreign
+from tests.support.pki import Site
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -91,6 +93,19 @@ def test_what_is_recorded_and_not_listed_is_counted(home: AuthorityHome) -> None
     assert home.count_unlisted(NOW) == 1
     opened.refresh_list(NOW)
     assert home.count_unlisted(NOW) == 0
+
+
+def test_the_newest_list_of_domains_is_read_and_verified(home: AuthorityHome) -> None:
+    assert home.domain_list() is None
+    opened = home.unlock(PASSPHRASE)
+    opened.store.domains.accept(foreign(Site.create("hospital.example")), NOW)
+    listed = opened.sign_domains(NOW)
+    found = home.domain_list()
+    assert found is not None
+    assert found[1] == listed
+    opened.store.domains.save_list((2, 1), domains(Site.create("home"), seq=2), NOW)
+    with pytest.raises(DomainsRefused):
+        home.domain_list()
 
 
 def test_before_a_list_is_signed_there_is_none(home: AuthorityHome, tmp_path: Path) -> None:

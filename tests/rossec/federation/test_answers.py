@@ -45,6 +45,18 @@ def test_parts_are_gathered_in_their_order() -> None:
     assert after[:3] == (frozenset(), frozenset(), False)
 
 
+def test_an_empty_answer_says_that_nothing_has_changed() -> None:
+    cursor = SiteCursor()
+    cursor.take(answer(whole=True, cursor=7, added=[NODE], domains=b"d" * 32))
+    change = cursor.take({})
+    assert change == (frozenset(), frozenset(), False, bytes(32), b"d" * 32)
+    assert cursor.params == ("a", 7)
+    cursor.take(answer(version=2, cursor=8, more=True, added=[TYPE]))
+    rest = cursor.take({})
+    assert rest is not None
+    assert rest.added == {tuple(TYPE)}
+
+
 def test_a_restart_in_the_middle_begins_anew() -> None:
     cursor = SiteCursor()
     cursor.take(answer(whole=True, more=True, added=[NODE]))

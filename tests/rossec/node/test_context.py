@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock
 
@@ -28,3 +29,10 @@ def test_a_refused_registration_does_not_prevent_the_others(
 def test_another_error_ends_the_restoring(context: NodeContext) -> None:
     with pytest.raises(NodeShutdown), context.restoring("/a"):
         raise NodeShutdown("closed")
+
+
+def test_to_a_foreigner_a_node_calls_itself_by_its_certified_name(context: NodeContext) -> None:
+    own, foreign = Mock(is_foreign=False), Mock(is_foreign=True)
+    assert context.name_for(own) == context.name_for(foreign) == "/robot"
+    anonymous = replace(context, name="/rviz_1_2", certified="/rviz")
+    assert (anonymous.name_for(own), anonymous.name_for(foreign)) == ("/rviz_1_2", "/rviz")

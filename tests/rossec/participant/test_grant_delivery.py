@@ -30,6 +30,7 @@ from rossec.participant.membership import LoadedIdentity
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 from tests.support.site import DAY, HOUR, Site
+from tests.support.trust import accept
 from tests.support.witness import until
 
 
@@ -305,3 +306,25 @@ async def test_a_crash_is_not_hidden(robot: Robot, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(robot.watch, "_dial", fail)
     with pytest.raises(ArithmeticError):
         await robot.watch.run()
+
+
+async def test_a_grant_of_a_listed_domain_is_delivered_too(robot: Robot, tmp_path: Path) -> None:
+    """Its own root signs it; nobody signs for another domain."""
+    other = Site(tmp_path / "hospital", "hospital")
+    theirs = robot.grant(domain="hospital", signer=other.authority.signer)
+    ours_for_theirs = robot.grant(domain="hospital")
+    theirs_for_ours = robot.grant(signer=other.authority.signer)
+    robot.answers = [{"grants": [theirs, ours_for_theirs, theirs_for_ours], "more": False}]
+    await robot.delivery.fetch(robot.call)
+    assert robot.delivery.take_new() == [], "it is not listed yet"
+    robot.loaded.anchors.update(accept(robot.site, other))
+    robot.answers = [{"grants": [theirs, ours_for_theirs, theirs_for_ours], "more": False}]
+    await robot.delivery.fetch(robot.call)
+    assert robot.delivery.take_new() == [theirs]
+    assert robot.access.current(robot.site.now()) == [theirs]
+    revoked = robot.grant(domain="hospital", signer=other.authority.signer)
+    data = other.revoke(revoked)
+    robot.loaded.standing.restore("hospital", data, robot.site.now())
+    robot.answers = [{"grants": [revoked], "more": False}]
+    await robot.delivery.fetch(robot.call)
+    assert robot.delivery.take_new() == []

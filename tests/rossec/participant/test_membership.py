@@ -36,9 +36,11 @@ REGISTER = ("registerPublisher", TOPIC, "std_msgs/String", "http://127.0.0.1:1")
 class Form:
     """A form of a node, the table of its connections, and their watchdog; it cuts nothing."""
 
-    def __init__(self, site: Site) -> None:
+    domains: frozenset[str] = frozenset()
+
+    def __init__(self, site: Site, loaded: LoadedIdentity | None = None) -> None:
         self.site = site
-        self.loaded = LoadedIdentity(site.enroll("/robot"), "/robot")
+        self.loaded = loaded or LoadedIdentity(site.enroll("/robot"), "/robot")
         self.access = Access(self.loaded.standing)
         context = SecureContext(self.loaded.live_credentials, self.loaded.anchor.verify)
         self.dialer = Dialer("/robot", context, self.access.check_peer)

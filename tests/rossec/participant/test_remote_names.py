@@ -76,6 +76,13 @@ def test_a_program_knows_a_foreign_caller_by_its_alias(own: Identity, foreigner:
     assert remote_names.caller_here(own, "/robot_17") == "/robot_17"
 
 
+def test_a_foreigner_gets_the_certified_name_without_a_tail(
+    own: Identity, foreigner: Identity
+) -> None:
+    assert remote_names.caller_for(own, "/rviz_1", "/rviz") == "/rviz_1"
+    assert remote_names.caller_for(foreigner, "/rviz_1", "/rviz") == "/rviz"
+
+
 def test_what_a_foreign_node_says_of_itself_is_read_in_local_names(foreigner: Identity) -> None:
     def here(method: str, value: object) -> object:
         return remote_names.answer_here(foreigner, "home", method, value)

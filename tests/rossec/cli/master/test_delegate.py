@@ -103,3 +103,20 @@ def test_a_master_begins_with_the_tree_it_had(
     assert caplog.text == ""
     begin(None, None)  # it has kept both
     assert caplog.text == ""
+
+
+async def test_another_master_of_the_domain_has_its_own_delegation(site: Shell) -> None:
+    await asyncio.to_thread(site.enroll, "/master/kitchen")
+    home = NodeHome.of(site.root, "/master/kitchen")
+    newest = AuthorityHome.at(site.root).revocation_list()
+    server = master_of(home, host="127.0.0.1", port=0, newest=newest, now=int(time.time()))
+    await server.start()
+    try:
+        to = ("--to", "/master/kitchen", "--master", server.uri)
+        said = await asyncio.to_thread(site.unlocked, "master", "delegate", *to)
+        assert said.out.startswith("/master/kitchen may renew grants until "), said
+        assert home.load_delegation() is not None
+    finally:
+        await server.close()
+    said = await asyncio.to_thread(site.unlocked, "master", "delegate", "--to", "/robot", *NOBODY)
+    refused(said, "not the name of a master")

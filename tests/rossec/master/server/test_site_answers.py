@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from typing import Any
 
 import pytest
 
@@ -83,3 +84,36 @@ async def test_a_master_that_follows_nobody_answers_at_once(world: World) -> Non
     for number in range(3):
         await finds_nothing(node, f"/none{number}")
     assert time.monotonic() - begin < 0.9
+
+
+async def test_a_follower_is_answered_shortly_when_nothing_changes(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
+    node = await world.node("/a")
+    first: Any = await node.ask("rossec.followSite", "", 0, [])
+    assert first["whole"]
+    assert len(first["revocations"]) == 32
+    following = first["instance"], first["cursor"]
+    assert await node.ask("rossec.followSite", *following, []) == {}
+    await node.ask("registerPublisher", "/t", "std_msgs/String", node.uri)
+    changed: Any = await node.ask("rossec.followSite", *following, [])
+    assert ["publisher", "/t", "/a"] in changed["added"]
+    following = changed["instance"], changed["cursor"]
+    fewer: Any = await node.ask("rossec.followSite", *following, [""])
+    assert fewer["removed"] == changed["added"]
+
+
+async def test_a_new_list_ends_the_wait_of_a_follower(world: World) -> None:
+    node, other, tasks = await world.node("/a"), await world.node("/b"), TaskSet()
+    first: Any = await node.ask("rossec.followSite", "", 0, [])
+    following = first["instance"], first["cursor"]
+    begin = time.monotonic()
+    waiting = tasks.spawn(node.ask("rossec.followSite", *following, []), "follower")
+    await until(lambda: len(world.server.state.site_polls) == 1)
+    await other.ask("rossec.updateRevocations", world.site.revoke(b"x" * 32))
+    async with asyncio.timeout(10):
+        changed: Any = await waiting
+    assert time.monotonic() - begin < 4
+    assert changed["revocations"] not in (b"", first["revocations"])
+    await tasks.close()

@@ -2,7 +2,13 @@
 
 import pytest
 
-from rossec.master.state.addresses import endpoint, is_loopback_host, is_unicast_host
+from rossec.master.state.addresses import (
+    endpoint,
+    is_connectable,
+    is_loopback_host,
+    is_reachable_from_here,
+    is_unicast_host,
+)
 
 
 @pytest.mark.parametrize(
@@ -48,3 +54,27 @@ def test_loopback_hosts(host: str) -> None:
 def test_spellings_of_one_endpoint_are_equal(one: str, other: str) -> None:
     assert endpoint(one) == endpoint(other)
     assert endpoint(one) != endpoint(one.replace("80", "81"))
+
+
+@pytest.mark.parametrize(
+    ("host", "reachable"),
+    [
+        ("10.0.0.1", True), ("robot.local", True), ("fd00::1", True), ("127.0.0.1", False),
+        ("localhost", False), ("::1", False), ("169.254.1.1", False), ("fe80::1", False),
+        ("::ffff:127.0.0.1", False),
+    ],
+)  # fmt: skip
+def test_loopback_and_link_local_mean_another_machine_here(host: str, *, reachable: bool) -> None:
+    assert is_reachable_from_here(host) is reachable
+
+
+@pytest.mark.parametrize(
+    ("uri", "connectable"),
+    [
+        ("http://h:1/", True), ("rosrpc://h:1", False), ("http://h/", False), ("http://:1/", False),
+        ("http://u@h:1/", False), ("http://h:99999/", False), ("http://h:1/ ", False),
+        ("http://0.0.0.0:1/", False), ("http://h:1/" + "x" * 600, False),
+    ],
+)  # fmt: skip
+def test_a_uri_names_a_host_and_a_port(uri: str, *, connectable: bool) -> None:
+    assert is_connectable(uri, "http") is connectable

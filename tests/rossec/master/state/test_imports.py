@@ -3,7 +3,8 @@
 import pytest
 
 from rossec.errors import ImportRefused
-from rossec.master.state.imports import Imports, TypeContradicted
+from rossec.master.state.import_events import TypeContradicted
+from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
 from rossec.master.state.sites import Site
 

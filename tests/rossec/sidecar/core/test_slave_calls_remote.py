@@ -110,3 +110,16 @@ def test_a_foreign_tool_is_known_to_the_program_by_its_alias(setup: AgentSetup) 
 
 def test_statistics_that_are_not_parsed_are_not_sent_to_foreigners(setup: AgentSetup) -> None:
     assert run_layer(foreign_call(setup, "getBusStats")) == [1, "", [[], [], []]]
+
+
+def test_an_anonymous_program_has_its_certified_name_towards_foreigners(setup: AgentSetup) -> None:
+    robot = replace(setup.identity("/robot"), wildcard=True)
+    setup.agent = replace(setup.agent, identity=robot)
+    for method, params, caller in (
+        ("requestTopic", (ALIAS, [["TCPROS"]]), "/robot"),
+        ("requestTopic", ("/scan", [["TCPROS"]]), "/robot_1_2"),
+        ("getPid", (), "/robot"),
+    ):  # fmt: skip
+        command = next(handle_program_call(setup.agent, PEER, method, ("/robot_1_2", *params)))
+        assert isinstance(command, CallPeer)
+        assert command.params[0] == caller

@@ -115,3 +115,20 @@ def test_a_peer_that_asks_for_an_alias_is_refused(setup: AgentSetup, fields: Fie
     with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
         run_layer(admit(setup, fields, local))
     assert access.authorized == []
+
+
+def test_an_anonymous_program_has_its_certified_name_towards_foreigners(setup: AgentSetup) -> None:
+    """They honour no tails; a peer of the own domain reads the program's name."""
+    access = OpenAccess()
+    robot = dataclasses.replace(setup.identity("/robot"), wildcard=True)
+    setup.agent = dataclasses.replace(setup.agent, access=access, identity=robot)
+    for topic, wire, caller in (
+        (b"/remote/hospital/word", b"/word", b"/robot"), (b"/word", b"/word", b"/robot_1_2")
+    ):  # fmt: skip
+        fields = REQUEST | {"callerid": b"/robot_1_2", "topic": topic}
+        layer = connect_to_peer(
+            setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
+        )
+        command = next(layer)
+        assert command == ConnectPeer(PEER, fields | {"topic": wire, "callerid": caller} | PROOF)
+        layer.close()

@@ -1,0 +1,82 @@
+import time
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+import pytest
+
+from ca.domains.lists import ForeignDomain
+from grants.model import Right
+from rossec.federation.settings import SiteSettings
+from tests.support.masters import Master, domain_list, masters
+from tests.support.site import DAY, Site
+from tests.support.witness import until
+
+
+def trusting(site: Site, label: str, *, until_s: int = DAY) -> ForeignDomain:
+    """What another domain says of `site`."""
+    end = int(time.time()) + until_s
+    return ForeignDomain(
+        site.anchor.domain, label, site.anchor.certificate, ("/rounds/*", "/master"), 3600, end
+    )
+
+
+@pytest.fixture
+async def pair(tmp_path: Path) -> AsyncIterator[list[Master]]:
+    """Home follows the hospital's master; each trusts the other domain, grants are given."""
+    home, hospital = Site(tmp_path / "home", "home"), Site(tmp_path / "hospital", "hospital")
+    async with AsyncExitStack() as stack:
+        (here,) = await stack.enter_async_context(masters(home, "/master"))
+        (there,) = await stack.enter_async_context(masters(hospital, "/master"))
+        here.take_domains(domain_list(home, "/master", foreign=[trusting(hospital, "h")], seq=2))
+        there.take_domains(domain_list(hospital, "/master", foreign=[trusting(home, "h1")], seq=2))
+        for pattern in ("/master", "/rounds/pose"):
+            data = hospital.grant(
+                "/robot", Right.GRAPH, pattern, holder=home.identity("/master").thumbprint
+            )
+            here.home.add_grant(data[-16:], data)
+        here.want()
+        there.follow(here.as_site("h1", "h1"))  # without a grant: it hears what is revoked
+        yield [here, there]
+
+
+async def test_what_a_foreign_master_shows_lies_below_remote(pair: list[Master]) -> None:
+    here, there = pair
+    await there.register("/rounds/robot3", "/rounds/pose", 4711)
+    await there.register("/nurse", "/secret", 4712)
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.imported("/remote/h/rounds/pose"))
+    assert here.imported("/rounds/pose") == here.imported("/remote/h/secret") == []
+    assert here.state_of("h")["error"] == ""
+    assert "h1 refuses" in there.state_of("h1")["error"]
+
+
+async def test_its_revocations_are_fetched_at_once(pair: list[Master]) -> None:
+    here, there = pair
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["state"] == "following")
+    domains = here.server.state.trust.domains
+    word = domains.word("hospital")
+    assert word.timestamp
+    assert word.chain == there.home.credentials().chain
+    key = there.site.identity("/rounds/robot3").thumbprint
+    there.take_list(there.site.revoke(key))
+    await until(lambda: key in domains.standing.revoked("hospital"), within=3)
+
+
+async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]) -> None:
+    here, there = pair
+    await there.register("/rounds/robot3", "/rounds/pose", 4711)
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.imported("/remote/h/rounds/pose"))
+    here.take_domains(domain_list(here.site, "/master", seq=3))
+    await until(lambda: not here.imported("/remote/h/rounds/pose"), within=3)
+    await until(lambda: here.mesh.status()["problems"])
+    assert "h is not a domain that is trusted" in str(here.mesh.status()["problems"])
+
+
+async def test_the_own_domain_is_not_taken_for_a_foreign_one(pair: list[Master]) -> None:
+    here, there = pair
+    here.follow(SiteSettings("kitchen", there.server.uri, "/master/kitchen"))
+    await until(lambda: here.state_of("kitchen")["error"])
+    assert "/remote/h/master answers at" in here.state_of("kitchen")["error"]

@@ -1,0 +1,72 @@
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.federation import mirroring
+from tests.support.masters import Master, masters
+from tests.support.site import Site
+from tests.support.witness import until
+
+
+@pytest.fixture
+async def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[list[Master]]:
+    monkeypatch.setattr(mirroring, "EVERY", 0.1)
+    async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as found:
+        yield found
+
+
+async def set_param(master: Master, name: str, value: object) -> None:
+    grant = master.site.grant("/setter", Right.PARAM_SET, "/**")
+    async with master.caller("/setter") as client:
+        await client.ask("rossec.presentGrants", "/setter", [grant])
+        await client.ask("setParam", "/setter", name, value)
+
+
+def mirrored(master: Master, name: str) -> object:
+    return master.server.state.imports.mirrors.item(name)[1]
+
+
+async def test_the_parameters_that_are_named_are_mirrored(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
+    await set_param(kitchen, "/robot/speed", 2.5)
+    await set_param(kitchen, "/robot/arm/joints", [1, 2])
+    await set_param(kitchen, "/secret/key", "x")
+    hall.follow(kitchen.as_site("kitchen", "", "/robot/**", "/secret/**"))
+    await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") == 2.5)
+    assert mirrored(hall, "/remote/kitchen/robot/arm/joints") == [1, 2]
+    assert mirrored(hall, "/remote/kitchen/secret/key") is None, "no grant"
+    assert hall.state_of("kitchen")["mirrored"] == 2
+    assert mirrored(kitchen, "/remote/kitchen/robot/speed") is None
+
+
+async def test_nothing_is_mirrored_by_default_and_a_change_is_read(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
+    await set_param(kitchen, "/robot/speed", 1)
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.state_of("kitchen")["state"] == "following")
+    assert mirrored(hall, "/remote/kitchen/robot/speed") is None
+    assert hall.state_of("kitchen")["mirrored"] == 0
+
+
+async def test_a_changed_value_is_read_with_the_next_answer(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
+    await set_param(kitchen, "/robot/speed", 1)
+    hall.follow(kitchen.as_site("kitchen", "", "/robot/**"))
+    await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") == 1)
+    await set_param(kitchen, "/robot/speed", 2)
+    await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") == 2, within=8)
+
+
+async def test_what_was_mirrored_goes_with_the_site(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
+    await set_param(kitchen, "/robot/speed", 1)
+    hall.follow(kitchen.as_site("kitchen", "", "/robot/**"))
+    await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") == 1)
+    hall.take_list(hall.site.revoke(hall.site.identity("/master/kitchen").thumbprint))
+    await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") is None)

@@ -1,0 +1,42 @@
+"""A contradiction of types is reported once, until its site is forgotten."""
+
+import pytest
+
+from rossec.master.state import import_events
+from rossec.master.state.import_events import Contradictions, TypeContradicted
+from rossec.master.state.imported_facts import Fact, SiteFacts
+from rossec.master.state.registry import NodeRef, Registry
+from rossec.master.state.sites import Site
+
+HERE, THERE = "std_msgs/String", "std_msgs/Int32"
+FACTS: list[Fact] = [
+    ("type", "/a", THERE), ("type", "/b", THERE), ("type", "/same", HERE), ("type", "/far", THERE),
+    ("publisher", "/a", "/robot"),
+]  # fmt: skip
+
+
+@pytest.fixture
+def registry() -> Registry:
+    registry, node = Registry(), NodeRef("/n", "http://h:1/", b"n")
+    for topic in ("/a", "/b", "/same"):
+        registry.register_publisher(topic, HERE, node)
+    return registry
+
+
+def test_each_topic_is_reported_once_for_a_site(registry: Registry) -> None:
+    found, kitchen = Contradictions(registry), SiteFacts(Site("kitchen"))
+    assert found.report(kitchen, FACTS) == [
+        TypeContradicted("kitchen", topic, HERE, THERE) for topic in ("/a", "/b")
+    ]
+    assert found.report(kitchen, FACTS) == []
+    assert len(found.report(SiteFacts(Site("attic")), FACTS)) == 2
+    found.forget("kitchen")
+    found.forget("nobody")
+    assert len(found.report(kitchen, FACTS)) == 2
+
+
+def test_reports_of_one_site_are_bounded(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(import_events, "MAX_REPORTED", 1)
+    assert len(Contradictions(registry).report(SiteFacts(Site("kitchen")), FACTS)) == 1
