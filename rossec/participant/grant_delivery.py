@@ -14,6 +14,7 @@ from secrets import SystemRandom
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
+from ca.domains.aliases import shown
 from ca.domains.standing import Standing
 from ca.errors import HintedError
 from grants import document
@@ -225,7 +226,7 @@ class GrantWatch:
         stream = await self._dial()
         if stream.peer.name != self._master:
             stream.abort("not the master")
-            raise ConfigurationError(f"{stream.peer.name} answers at the master's address")
+            raise ConfigurationError(f"{shown(stream.peer.name)} answers at the master's address")
         client = self._client = RpcClient(stream, deadline=WATCH_DEADLINE)
         while True:
             began, before = asyncio.get_running_loop().time(), self._delivery.taken

@@ -9,6 +9,7 @@ the client with the server's right to provide.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from ca.domains.aliases import shown
 from grants.decision import Decision
 from grants.filters.codegen import Buffer
 from grants.guard import Guard, needed_keys
@@ -42,7 +43,7 @@ class ServiceGuard:
         restrictions = decision.restrictions
         on_response = tuple(item for item in restrictions if item.type == kind.response.name)
         on_request = tuple(item for item in restrictions if item.type != kind.response.name)
-        self._name = decision.name
+        self._name = shown(decision.name)
         request, response = (
             replace(decision, restrictions=some) for some in (on_request, on_response)
         )

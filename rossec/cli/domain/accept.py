@@ -126,5 +126,6 @@ def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) ->
     note(f"  here: rossec domain card --out {home.domain}.card")
     note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
     for uri in card.masters[:1]:
-        note(printable(f"your master follows theirs: rossec federation add {uri}"))
+        follow = f"rossec federation add {uri} --as {domain.label}"
+        note(printable(f"your master follows theirs: {follow}"))
     note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")

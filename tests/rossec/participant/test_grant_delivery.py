@@ -323,7 +323,7 @@ async def test_a_grant_of_a_listed_domain_is_delivered_too(robot: Robot, tmp_pat
     assert robot.delivery.take_new() == [theirs]
     assert robot.access.current(robot.site.now()) == [theirs]
     revoked = robot.grant(domain="hospital", signer=other.authority.signer)
-    data = other.revoke(document.grant_id(revoked))
+    data = other.revoke(revoked)
     robot.loaded.standing.restore("hospital", data, robot.site.now())
     robot.answers = [{"grants": [revoked], "more": False}]
     await robot.delivery.fetch(robot.call)

@@ -1,0 +1,64 @@
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from rossec.federation.settings import SiteSettings
+from rossec.federation.site_file import FILE, SiteFile
+from tests.support.masters import Master, masters
+from tests.support.site import Site
+from tests.support.witness import until
+
+
+@pytest.fixture
+async def pair(tmp_path: Path) -> AsyncIterator[list[Master]]:
+    async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as found:
+        yield found
+
+
+async def test_a_site_added_to_the_file_is_followed_and_removed_again(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.want()
+    hall.follow()
+    site = kitchen.as_site("kitchen")
+    SiteFile(hall.home.path).change(lambda sites: sites.update(kitchen=site))
+    await until(lambda: hall.imported("/pose"))
+    assert hall.state_of("kitchen")["source"] == "file"
+    assert hall.server.state.trust.domains.domain_of("kitchen") == ""
+    SiteFile(hall.home.path).change(dict.clear)
+    await until(lambda: not hall.imported("/pose"))
+    assert hall.mesh.status() == {"sites": [], "problems": {}}
+    assert hall.server.state.trust.domains.domain_of("kitchen") is None
+
+
+async def test_the_configuration_prevails_and_the_rest_is_said(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    wrong = SiteSettings("kitchen", "http://127.0.0.1:1/", "/master/cellar")
+    SiteFile(hall.home.path).change(lambda sites: sites.update(kitchen=wrong))
+    hall.follow(kitchen.as_site("kitchen"), SiteSettings("hospital", "http://h:1/", domain="h"))
+    await until(lambda: hall.state_of("kitchen")["state"] == "following")
+    assert hall.state_of("kitchen")["source"] == "configuration"
+    problems = hall.mesh.status()["problems"]
+    assert "two sites are called kitchen" in problems["site kitchen"]
+    assert "h is not a domain that is trusted" in problems["site hospital"]
+
+
+async def test_a_damaged_file_changes_nothing(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    site = kitchen.as_site("kitchen")
+    SiteFile(hall.home.path).change(lambda sites: sites.update(kitchen=site))
+    hall.follow()
+    await until(lambda: hall.state_of("kitchen")["state"] == "following")
+    (hall.home.path / FILE).write_text("{")
+    await until(lambda: hall.mesh.status()["problems"])
+    assert FILE in hall.mesh.status()["problems"]["file"]
+    assert hall.state_of("kitchen")["state"] == "following"
+
+
+async def test_a_master_does_not_follow_itself(pair: list[Master]) -> None:
+    hall, _ = pair
+    hall.follow(hall.as_site("hall"))
+    await until(lambda: hall.mesh.status()["problems"])
+    assert "/master is this master itself" in hall.mesh.status()["problems"]["site hall"]
+    assert hall.mesh.status()["sites"] == []
