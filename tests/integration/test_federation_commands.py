@@ -15,6 +15,7 @@ import pytest
 
 from grants.model import Right
 from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.errors import ConfigurationError
 from rossec.master.operation.admin import send_command
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
@@ -47,7 +48,10 @@ def federation(master: MasterProcess, *words: str) -> str:
 
 def state(master: MasterProcess) -> dict[str, Any]:
     socket = master.site.enroll("/master").path / ADMIN_SOCKET
-    rows: list[dict[str, Any]] = send_command(socket, "federation")["sites"]
+    try:
+        rows: list[dict[str, Any]] = send_command(socket, "federation")["sites"]
+    except ConfigurationError:  # it is just starting
+        return {"state": "starting"}
     return rows[0] if rows else {"state": ""}
 
 
