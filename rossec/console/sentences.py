@@ -260,6 +260,11 @@ def _passkey(event: EventView, _: Known) -> _Told:
     return "joined", "Phone", (Part(printable(event.subject, 80)), Part("can approve now"))
 
 
+def _domain(event: EventView, _: Known) -> _Told:
+    called = Part(f"is trusted as far as was said, and called {printable(event.detail, 40)}")
+    return "allowed", "Domain", (Part(printable(event.subject, 80)), called)
+
+
 def _approval(event: EventView, _: Known) -> _Told:
     what = printable(event.detail.split(" ")[0], 40)
     phone = Part(printable(event.subject, 80))
@@ -304,6 +309,10 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "passkey ended": _about("ended", "Removed", "can no longer approve"),
     "approval": _approval,
     "approval ended": _approval_ended,
+    "domain": _domain,
+    "domain ended": _about("ended", "Domain", "is not trusted any more"),
+    "domain list": _plain("note", "Signed", "the list of other domains, number"),
+    "foreign certificate": _plain("note", "Known", "a node of another domain:"),
 }
 KINDS: Final = _TELL.keys() | _FOLDED
 """The kinds of log entries that are told in words of their own, or by another one."""

@@ -41,7 +41,7 @@ _RANDOM: Final = SystemRandom().random
 Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 
 
-class Follower:
+class FollowedSite:
     """Follows one site until `close`.
 
     Args:

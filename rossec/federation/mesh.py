@@ -13,7 +13,7 @@ from typing import Any, Final
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
 from rossec.federation.announced import AnnouncedMasters
-from rossec.federation.follower import Follower
+from rossec.federation.follower import FollowedSite
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings, checked_sites
 from rossec.net.aio.tasks import TaskSet
@@ -23,7 +23,7 @@ _TICK: Final = 1.0
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
-Source = Callable[[], Iterable[SiteSettings]]
+ReadSites = Callable[[], Iterable[SiteSettings]]
 """The sites of one origin as of now; raises ConfigurationError."""
 
 
@@ -39,16 +39,16 @@ class Mesh:
     def __init__(
         self,
         own: OwnMaster,
-        sources: Mapping[str, Source],
+        sources: Mapping[str, ReadSites],
         announced: AnnouncedMasters | None = None,
     ) -> None:
         self._own = own
         self._announced = announced
-        heard: dict[str, Source] = {} if announced is None else {"announced": announced.sites}
+        heard: dict[str, ReadSites] = {} if announced is None else {"announced": announced.sites}
         self._sources = {**sources, **heard}
         self._last: dict[str, tuple[SiteSettings, ...]] = {}
         self._warned: dict[str, str] = {}
-        self._followers: dict[str, tuple[Follower, asyncio.Task[Any]]] = {}
+        self._followers: dict[str, tuple[FollowedSite, asyncio.Task[Any]]] = {}
         self._tasks = TaskSet()
         own.state.trust.domains.own_sites = self._own_labels
 
@@ -92,7 +92,7 @@ class Mesh:
                 follower.remove()
                 _audit.info("site %s is followed no longer", label)
         for label in sorted(wanted.keys() - self._followers.keys()):
-            follower = Follower(wanted[label], self._own)
+            follower = FollowedSite(wanted[label], self._own)
             task = self._tasks.spawn(follower.run(), f"site {label}")
             self._followers[label] = follower, task
 

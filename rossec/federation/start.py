@@ -6,7 +6,7 @@ from dataclasses import replace
 from rossec.federation.announced import AnnouncedMasters
 from rossec.federation.chains import Chains
 from rossec.federation.config import FederationConfig
-from rossec.federation.mesh import Mesh, Source
+from rossec.federation.mesh import Mesh, ReadSites
 from rossec.federation.own import OwnMaster
 from rossec.federation.site_file import SiteFile
 from rossec.home import NodeHome
@@ -21,7 +21,7 @@ def mesh_of(server: MasterServer, home: NodeHome, config: FederationConfig) -> M
         server.state, server.effects, context, server.mirror, server.drop_mirror, chains,
         home.grants,
     )  # fmt: skip
-    sources: Mapping[str, Source] = {
+    sources: Mapping[str, ReadSites] = {
         "configuration": lambda: config.sites, "file": SiteFile(home.path).sites,
     }  # fmt: skip
     announced = AnnouncedMasters(home) if config.follow_announced else None

@@ -9,12 +9,11 @@ from dataclasses import replace
 import pytest
 
 from ca.authority import create_root
-from ca.errors import DomainsRefused
+from ca.errors import DomainsRefused, Revoked
 from ca.keys.publickey import thumbprint
 from grants.model import Right
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.errors import RossecError
-from rossec.master.rights.access_rules import RULES, Scope
 from rossec.master.rights.domain_trust import GRACE
 from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
@@ -26,21 +25,6 @@ from tests.support.authority import EnrolledNode
 from tests.support.contexts import unlimited
 
 ALIAS = "/remote/hospital/rounds/robot3"
-OURS: dict[str, tuple[object, ...]] = {
-    "rossec.renewGrants": ([],), "rossec.renewIdentity": (b"",),
-    "rossec.updateDelegation": (b"",), "rossec.updateRevocations": (b"",),
-    "rossec.updateRevocationTree": (b"", b""), "rossec.domains": (b"",),
-    "rossec.updateDomains": (b"",), "rossec.foreignRevocations": (HOSPITAL, b""),
-    "rossec.foreignRevocationProofs": (HOSPITAL, []), "rossec.depositGrants": ([],),
-    "rossec.deliveryStates": ([],), "rossec.revocationStanding": (), "rossec.recentDenials": (),
-}  # fmt: skip
-"""What only nodes of the own domain, or its authority's, may call."""
-
-
-@pytest.mark.attack("foreign-names")
-def test_the_table_of_what_is_ours_is_complete() -> None:
-    scopes = (Scope.AUTHORITY, Scope.MEMBER)
-    assert OURS.keys() == {name for name, rule in RULES.items() if rule.scope in scopes}
 
 
 @pytest.fixture
@@ -161,64 +145,6 @@ async def test_two_domains_with_one_root(world: VisitWorld) -> None:
         world.lists.next(world.hospital.entry(), clinic)
 
 
-@pytest.mark.attack("foreign-names")
-@pytest.mark.parametrize("name", ["/ca", "/master", "/robot"])
-async def test_a_foreigner_with_the_name_of_one_of_ours(world: VisitWorld, name: str) -> None:
-    """It is another node: neither the authority, nor the master, nor the robot."""
-    own = await world.node("/robot")
-    await own.ask("registerPublisher", "/pose", T, own.uri)
-    member = world.hospital.site.enroll(name)
-    visitor = await world.visitor({"/visit": Right.PUBLISH}, member)
-    for method in sorted(OURS):
-        answer = await ask(visitor.client, member, method, *OURS[method])
-        assert isinstance(answer, list)
-        assert answer[0] == -1
-        assert "only" in answer[1]
-        assert "own" in answer[1]
-    assert await ask(visitor.client, member, "getSystemState") == [
-        1, "current system state", [[], [], []]
-    ]  # fmt: skip
-    await visitor.ask("registerPublisher", "/visit", T, visitor.uri)
-    await visitor.ask("unregisterPublisher", "/pose", own.uri)
-    registry = world.server.state.registry
-    assert {node.name for node in registry.nodes()} == {"/robot", f"/remote/hospital{name}"}
-    assert [node.name for node in registry.nodes() if node.uri == own.uri] == ["/robot"]
-
-
-@pytest.mark.attack("foreign-names")
-async def test_a_foreigner_calls_itself_by_its_name_at_home_and_no_other(world: VisitWorld) -> None:
-    visitor = await world.visitor(EVERYTHING)
-    for other in (ALIAS, "/robot", "/rounds/robot4", "/remote/hospital/rounds/robot4"):
-        answer = await visitor.client.call("registerPublisher", other, "/pose", T, visitor.uri)
-        assert isinstance(answer, list)
-        assert answer[0] == -1
-        assert "belongs to hospital:/rounds/robot3" in answer[1]
-    await visitor.ask("registerPublisher", "/pose", T, visitor.uri)
-    assert [node.name for node in world.server.state.registry.nodes()] == [ALIAS]
-
-
-@pytest.mark.attack("foreign-names")
-@pytest.mark.parametrize(
-    ("method", "params"),
-    [
-        ("registerPublisher", ("/remote/hospital/pose", T, "http://10.0.0.9:1/")),
-        ("registerService", ("/remote/hospital/s", "rosrpc://10.0.0.9:2", "http://10.0.0.9:1/")),
-        ("setParam", ("/remote/hospital/rate", 1)),
-        ("setParam", ("/remote", {"hospital": {"rate": 1}})),
-        ("deleteParam", ("/remote/hospital/rate",)),
-    ],
-)
-async def test_an_own_node_offers_nothing_below_remote(
-    world: VisitWorld, method: str, params: tuple[object, ...]
-) -> None:
-    own = await world.node("/robot")  # with a grant of everything
-    answer = await own.client.call(method, "/robot", *params)
-    assert isinstance(answer, list)
-    assert answer[0] == -1
-    assert "rossec: " in answer[1]
-    assert list(world.server.state.registry.nodes()) == []
-
-
 @pytest.mark.attack("foreign-grants")
 async def test_a_hospital_grants_nothing_of_the_home(world: VisitWorld) -> None:
     visitor = await world.visitor({"/visit": Right.PUBLISH})
@@ -309,33 +235,6 @@ async def test_what_ends_with_its_time_ends_on_time(world: VisitWorld) -> None:
     await ends(client.ask("getPid", world.robot.name))
 
 
-@pytest.mark.attack("foreign-names")
-@pytest.mark.parametrize("host", ["169.254.1.1", "[fe80::1]", "0.0.0.0", "224.0.0.1"])
-async def test_a_foreigner_has_no_address_that_means_another_machine_here(
-    world: VisitWorld, host: str
-) -> None:
-    visitor = await world.visitor(EVERYTHING)
-    for method, params in (
-        ("registerPublisher", ("/pose", T, f"http://{host}:7/")),
-        ("subscribeParam", (f"http://{host}:7/", "/rate")),
-        ("registerService", ("/s", f"rosrpc://{host}:7", visitor.uri)),
-    ):
-        answer = await ask(visitor.client, world.robot, method, *params)
-        assert isinstance(answer, list)
-        assert answer[0] == -1
-    assert list(world.server.state.registry.nodes()) == []
-
-
-@pytest.mark.attack("foreign-names")
-async def test_a_foreigner_does_not_take_an_own_nodes_address(world: VisitWorld) -> None:
-    own, visitor = await world.node("/robot"), await world.visitor(EVERYTHING)
-    await own.ask("registerPublisher", "/pose", T, own.uri)
-    answer = await ask(visitor.client, world.robot, "registerPublisher", "/x", T, own.uri)
-    assert isinstance(answer, list)
-    assert answer[0] == -1
-    assert "registered by another node" in answer[1]
-
-
 @pytest.mark.attack("foreign-node")
 async def test_a_revoked_foreigner_within_a_multicall(world: VisitWorld) -> None:
     visitor = await world.visitor(EVERYTHING)
@@ -361,3 +260,20 @@ async def test_a_certificate_named_by_its_hash_is_verified_again(world: VisitWor
         await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask(
             "getPid", world.robot.name
         )
+
+
+@pytest.mark.attack("foreign-node")
+async def test_a_master_of_a_stale_domain_is_let_in_without_a_right(world: VisitWorld) -> None:
+    """Of two masters that know nothing of each other one must speak first."""
+    other = Hospital("clinic.example")
+    world.trust.update_domains(world.lists.next(world.hospital.entry(), other.entry("clinic")))
+    visitor = await world.visitor(EVERYTHING, other.master)
+    assert await visitor.ask("getSystemState") == [[], [], []]
+    with pytest.raises(RossecError):
+        await visitor.ask("registerPublisher", "/t", T, visitor.uri)
+    world.server._effects.take_foreign("clinic.example", *other.word())
+    await visitor.ask("registerPublisher", "/t", T, visitor.uri)
+    with pytest.raises(Revoked):  # it says so itself; its word does not count, the list does
+        world.server._effects.take_foreign("clinic.example", *other.word(other.master))
+    await ends(visitor.ask("getPid"))
+    await refused(world, other.master)

@@ -1,8 +1,5 @@
 """The calls that a revoked identity may still make: it receives the revocations only. Pure.
 
-So does a foreign master of whose domain nothing fresh is known, with the confirmation: until both
-masters have the other's word neither serves the other.
-
 Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer but
 these two can close it, and only the master can inform them. It sends the list without a timestamp:
 without that confirmation a node closes all its connections, even if it cannot find itself in a tree
@@ -51,14 +48,10 @@ class RevokedCalls:
 
     Args:
         now: seconds since the epoch.
-        confirmed: send the timestamp too; never to a revoked node of the own domain.
     """
 
-    def __init__(
-        self, statements: TrustState, now: Callable[[], int], *, confirmed: bool = False
-    ) -> None:
+    def __init__(self, statements: TrustState, now: Callable[[], int]) -> None:
         self._statements = statements
-        self._confirmed = confirmed
         self._now = now
         self._calls_left = MAX_CALLS
 
@@ -67,18 +60,11 @@ class RevokedCalls:
         self._calls_left -= 1
         if self._calls_left < 0:
             raise HangUp("the identity is revoked, and has been sent the list")
-        return answer_revoked(
-            self._statements, self._now(), method, params, confirmed=self._confirmed
-        )
+        return answer_revoked(self._statements, self._now(), method, params)
 
 
 def answer_revoked(
-    statements: TrustState,
-    now: int,
-    method: str,
-    params: tuple[object, ...],
-    *,
-    confirmed: bool = False,
+    statements: TrustState, now: int, method: str, params: tuple[object, ...]
 ) -> list[object]:
     """Answer a call of a revoked identity.
 
@@ -88,8 +74,7 @@ def answer_revoked(
     match params:
         case (str(), *_) if method in _LIST_METHODS:
             # Always whole: an empty list would mean that there is none.
-            revocations, timestamp = statements.current(now)
-            return [1, "revocations", [revocations, timestamp if confirmed else _UNCONFIRMED]]
+            return [1, "revocations", [statements.current(now)[0], _UNCONFIRMED]]
         case (str(), list() as entries) if method == "rossec.revocationProofs":
             known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]
             return [1, "proofs", statements.proofs(known)]

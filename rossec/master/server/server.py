@@ -17,8 +17,7 @@ from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import HintedError, RevocationsStale
-from ca.names import is_master_name
+from ca.errors import HintedError
 from rossec.channel.edhoc.credentials import OwnCredential, Verify
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
@@ -264,9 +263,6 @@ class MasterServer:
         try:
             state.trust.admit(stream.peer, state.now())
         except HintedError as error:
-            if _is_stale_master(stream.peer, error):
-                await self._serve_revoked(stream, confirmed=True)
-                return
             if stream.peer.is_foreign:  # its own master tells it what is revoked
                 _denials.warning("%s is refused: %s", name, printable(error))
                 stream.abort(str(error))
@@ -295,9 +291,7 @@ class MasterServer:
         of_key = sum(other.thumbprint == peer.thumbprint for other in peers)
         return of_key < self._limits.connections_per_identity
 
-    async def _serve_revoked(
-        self, stream: SecureStream[Identity], *, confirmed: bool = False
-    ) -> None:
+    async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
         """Answer for a few seconds; not one of the streams, so it is sent no updates."""
         keys = stream.peer.keys
         if not self._revoked_connections.admit(keys):
@@ -306,18 +300,8 @@ class MasterServer:
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(CONNECTION_SECONDS):
-                    calls = RevokedCalls(self.state.trust, self.state.now, confirmed=confirmed)
-                    answer = calls.answer
+                    answer = RevokedCalls(self.state.trust, self.state.now).answer
                     await serve_calls(stream, answer, limit=self._limits.body)
         finally:
             stream.abort("the identity is revoked")
             self._revoked_connections.release(keys)
-
-
-def _is_stale_master(peer: Identity, error: HintedError) -> bool:
-    """Whether a foreign master is refused because its domain's revocations are not fresh here.
-
-    It is told the own domain's all the same: of two masters one must speak first.
-    """
-    stale = isinstance(error, RevocationsStale)
-    return stale and peer.is_foreign and is_master_name(peer.certified_name)

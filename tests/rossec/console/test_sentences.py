@@ -75,6 +75,10 @@ def test_the_story_of_the_demo() -> None:
         ("approval", "new_kind 01ab", "Approved new_kind with /lamp"),
         ("approval ended", "done: signed", ""),
         ("approval ended", "expired: too late", "Approval expired: too late"),
+        ("domain", "zoo", "Domain /lamp is trusted as far as was said, and called zoo"),
+        ("domain ended", "over", "Domain /lamp is not trusted any more: over"),
+        ("domain list", "", "Signed the list of other domains, number /lamp"),
+        ("foreign certificate", "aa", "Known a node of another domain: /lamp"),
         ("never heard of", "more", "Never heard of /lamp more"),
     ],
 )

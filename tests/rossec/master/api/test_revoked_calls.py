@@ -36,14 +36,6 @@ def test_the_whole_list_is_sent_without_a_timestamp(
     assert answer_revoked(TreeInForce(), 7, method, params) == [1, "revocations", [b"list", b""]]
 
 
-def test_a_foreign_master_gets_the_timestamp_too() -> None:
-    calls = RevokedCalls(TreeInForce(), lambda: 7, confirmed=True)
-    answer = calls.answer("rossec.revocationsSince", ("/master", b"digest"), None)
-    assert answer == [1, "revocations", [b"list", b"timestamp of 7"]]
-    with pytest.raises(HangUp):
-        calls.answer("rossec.followSite", ("/master", "", 0, []), None)
-
-
 def test_proofs_are_limited_as_for_other_callers() -> None:
     entries: list[object] = [bytes(32), "no entry", *[bytes(32)] * PROOF_LIMIT]
     [code, status, proofs] = answer_revoked(
