@@ -104,7 +104,7 @@ def test_nothing_below_remote_is_offered_here(
 
 def test_what_is_asked_for_is_wanted_of_other_masters(master: Importing) -> None:
     def wanted() -> tuple[str, ...]:
-        return master.imports.wanted(KITCHEN, 0)
+        return master.imports.demand.wanted(KITCHEN, 0)
 
     assert wanted() == NOTHING
     master.ask("registerSubscriber", "/map", "*", "http://10.0.0.1:1/")
@@ -125,4 +125,4 @@ def test_a_tool_that_lists_wants_everything(
     master: Importing, method: str, params: tuple[object, ...]
 ) -> None:
     master.ask(method, *params)
-    assert master.imports.wanted(KITCHEN, 0) == EVERYTHING
+    assert master.imports.demand.wanted(KITCHEN, 0) == EVERYTHING
