@@ -16,6 +16,7 @@ from pathlib import Path
 from secrets import SystemRandom
 from typing import Any
 
+from bench._foreign import chains, handshakes
 from bench._latency import percentile
 from bench._masters import Master
 from bench._sites import TYPE, Meter, Slave, enroll_masters, master, register_facts, slave
@@ -167,4 +168,6 @@ def measure(seconds: float) -> dict[str, Any]:
         site = Site(Path(folder) / "site")
         enroll_masters(site, [MASTER, OTHER, *(f"{MASTER}/s{number}" for number in range(SITES))])
         figures = _figures(site, seconds)
-        return {**figures, "rss_added_mb_10x1000": round(asyncio.run(memory(site)), 1)}
+        added = round(asyncio.run(memory(site)), 1)
+    share = min(3.0, seconds / 4)
+    return {**figures, "rss_added_mb_10x1000": added, **handshakes(share), **chains(share)}

@@ -60,10 +60,7 @@ def add(environment: Environment, uri: str, label: str, master: str, domain: str
 @click.argument("label")
 @pass_environment
 def remove(environment: Environment, label: str) -> None:
-    """Follow LABEL no longer: its names go at once.
-
-    Connections between nodes stay: they judge each other without a master.
-    """
+    """Follow LABEL no longer: its names go at once, and subscribers here leave its publishers."""
 
     def take(sites: dict[str, SiteSettings]) -> None:
         _find(sites, label)

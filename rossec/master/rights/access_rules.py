@@ -188,15 +188,25 @@ class AccessControl:
             )
 
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
-        """Which of the nodes registered for `key` the caller may see."""
+        """Which of the nodes registered for `key` the caller may see.
+
+        A foreigner sees no visitors of other domains and no nodes of other sites.
+        """
+        if caller.is_foreign:
+            shown = caller.may_see(key)
+            return tuple(n for n in nodes if n == caller.name or (shown and not is_alias(n)))
         if caller.may_see(key):
             return nodes
         return (caller.name,) if caller.name in nodes else ()
 
     def is_node_visible(self, caller: Caller, name: str) -> bool:
         """Whether the caller is the node, or may see it or one of its topics and services."""
-        if name == caller.name or caller.may(Right.GRAPH, name):
+        if name == caller.name:
             return True
+        if caller.may(Right.GRAPH, name) and (caller.exported is None or caller.may_see(name)):
+            return True
+        if caller.is_foreign and is_alias(name):
+            return False
         kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
         keys = (key for kind in kinds for key in self._graph.keys_of(name, kind))
         return any(caller.may_see(key) for key in keys)
