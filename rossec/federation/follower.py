@@ -104,6 +104,7 @@ class FollowedSite:
         The connection on which it is followed waits for an answer, so another one is made.
         """
         self._lists_changed.set()
+        self._mirroring.judge()
         if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
@@ -248,7 +249,7 @@ class FollowedSite:
     async def _next_change(self, client: RpcClient) -> SiteChange:
         """The next complete answer."""
         imports = self._own.state.imports
-        wanted = imports.wanted(self.settings.site, self._own.state.now())
+        wanted = imports.demand.wanted(self.settings.site, self._own.state.now())
         while True:
             try:
                 answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])

@@ -90,26 +90,34 @@ class GraphCalls:
 
     def _lookup_node(self, request: CallRequest) -> Reply:
         name = request.text(1)
-        self._ask(name, request.now)
+        self._ask(name, request)
         uri = self._graph.node_uri(name)
         if uri is None or not self._access_control.is_node_visible(request.caller, name):
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
 
     def _lookup_service(self, request: CallRequest) -> Reply:
-        self._ask(request.text(1), request.now)
+        self._ask(request.text(1), request)
         uri = self._graph.service_uri(request.text(1))
         if uri is None:
             return Reply("", "no provider", -1)
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
-    def _ask(self, name: str, now: int) -> None:
-        """Have other masters asked for a name that is not one of this master."""
-        if self._registry.node_uri(name) is None and self._registry.service_uri(name) is None:
-            self._demand.ask(name, now)
+    def _ask(self, name: str, request: CallRequest) -> None:
+        """Have other masters asked for a name that is not one of this master.
+
+        Not for a foreigner, whoever it names: what is imported is shown to no other domain.
+        """
+        registered = self._registry.node_uri(name) or self._registry.service_uri(name)
+        if registered is None and not request.caller.is_foreign:
+            self._demand.ask(name, request.now)
+
+    def _ask_everything(self, request: CallRequest) -> None:
+        if not request.caller.is_foreign:
+            self._demand.ask_everything(request.now)
 
     def _system_state(self, request: CallRequest) -> Steps:
-        self._demand.ask_everything(request.now)
+        self._ask_everything(request)
         return self._system_state_reply(request.caller)
 
     def _system_state_reply(self, caller: Caller) -> Steps:
@@ -156,11 +164,11 @@ class GraphCalls:
         return entry
 
     def _topic_types(self, request: CallRequest) -> Steps:
-        self._demand.ask_everything(request.now)
+        self._ask_everything(request)
         return self._types_reply(request.caller, self._graph.topic_types(), "current system state")
 
     def _published_topics(self, request: CallRequest) -> Steps:
-        self._demand.ask_everything(request.now)
+        self._ask_everything(request)
         namespace = request.text(1)
         if namespace and not namespace.endswith("/"):
             namespace += "/"

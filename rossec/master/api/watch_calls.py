@@ -61,7 +61,8 @@ class WatchCalls:
         return {WATCH: Method(checks, {}, self._watch)}
 
     def _watch(self, request: CallRequest) -> Steps:
-        self._graph.imports.demand.ask_everything(request.now)
+        if not request.caller.is_foreign:
+            self._graph.imports.demand.ask_everything(request.now)
         return self._watch_reply(request)
 
     def _watch_reply(self, request: CallRequest) -> Steps:

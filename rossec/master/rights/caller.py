@@ -41,10 +41,10 @@ class Refused(Exception):
 
 
 class AddressTaken(Refused):
-    """The slave API is registered by `owner`, which may be gone: only a probe can tell."""
+    """The address is registered by `owner`, which may be gone: only a probe can tell."""
 
     def __init__(self, owner: NodeRef) -> None:
-        super().__init__("this slave API URI is registered by another node")
+        super().__init__("this address is registered by another node")
         self.owner = owner
 
 
@@ -171,14 +171,16 @@ class Caller:
     def may_all_below(self, right: Right, namespace: str) -> bool:
         """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
         if not is_alias(namespace):
-            return self.reach.covers_below(right, namespace)
+            shown = self.exported is None or self.exported.covers_below(right, namespace)
+            return shown and self.reach.covers_below(right, namespace)
         found = self._tree_origin(right, namespace)
         return found is not None and found[0].covers_below(right, found[1])
 
     def may_some_below(self, right: Right, namespace: str) -> bool:
         """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
         if not is_alias(namespace):
-            return self.reach.touches(right, namespace)
+            shown = self.exported is None or self.exported.touches(right, namespace)
+            return shown and self.reach.touches(right, namespace)
         found = self._tree_origin(right, namespace)
         return found is not None and found[0].touches(right, found[1])
 

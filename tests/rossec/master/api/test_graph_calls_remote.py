@@ -1,9 +1,13 @@
 """Queries see what other masters have registered; nothing below /remote is registered here."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from ca.domains.aliases import origin_of
+from grants.model import Permission, Right
+from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.watch_calls import WATCH
 from rossec.master.rights.caller import Caller
@@ -21,6 +25,9 @@ FACTS = [
 KITCHEN, HOSPITAL = Site("kitchen"), Site("hospital", "hospital")
 
 
+GUEST = "/remote/clinic/nurse"
+
+
 class Importing:
     def __init__(self) -> None:
         self.registry = Registry()
@@ -33,7 +40,8 @@ class Importing:
 
     def ask(self, method: str, *params: object, who: Caller | None = None) -> Any:
         who = who or self.tool
-        return call_api(self.api, method, [who.name, *params], who, 0).answer
+        name = origin_of(who.name)
+        return call_api(self.api, method, [name, *params], who, 0).answer
 
 
 @pytest.fixture
@@ -104,7 +112,7 @@ def test_nothing_below_remote_is_offered_here(
 
 def test_what_is_asked_for_is_wanted_of_other_masters(master: Importing) -> None:
     def wanted() -> tuple[str, ...]:
-        return master.imports.wanted(KITCHEN, 0)
+        return master.imports.demand.wanted(KITCHEN, 0)
 
     assert wanted() == NOTHING
     master.ask("registerSubscriber", "/map", "*", "http://10.0.0.1:1/")
@@ -125,4 +133,48 @@ def test_a_tool_that_lists_wants_everything(
     master: Importing, method: str, params: tuple[object, ...]
 ) -> None:
     master.ask(method, *params)
-    assert master.imports.wanted(KITCHEN, 0) == EVERYTHING
+    assert master.imports.demand.wanted(KITCHEN, 0) == EVERYTHING
+
+
+def visitor(exported: str = "/**") -> Caller:
+    """A foreigner with every grant, from whose domain nothing else is exported."""
+    found = everything(GUEST)
+    return replace(found, exported=Reach([Permission(exported, Right.SUBSCRIBE | Right.GRAPH)]))
+
+
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [
+        ("getSystemState", ()), ("getTopicTypes", ()), ("getPublishedTopics", ("",)),
+        (WATCH, ("", 0)), ("lookupNode", ("/remote/kitchen/arm",)), ("lookupNode", ("/arm",)),
+    ],
+)  # fmt: skip
+def test_a_foreigner_has_nothing_asked_of_other_masters(
+    master: Importing, method: str, params: tuple[object, ...]
+) -> None:
+    before = master.imports.demand.version
+    master.ask(method, *params, who=visitor())
+    assert master.imports.demand.version == before
+    assert master.imports.demand.wanted(KITCHEN, 0) == NOTHING
+
+
+def test_a_foreigner_is_shown_no_node_of_another_origin(master: Importing) -> None:
+    guest, nurse = everything("/remote/hospital/robot3"), visitor()
+    master.ask("registerSubscriber", "/pose", T, "http://10.0.0.3:1/", who=guest)
+    master.ask("registerSubscriber", "/pose", T, "http://10.0.0.4:1/", who=nurse)
+    master.ask("registerPublisher", "/pose", T, "http://10.0.0.1:1/")
+    state = master.ask("getSystemState", who=nurse)[2]
+    assert state == [[["/pose", ["/tool"]]], [["/pose", [GUEST]]], []]
+    facts = master.ask(WATCH, "", 0, who=nurse)[2]["added"]
+    assert not [fact for fact in facts if "kitchen" in str(fact) or "hospital" in str(fact)]
+    for name in ("/remote/kitchen/robot", "/remote/hospital/robot3"):
+        assert master.ask("lookupNode", name, who=nurse)[0] == -1
+    assert master.ask("lookupNode", "/tool", who=nurse)[2] == "http://10.0.0.1:1/"
+    assert master.ask("lookupNode", GUEST, who=nurse)[2] == "http://10.0.0.4:1/"
+
+
+def test_a_foreigner_is_shown_no_node_that_is_not_exported(master: Importing) -> None:
+    master.ask("registerPublisher", "/pose", T, "http://10.0.0.1:1/")
+    lamp = visitor("/lamp/**")
+    assert master.ask("lookupNode", "/tool", who=lamp)[0] == -1
+    assert not master.ask(WATCH, "", 0, who=lamp)[2]["added"]

@@ -155,6 +155,17 @@ def test_an_export_bounds_what_grants_give_a_foreigner() -> None:
     assert not found.may_see("/lamp")
 
 
+def test_an_export_bounds_the_trees_of_parameters_of_a_foreigner() -> None:
+    exported = reach({"/robot/speed": Right.PARAM_GET, "/robot/arm/**": Right.PARAM_GET})
+    found = replace(caller(FOREIGNER, {"/**": ALL}), exported=exported)
+    assert not found.may_all_below(Right.PARAM_GET, "/robot")
+    assert not found.may_all_below(Right.PARAM_GET, "/")
+    assert found.may_all_below(Right.PARAM_GET, "/robot/arm")
+    assert not found.may_all_below(Right.PARAM_SET, "/robot/arm")
+    assert found.may_some_below(Right.PARAM_GET, "/robot")
+    assert not found.may_some_below(Right.PARAM_GET, "/lamp")
+
+
 def test_the_refusal_of_an_export_says_so() -> None:
     found = replace(caller(FOREIGNER, {"/**": ALL}), exported=reach({}), authorize=lambda *_: None)
     with pytest.raises(GrantMissing, match="not exported to this domain"):
