@@ -33,6 +33,7 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
+PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
 LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
@@ -67,6 +68,7 @@ class FollowedSite:
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()
+        self._asked_at = 0.0
         self._mirroring = Mirroring(own, settings)
         self._woken = asyncio.Event()
         self._lists_changed = asyncio.Event()
@@ -81,6 +83,9 @@ class FollowedSite:
             except (SiteRefused, IdentityRefused) as error:
                 self._failed(Event.REFUSED, error)
             except Failures as error:
+                self._failed(Event.FAILED, error)
+            except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
+                _log.exception("following site %s failed", self.settings.label)
                 self._failed(Event.FAILED, error)
             if self.state.phase is not Phase.FOLLOWING:
                 await self._pause()
@@ -105,6 +110,7 @@ class FollowedSite:
         The connection on which it is followed waits for an answer, so another one is made.
         """
         self._lists_changed.set()
+        self._mirroring.judge()
         if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
@@ -156,6 +162,7 @@ class FollowedSite:
             if not was_followed:
                 await self._greet(client, peer)
             while True:
+                await self._pace()
                 demand = self._own.state.imports.demand.version
                 asking = asyncio.ensure_future(self._next_change(client))
                 try:
@@ -168,6 +175,11 @@ class FollowedSite:
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
                 await self._mirror(client)
+
+    async def _pace(self) -> None:
+        """Let a moment pass between two questions, whatever the site or local nodes do."""
+        await asyncio.sleep(self._asked_at + PACE - time.monotonic())
+        self._asked_at = time.monotonic()
 
     async def _is_answered(
         self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
@@ -250,7 +262,7 @@ class FollowedSite:
     async def _next_change(self, client: RpcClient) -> SiteChange:
         """The next complete answer."""
         imports = self._own.state.imports
-        wanted = imports.wanted(self.settings.site, self._own.state.now())
+        wanted = imports.demand.wanted(self.settings.site, self._own.state.now())
         while True:
             try:
                 answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])

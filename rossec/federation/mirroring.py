@@ -8,7 +8,9 @@ its origin only. The other master decides by grants what may be read (`param-get
 import time
 from typing import Any, Final
 
+from ca.errors import NameRefused
 from ca.patterns import covers
+from grants.model import Right
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
@@ -30,6 +32,7 @@ class Mirroring:
         self._own = own
         self._settings = settings
         self._read_at = -EVERY
+        self._names_held: list[str] = []
         self.mirrored = 0
 
     async def keep(self, client: RpcClient) -> None:
@@ -48,11 +51,20 @@ class Mirroring:
             for name, value in await self._values(client, names[begin : begin + _AT_ONCE]):
                 _put(tree, name, value)
                 self.mirrored += 1
+        if not all(map(self._is_taken, names)):  # there is another list meanwhile: read again
+            self._read_at = -EVERY
+            return
         self._own.mirror(self._settings.site, tree)
+        self._names_held = names
+
+    def judge(self) -> None:
+        """There is another list of domains: forget what is not taken from that domain any more."""
+        if any(not self._is_taken(name) for name in self._names_held):
+            self.drop()
 
     def drop(self) -> None:
         """Forget what was mirrored."""
-        self.mirrored, self._read_at = 0, -EVERY
+        self.mirrored, self._read_at, self._names_held = 0, -EVERY, []
         self._own.drop_mirror(self._settings.label)
 
     async def _names(self, client: RpcClient) -> list[str]:
@@ -68,7 +80,17 @@ class Mirroring:
         return sorted(names)
 
     def _is_wanted(self, name: str) -> bool:
-        return any(covers(pattern, name) for pattern in self._settings.parameters)
+        try:
+            wanted = any(covers(pattern, name) for pattern in self._settings.parameters)
+        except NameRefused:  # a parameter may have a name that no pattern covers
+            return False
+        return wanted and self._is_taken(name)
+
+    def _is_taken(self, name: str) -> bool:
+        """Whether the list of domains lets this parameter of a foreign domain in."""
+        label = self._settings.domain
+        taken = self._own.state.trust.domains.imported(label) if label else None
+        return taken is None or taken.covers(Right.PARAM_GET, name)
 
     async def _values(self, client: RpcClient, names: list[str]) -> list[tuple[str, Any]]:
         """The values of those that are still set, and may be read."""

@@ -95,4 +95,4 @@ async def test_the_address_of_another_node(eve: Site, witness: Witness) -> None:
     await call(uri, own, "rossec.presentGrants", EVE, eve.enroll(EVE).grants())
     subscribe = "registerSubscriber", "/eve_1", TOPIC, POSE
     stolen = await call(uri, own, *subscribe, witness.robot.uri)
-    assert stolen == [-1, "rossec: this slave API URI is registered by another node", []]
+    assert stolen == [-1, "rossec: this address is registered by another node", []]

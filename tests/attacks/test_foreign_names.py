@@ -125,3 +125,16 @@ async def test_a_foreigner_does_not_take_an_own_nodes_address(world: VisitWorld)
     assert isinstance(answer, list)
     assert answer[0] == -1
     assert "registered by another node" in answer[1]
+
+
+@pytest.mark.attack("foreign-names")
+async def test_a_foreigner_does_not_offer_an_own_nodes_service(world: VisitWorld) -> None:
+    """Who looks its service up would be sent to ours."""
+    own, visitor = await world.node("/robot"), await world.visitor(EVERYTHING)
+    await own.ask("registerService", "/arm", "rosrpc://10.0.0.2:9", own.uri)
+    params = "/s", "rosrpc://10.0.0.2:9", visitor.uri
+    answer = await ask(visitor.client, world.robot, "registerService", *params)
+    assert isinstance(answer, list)
+    assert answer[0] == -1
+    assert "registered by another node" in answer[1]
+    assert world.server.state.registry.service_uri("/s") is None

@@ -183,7 +183,9 @@ class AccessControl:
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
         if rule.service is not None and caller.is_foreign:
-            _require_foreign_address(str(arguments[rule.service]), is_local=is_local)
+            _require_foreign_address(
+                self._registry, caller, str(arguments[rule.service]), is_local=is_local
+            )
 
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
         """Which of the nodes registered for `key` the caller may see.
@@ -241,18 +243,29 @@ def require_address(registry: Registry, caller: Caller, uri: str, *, is_local: b
             "set ROS_IP or ROS_HOSTNAME to an address that is reachable from other hosts"
         )
     if caller.is_foreign:
-        _require_foreign_address(uri, is_local=is_local)
+        _require_foreign_address(registry, caller, uri, is_local=is_local)
+    _require_free(registry, caller, uri)
+
+
+def _require_free(registry: Registry, caller: Caller, uri: str) -> None:
     owner = registry.owner(uri)
     node = None if owner is None or owner == caller.name else registry.node(owner)
     if node is not None:
         raise AddressTaken(node)
 
 
-def _require_foreign_address(uri: str, *, is_local: bool) -> None:
-    """Raise `Refused` for an address that a node of another network cannot have.
+def _require_foreign_address(
+    registry: Registry, caller: Caller, uri: str, *, is_local: bool
+) -> None:
+    """Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
 
-    A link-local one names another machine in each network.
+    One that is registered here as either, and one that a node of another network cannot have: a
+    link-local one names another machine in each network.
     """
+    _require_free(registry, caller, uri)
+    for node in registry.providers_at(endpoint(uri)):
+        if node.name != caller.name:
+            raise AddressTaken(node)
     host = endpoint(uri)[0]
     if not is_reachable_from_here(host) and not (is_local and is_loopback_host(host)):
         raise Refused(f"a node of another domain cannot be at {printable(host)}")

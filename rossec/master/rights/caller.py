@@ -41,10 +41,10 @@ class Refused(Exception):
 
 
 class AddressTaken(Refused):
-    """The slave API is registered by `owner`, which may be gone: only a probe can tell."""
+    """The address is registered by `owner`, which may be gone: only a probe can tell."""
 
     def __init__(self, owner: NodeRef) -> None:
-        super().__init__("this slave API URI is registered by another node")
+        super().__init__("this address is registered by another node")
         self.owner = owner
 
 

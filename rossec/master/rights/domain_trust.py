@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
-from ca.domains.anchors import ListedDomain
+from ca.domains.lists import NameRights
 from ca.domains.standing import Standing
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
 from ca.keys.publickey import thumbprint
@@ -30,6 +30,8 @@ from rossec.master.rights.delegation import discard
 
 GRACE: Final = 60  # seconds that a connection stands while revocations are stale
 MAX_PROOFS: Final = 16 * 1024  # of one foreign tree, and entries that wait for one
+
+_NOTHING: Final = Reach(())
 
 PersistForeign = Callable[[str, bytes], None]
 """Makes the revocation list of a foreign domain durable."""
@@ -94,6 +96,7 @@ class DomainTrust:
         self._wanted: dict[str, dict[bytes, None]] = {}
         self._stale_since: dict[bytes, int] = {}  # by key
         self._exports: dict[str, Reach | None] = {}
+        self._imports: dict[str, Reach | None] = {}  # by label
         self._list_replaced(frozenset())
 
     def update(self, data: bytes) -> frozenset[str] | None:
@@ -259,6 +262,10 @@ class DomainTrust:
         """What a foreign domain is shown and given at all; None: what grants allow."""
         return self._exports.get(domain)
 
+    def imported(self, label: str) -> Reach | None:
+        """What is taken from the domain with this label; None: all it shows. Else nothing."""
+        return self._imports.get(label, _NOTHING)
+
     def verifier(self, domain: str) -> Verifier:
         """Opens grants of a listed foreign domain.
 
@@ -305,12 +312,13 @@ class DomainTrust:
             if saved is not None:
                 self.standing.restore(domain, saved, 0)  # 0: of a tree nothing is proved
         self._own_masters = frozenset(map(thumbprint, self.anchors.masters))
-        self._exports = {each.entry.domain: _exported(each) for each in self.anchors.all_listed}
+        entries = [each.entry for each in self.anchors.all_listed]
+        self._exports = {each.domain: _reach(each.exported) for each in entries}
+        self._imports = {each.label: _reach(each.imported) for each in entries}
         self.generation += 1
 
 
-def _exported(listed: ListedDomain) -> Reach | None:
-    rules = listed.entry.exported
+def _reach(rules: tuple[NameRights, ...] | None) -> Reach | None:
     if rules is None:
         return None
     return Reach(Permission(pattern, Right(rights)) for pattern, rights in rules)

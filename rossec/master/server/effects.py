@@ -91,6 +91,7 @@ class MasterState:
 
     def __post_init__(self) -> None:
         self.imports = Imports(self.registry)
+        self.imports.intake.rules = self.trust.domains.imported
 
     def now(self) -> int:
         """The time, in whole seconds."""
@@ -198,6 +199,8 @@ class Effects:
             case DomainsChanged(by):
                 _audit.info("%s delivered list of domains %d", by, trust.domains.number)
                 self._enforce_list()
+                for changed in self._state.imports.taken_anew():
+                    self.deliver(changed)
                 self.send_domains()
         for tell in self.on_new_lists:
             tell()

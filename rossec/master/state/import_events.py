@@ -1,6 +1,6 @@
 """What happens to the facts of other masters, for subscribers, the audit and people. Pure."""
 
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -57,3 +57,13 @@ class Contradictions:
                 reported.add(topic)
                 events.append(TypeContradicted(label, topic, here, there))
         return events
+
+
+def finished(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
+    """Take all steps at once; returns their events."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            events: list[ImportEvent] = end.value
+            return events

@@ -5,8 +5,9 @@ node's registration is. A malformed fact refuses the site. A well-formed one tha
 here, for example with an address on this host, is stored without effect: it may be withdrawn later.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import islice
 from typing import Final, NamedTuple, TypeAlias
 
 from ca.domains.aliases import is_alias
@@ -18,6 +19,7 @@ from rossec.master.state.registry import Kind
 from rossec.master.state.sites import NODE, PROVIDER, TYPE, Site
 
 FACTS_LIMIT: Final = 65_536  # of one site
+STEP: Final = 256  # facts that are taken over between two yields
 _TYPE_LIMIT: Final = 255
 _KINDS: Final = {kind.value: kind for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)}
 _SCHEMES: Final = {NODE: "http", PROVIDER: "rosrpc"}
@@ -131,6 +133,13 @@ def checked(facts: Iterable[Fact]) -> list[Fact]:
             travels one hop.
     """
     return [_check(fact) for fact in facts]
+
+
+def parts(facts: Iterable[Fact]) -> Iterator[list[Fact]]:
+    """The facts, `STEP` at once."""
+    rest = iter(facts)
+    while part := list(islice(rest, STEP)):
+        yield part
 
 
 def _check(fact: Fact) -> Fact:

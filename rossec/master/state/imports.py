@@ -10,19 +10,22 @@ hidden appears by itself when what hid it goes.
 """
 
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
-from itertools import islice
 from typing import Final
 
+from ca.domains.aliases import is_alias
+from grants.model import Right
 from rossec.errors import ImportRefused
 from rossec.master.state.demand import Demand
-from rossec.master.state.import_events import Contradictions, ImportEvent, SiteStatus
+from rossec.master.state.import_events import Contradictions, ImportEvent, SiteStatus, finished
 from rossec.master.state.imported_facts import (
     FACTS_LIMIT,
     Address,
     Fact,
     SiteFacts,
     checked,
+    parts,
 )
+from rossec.master.state.intake import Intake
 from rossec.master.state.kept_publishers import KeptPublishers
 from rossec.master.state.mirrors import Mirrors
 from rossec.master.state.registry import (
@@ -34,7 +37,6 @@ from rossec.master.state.registry import (
 from rossec.master.state.sites import NODE, Site
 
 MAX_REGISTERED: Final = 4096  # nodes for one name; each update has all addresses
-STEP: Final = 256  # facts between two yields
 
 _Entry = tuple[str, str]
 """The label of a site, and the name there of a node."""
@@ -51,6 +53,7 @@ class Imports:
         version: grows with every change.
         demand: what local nodes want of the sites.
         mirrors: parameters of the sites.
+        intake: what is taken from foreign domains at all.
         on_settled: called when `is_settled` has become true.
     """
 
@@ -58,6 +61,7 @@ class Imports:
         self.version = 0
         self.demand: Final = Demand(registry)
         self.mirrors: Final = Mirrors()
+        self.intake: Final = Intake()
         self.on_settled: Callable[[], None] = _ignore
         self._registry = registry
         self._limit = limit
@@ -81,13 +85,7 @@ class Imports:
             ImportRefused: a malformed fact, or too many. The facts of the site are still held.
             NameRefused: the site's label is not one.
         """
-        steps = self.apply_in_steps(site, added, removed, whole=whole)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as end:
-                events: list[ImportEvent] = end.value
-                return events
+        return finished(self.apply_in_steps(site, added, removed, whole=whole))
 
     def apply_in_steps(
         self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
@@ -99,7 +97,7 @@ class Imports:
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()
         new = set[Fact]()
-        for part in _parts(added):
+        for part in parts(added):
             new.update(checked(part))
             yield
         gone = old - new if whole else old.intersection(removed) - new
@@ -150,9 +148,11 @@ class Imports:
         self._kept.forget(label)
         return self._changed(before)
 
-    def wanted(self, site: Site, now: int) -> tuple[str, ...]:
-        """What to ask a site for, as `Demand.wanted`."""
-        return self.demand.wanted(site, now)
+    def taken_anew(self) -> list[PublishersChanged]:
+        """What is taken from foreign domains may have changed: tell the subscribers there."""
+        self.version += 1
+        topics = [topic for topic in self._registry.keys(Kind.SUBSCRIBER) if is_alias(topic)]
+        return [self._registry.publishers_changed(topic) for topic in topics]
 
     def settle(self, label: str, demand: int) -> None:
         """A site has answered completely what was wanted when the demand had this version."""
@@ -183,18 +183,20 @@ class Imports:
     def nodes_of(self, kind: Kind, key: str) -> tuple[str, ...]:
         """The imported nodes registered for a name, as aliases."""
         found = self._used(kind, key)
-        if not found:
-            return ()
         return tuple(dict.fromkeys(self._sites[label].nodes[node].name for label, node in found))
 
     def publisher_uris(self, topic: str) -> list[str]:
         """The slave API URIs of the imported publishers of a topic, and of those kept."""
+        if not self.intake.gives(Right.SUBSCRIBE, topic):
+            return []
         found = [self._sites[each].nodes[name] for each, name in self._used(Kind.PUBLISHER, topic)]
         kept = [each for each in self._kept.addresses(topic) if self._is_elsewhere(each)]
         return list(dict.fromkeys(address.uri for address in (*found, *kept)))
 
     def service_uri(self, service: str) -> str | None:
         """The rosrpc URI of an imported service."""
+        if not self.intake.gives(Right.CALL, service):
+            return None
         for label, _ in self._used(Kind.SERVICE, service):
             return self._sites[label].providers[service].uri
         return None
@@ -247,12 +249,15 @@ class Imports:
         address = held.nodes.get(name)
         if address is None or self._registry.is_registered_endpoint(address.endpoint):
             return False
-        return bool(held.site.domain) or self._registry.node(name) is None
+        if not held.site.domain:
+            return self._registry.node(name) is None
+        keys = (each.key for each in held.registered.get(name, ()))
+        return self.intake.shows_node(address.name, keys)
 
     def _used(self, kind: Kind, key: str) -> list[_Entry]:
         """The registrations for a name that count, by label."""
         entries = self._entries[kind].get(key)
-        if not entries:
+        if not entries or not self.intake.shows(key):
             return []
         if kind is Kind.SERVICE:
             return self._used_provider(key, entries)
@@ -292,7 +297,7 @@ class Imports:
         topics = self._followed_topics(held, new | gone)
         before = {topic: self.publisher_uris(topic) for topic in topics}
         for change, facts in ((self._remove, gone), (self._add, new)):
-            for part in _parts(facts):
+            for part in parts(facts):
                 for fact in part:
                     change(held, fact)
                 self.version += 1
@@ -335,12 +340,6 @@ class Imports:
             elif (key := held.local_key(name)) is not None:
                 found.add(key)
         return sorted(found.intersection(followed))
-
-
-def _parts(facts: Iterable[Fact]) -> Iterator[list[Fact]]:
-    rest = iter(facts)
-    while part := list(islice(rest, STEP)):
-        yield part
 
 
 def _ignore() -> None:

@@ -211,6 +211,12 @@ class Registry:
         """Whether a slave API or a service is registered at this host and port."""
         return place in self._owners or place in self._service_endpoints
 
+    def providers_at(self, place: Endpoint) -> Iterator[NodeRef]:
+        """The nodes that have a service at this host and port; mostly there is none."""
+        if place in self._service_endpoints:
+            found = [key for key, uri in self._service_uris.items() if endpoint(uri) == place]
+            yield from (node for key in found for node in self.registered_nodes(Kind.SERVICE, key))
+
     def nodes(self) -> Iterator[NodeRef]:
         """All registered nodes."""
         return (node.ref for node in self._nodes.values())

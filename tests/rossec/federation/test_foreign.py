@@ -5,20 +5,29 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
+from ca.domains.lists import ForeignDomain, NameRights
 from grants.model import Right
+from rossec.federation import mirroring
 from rossec.federation.settings import SiteSettings
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
 from tests.support.witness import until
 
 
-def trusting(site: Site, label: str, *, until_s: int = DAY) -> ForeignDomain:
-    """What another domain says of `site`."""
-    end = int(time.time()) + until_s
+def trusting(site: Site, label: str, *taken: NameRights) -> ForeignDomain:
+    """What another domain says of `site`; without `taken` everything is."""
+    end = int(time.time()) + DAY
     return ForeignDomain(
-        site.anchor.domain, label, site.anchor.certificate, ("/rounds/*", "/master"), 3600, end
-    )
+        site.anchor.domain, label, site.anchor.certificate, ("/rounds/*", "/master"), 3600, end,
+        imported=tuple((pattern, int(rights)) for pattern, rights in taken) or None,
+    )  # fmt: skip
+
+
+def take(pair: list[Master], seq: int, *taken: NameRights) -> None:
+    """A list of domains that takes only this from the hospital."""
+    here, there = pair
+    listed = [trusting(there.site, "h", *taken)]
+    here.take_domains(domain_list(here.site, "/master", foreign=listed, seq=seq))
 
 
 @pytest.fixture
@@ -30,7 +39,7 @@ async def pair(tmp_path: Path) -> AsyncIterator[list[Master]]:
         (there,) = await stack.enter_async_context(masters(hospital, "/master"))
         here.take_domains(domain_list(home, "/master", foreign=[trusting(hospital, "h")], seq=2))
         there.take_domains(domain_list(hospital, "/master", foreign=[trusting(home, "h1")], seq=2))
-        for pattern in ("/master", "/rounds/pose"):
+        for pattern in ("/master", "/rounds/pose", "/rounds/map"):
             data = hospital.grant(
                 "/robot", Right.GRAPH, pattern, holder=home.identity("/master").thumbprint
             )
@@ -49,6 +58,51 @@ async def test_what_a_foreign_master_shows_lies_below_remote(pair: list[Master])
     assert here.imported("/rounds/pose") == here.imported("/remote/h/secret") == []
     assert here.state_of("h")["error"] == ""
     assert "h1 refuses" in there.state_of("h1")["error"]
+
+
+async def test_only_what_is_taken_from_it_comes_and_another_list_counts_at_once(
+    pair: list[Master],
+) -> None:
+    here, there = pair
+    pose, a_map = "/remote/h/rounds/pose", "/remote/h/rounds/map"
+    await there.register("/rounds/robot3", "/rounds/pose", 4711)
+    await there.register("/rounds/robot4", "/rounds/map", 4712)
+
+    take(pair, 3, ("/rounds/pose", Right.SUBSCRIBE))
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.imported(pose))
+    assert here.imported(a_map) == []
+    take(pair, 4, ("/rounds/map", Right.SUBSCRIBE | Right.GRAPH))
+    assert (here.imported(pose), bool(here.imported(a_map))) == ([], True)
+    take(pair, 5)
+    assert here.imported(pose)
+    assert here.imported(a_map)
+
+
+async def test_parameters_are_mirrored_as_far_as_they_are_taken(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mirroring, "EVERY", 0.1)
+    here, there = pair
+    key = here.site.identity("/master").thumbprint
+    for name in ("/rounds/speed", "/rounds/key"):
+        data = there.site.grant("/robot", Right.PARAM_GET, name, holder=key)
+        here.home.add_grant(data[-16:], data)
+        grant = there.site.grant("/setter", Right.PARAM_SET, name)
+        async with there.caller("/setter") as client:
+            await client.ask("rossec.presentGrants", "/setter", [grant])
+            await client.ask("setParam", "/setter", name, 1)
+
+    def mirrored() -> list[object]:
+        mirrors = here.server.state.imports.mirrors
+        return [mirrors.item(f"/remote/h/rounds/{name}")[1] for name in ("speed", "key")]
+
+    take(pair, 3, ("/rounds/speed", Right.PARAM_GET), ("/rounds/key", Right.SUBSCRIBE))
+    here.follow(there.as_site("h", "h", "/rounds/**"))
+    await until(lambda: mirrored() == [1, None])
+    take(pair, 4, ("/rounds/key", Right.PARAM_GET))
+    await until(lambda: mirrored()[0] is None, within=1)
+    await until(lambda: mirrored() == [None, 1], within=8)
 
 
 async def test_its_revocations_are_fetched_at_once(pair: list[Master]) -> None:

@@ -112,7 +112,7 @@ def test_nothing_below_remote_is_offered_here(
 
 def test_what_is_asked_for_is_wanted_of_other_masters(master: Importing) -> None:
     def wanted() -> tuple[str, ...]:
-        return master.imports.wanted(KITCHEN, 0)
+        return master.imports.demand.wanted(KITCHEN, 0)
 
     assert wanted() == NOTHING
     master.ask("registerSubscriber", "/map", "*", "http://10.0.0.1:1/")
@@ -133,7 +133,7 @@ def test_a_tool_that_lists_wants_everything(
     master: Importing, method: str, params: tuple[object, ...]
 ) -> None:
     master.ask(method, *params)
-    assert master.imports.wanted(KITCHEN, 0) == EVERYTHING
+    assert master.imports.demand.wanted(KITCHEN, 0) == EVERYTHING
 
 
 def visitor(exported: str = "/**") -> Caller:
@@ -155,7 +155,7 @@ def test_a_foreigner_has_nothing_asked_of_other_masters(
     before = master.imports.demand.version
     master.ask(method, *params, who=visitor())
     assert master.imports.demand.version == before
-    assert master.imports.wanted(KITCHEN, 0) == NOTHING
+    assert master.imports.demand.wanted(KITCHEN, 0) == NOTHING
 
 
 def test_a_foreigner_is_shown_no_node_of_another_origin(master: Importing) -> None:

@@ -287,6 +287,23 @@ def test_addresses_that_a_foreigner_may_have(
         assert (answer[0] == 1) == taken, answer
 
 
+@pytest.mark.parametrize("uri", ["rosrpc://victim:2", "rosrpc://VICTIM:2", "rosrpc://victim:1"])
+def test_m8_a_foreigners_service_is_not_at_the_address_of_another(api: MasterApi, uri: str) -> None:
+    """Neither at its service (port 2) nor at its slave API (port 1)."""
+    who, own = caller(FOREIGNER, {"/**": Right(255)}), "http://10.0.0.9:8/"
+    answer = ask(api, who, "registerService", "/rounds/robot3", "/s", uri, own)
+    assert (answer[0], "registered by another node" in answer[1]) == (-1, True)
+    api_there = uri.replace("rosrpc", "http")
+    assert ask(api, who, "registerPublisher", "/rounds/robot3", "/t", T, api_there)[0] == -1
+
+
+def test_the_services_of_a_foreigner_may_share_an_address(api: MasterApi) -> None:
+    who = caller(FOREIGNER, {"/**": Right(255)})
+    for service in ("/s", "/s", "/u"):
+        call = "/rounds/robot3", service, "rosrpc://10.0.0.9:7", "http://10.0.0.9:8/"
+        assert ask(api, who, "registerService", *call)[0] == 1
+
+
 def test_an_administrator_cleans_up_what_a_foreigner_registered(api: MasterApi) -> None:
     uri = "http://10.0.0.9:7/"
     ask(

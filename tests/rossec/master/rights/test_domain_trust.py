@@ -19,7 +19,7 @@ from ca.errors import (
 from ca.keys.publickey import to_coordinates
 from ca.revocation.state import Revocations, digest
 from grants.errors import GrantForged
-from grants.model import Right
+from grants.model import ALL_RIGHTS, Right
 from rossec.errors import NotWritten
 from rossec.master.rights.caller import OWN_DOMAIN
 from rossec.master.rights.domain_trust import GRACE, DomainTrust
@@ -246,6 +246,20 @@ def test_exports_bound_a_domain(master: Master) -> None:
     found = master.trust.exported(DOMAIN)
     assert found is not None
     assert not found.covers(Right.SUBSCRIBE, "/robot/pose")
+
+
+def test_what_is_taken_from_a_domain_is_asked_by_its_label(master: Master) -> None:
+    assert master.trust.imported("hospital") is None
+    entry = foreign(master.hospital, imported=(("/robot/**", 2),))
+    master.trust.update(domains(master.home, entry, seq=2))
+    found = master.trust.imported("hospital")
+    assert found is not None
+    assert found.covers(Right.SUBSCRIBE, "/robot/pose")
+    assert not found.covers(Right.CALL, "/robot/pose")
+    master.trust.update(domains(master.home, seq=3))
+    found = master.trust.imported("hospital")
+    assert found is not None, "of a domain that is not listed nothing is taken"
+    assert not found.covers_any(ALL_RIGHTS, "/robot/pose")
 
 
 def test_grants_of_a_domain_are_opened_with_its_key(master: Master) -> None:

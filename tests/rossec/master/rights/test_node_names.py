@@ -30,7 +30,7 @@ def test_a_node_of_a_wildcard_owns_its_own_address_alone(api: MasterApi) -> None
     assert ask(api, RVIZ, "registerPublisher", "/rviz_1", "/t", T, ONE[1])[0] == 1
     for uri in (ONE[1], VICTIM_API):
         answer = ask(api, RVIZ, "registerPublisher", "/rviz_2", "/t", T, uri)
-        assert answer == [-1, "rossec: this slave API URI is registered by another node", []]
+        assert answer == [-1, "rossec: this address is registered by another node", []]
 
 
 def test_a_node_of_a_wildcard_sees_what_it_registered_itself(api: MasterApi) -> None:

@@ -2,6 +2,8 @@
 
 import pytest
 
+from grants.model import Permission, Right
+from grants.reach import Reach
 from rossec.errors import ImportRefused
 from rossec.master.state.import_events import TypeContradicted
 from rossec.master.state.imports import Imports
@@ -304,4 +306,44 @@ def test_sites_are_settled_when_they_have_answered_what_is_wanted(imports: Impor
     imports.lose("kitchen")
     settled.append(imports.is_settled)
     assert settled == [True, False, True, False, True]
-    assert imports.wanted(KITCHEN, 0) == ("/map",)
+    assert imports.demand.wanted(KITCHEN, 0) == ("/map",)
+
+
+def test_of_a_foreign_domain_only_what_the_rules_take_in_counts(imports: Imports) -> None:
+    rules = {"hospital": Reach((Permission("/pose", Right.SUBSCRIBE),))}
+    imports.intake.rules = rules.get
+    imports.apply(HOSPITAL, [*POSE, *RESET, ("node", "/nurse", "http://10.0.0.4:1/")], [])
+    assert imports.publisher_uris("/remote/hospital/pose") == [ROBOT[2]]
+    assert imports.topic_type("/remote/hospital/pose") == T
+    assert imports.service_uri("/remote/hospital/reset") is None
+    assert imports.nodes_of(Kind.SERVICE, "/remote/hospital/reset") == ()
+    assert list(imports.nodes()) == [("/remote/hospital/robot", ROBOT[2])]
+    assert imports.node_uri("/remote/hospital/nurse") is None
+    rules["hospital"] = Reach((Permission("/reset", Right.CALL),))
+    assert imports.publisher_uris("/remote/hospital/pose") == []
+    assert imports.service_uri("/remote/hospital/reset") == "rosrpc://10.0.0.2:9"
+
+
+def test_what_may_only_be_seen_has_no_address(imports: Imports) -> None:
+    rules = {"hospital": Reach((Permission("/**", Right.GRAPH),))}
+    imports.intake.rules = rules.get
+    imports.apply(HOSPITAL, [*POSE, *RESET], [])
+    pose, reset = "/remote/hospital/pose", "/remote/hospital/reset"
+    assert imports.nodes_of(Kind.PUBLISHER, pose) == ("/remote/hospital/robot",)
+    assert imports.nodes_of(Kind.SERVICE, reset) == ("/remote/hospital/robot",)
+    assert imports.publisher_uris(pose) == []
+    assert imports.service_uri(reset) is None
+
+
+def test_other_rules_are_told_to_subscribers_and_hide_the_own_domain_never(
+    registry: Registry, imports: Imports
+) -> None:
+    alias, rules = "/remote/hospital/pose", {"kitchen": Reach(()), "hospital": Reach(())}
+    imports.intake.rules = rules.get
+    subscribe(registry, alias)
+    imports.apply(HOSPITAL, POSE, [])
+    imports.apply(KITCHEN, POSE, [])
+    assert imports.publisher_uris("/pose") == [ROBOT[2]]
+    before, rules["hospital"] = imports.version, Reach((Permission("/pose", Right.SUBSCRIBE),))
+    assert imports.taken_anew() == [changed(alias, ROBOT[2])]
+    assert imports.version > before
