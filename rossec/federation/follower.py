@@ -15,9 +15,9 @@ from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import split_alias
+from ca.domains.aliases import shown, split_alias
 from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, SiteRefused
+from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, PeerRefused, SiteRefused
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
 from rossec.federation.foreign import MAX_PRESENTED, ForeignLists
@@ -53,6 +53,7 @@ class FollowedSite:
     Attributes:
         state: where it is.
         error: why it is not followed now; empty: it is.
+        hint: what may be done about it, or empty.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class FollowedSite:
     ) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
-        self.error = ""
+        self.error = self.hint = ""
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()
@@ -148,6 +149,7 @@ class FollowedSite:
             "version": self._cursor.version,
             "lost_s": None if lost is None else round(time.monotonic() - lost, 1),
             "error": self.error,
+            "hint": self.hint,
             "parameters": list(settings.parameters),
             "mirrored": self._mirroring.mirrored,
         }
@@ -213,7 +215,7 @@ class FollowedSite:
         if (label, name) != (expected.domain, expected.master):
             stream.abort("not the master that is followed")
             raise SiteRefused(
-                f"{peer.name} answers at {expected.uri}, not {expected.master}"
+                f"{shown(peer.name)} answers at {expected.uri}, not {expected.master}"
                 + (f" of {expected.domain}" if expected.domain else ""),
                 "check the address: rossec federation list",
             )
@@ -225,13 +227,13 @@ class FollowedSite:
         except RevocationsStale:  # of its domain: it is asked for them
             return
         except CAError as error:
-            raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
+            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
 
     async def _mirror(self, client: RpcClient) -> None:
         try:
             await self._mirroring.keep(client)
         except (AnswerRefused, ImportRefused) as error:
-            self.error = printable(str(error))
+            self.error, self.hint = printable(str(error)), printable(error.hint)
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
         """Settle the lists, and show what a foreign master wants to see."""
@@ -282,7 +284,7 @@ class FollowedSite:
         if self.state.phase is not Phase.FOLLOWING:
             _audit.info("site %s is followed", self.settings.label)
         self._take(Event.ANSWERED)
-        self.error = ""
+        self.error = self.hint = ""
 
     def _failed(self, event: Event, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
@@ -290,8 +292,14 @@ class FollowedSite:
             _log.warning("site %s: %s", self.settings.label, text)
         if event is Event.REFUSED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
-        self.error = text
+        self.error, self.hint = text, printable(self._advice(error))
         self._take(event)
+
+    def _advice(self, error: BaseException) -> str:
+        """The hint of a failure; a stranger is not told why it is refused, but can guess."""
+        if isinstance(error, PeerRefused) and self._foreign is not None:
+            return f"does {self.settings.domain} trust this domain? there: rossec domain list"
+        return error.hint if isinstance(error, HintedError) else ""
 
     def _take(self, event: Event) -> None:
         label = self.settings.label
