@@ -10,13 +10,16 @@ the first holder, whomever it hands the right to. Pure; docs/spec/domains.md sec
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.cose import Profile
 from ca.domains.aliases import split_alias
 from ca.encoding import MAX_SIZE, Value, decode
 from ca.errors import CAError, EncodingError, KeyRefused, SignatureError
-from ca.keys.publickey import from_coordinates, thumbprint, to_coordinates
+from ca.keys.publickey import from_coordinates, thumbprint, thumbprint_of, to_coordinates
 from ca.keys.signer import Signer
 from grants.claims import issuer_uri, read_issuer, read_scope, scope_of
 from grants.errors import (
@@ -161,10 +164,10 @@ def _open_link(data: bytes, before: Grant) -> Grant:
     """Verify and read one narrowing of `before`."""
     body, claims = _unverified(data)
     try:
-        key = from_coordinates(_named_key(claims))
-        if thumbprint(key) != before.holder:
+        named = _named_key(claims)
+        if thumbprint_of(named) != before.holder:
             raise NarrowingForged("a narrowing by another key than the one that holds the grant")
-        NARROWING.open_body(data, key, limit=MAX_NARROWING)
+        NARROWING.open_body(data, _key(named), limit=MAX_NARROWING)
     except (KeyRefused, SignatureError) as error:
         raise NarrowingForged(f"a narrowing is refused: {error}") from None
     link, parent = _read(claims, body)
@@ -181,6 +184,18 @@ def _open_link(data: bytes, before: Grant) -> Grant:
             "each narrowing must allow fewer than the link before",
         )
     return link
+
+
+@lru_cache(maxsize=64)
+def _key(coordinates: bytes) -> ec.EllipticCurvePublicKey:
+    """The key that holds a verified link: chains are shown often, and a new key verifies slowly.
+
+    Only keys that a verified link names come here, so a stranger drives none out.
+
+    Raises:
+        KeyRefused: not a point of the curve.
+    """
+    return from_coordinates(coordinates)
 
 
 def _unverified(data: bytes) -> tuple[bytes, Value]:

@@ -37,8 +37,19 @@ def thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
     Raises:
         KeyRefused: not a P-256 key.
     """
-    point = require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
-    return hashlib.sha256(_HEAD + point[1:33] + _BETWEEN + point[33:]).digest()
+    return thumbprint_of(to_coordinates(key))
+
+
+def thumbprint_of(coordinates: bytes) -> bytes:
+    """The thumbprint of the key with these x and y, 64 octets; whether it is one is not checked.
+
+    Raises:
+        KeyRefused: of another length.
+    """
+    if len(coordinates) != 2 * _COORDINATE:
+        raise KeyRefused("a key of a wrong length where x and y are expected")
+    x, y = coordinates[:_COORDINATE], coordinates[_COORDINATE:]
+    return hashlib.sha256(_HEAD + x + _BETWEEN + y).digest()
 
 
 def to_coordinates(key: ec.EllipticCurvePublicKey) -> bytes:

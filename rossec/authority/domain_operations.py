@@ -15,9 +15,11 @@ from ca.domains.aliases import split_alias
 from ca.domains.cards import LIFETIME, Card, sign_card
 from ca.domains.lists import DomainList, ForeignDomain
 from ca.errors import DomainUnknown
+from ca.revocation.state import RevocationList
 from ca.store.domains import DomainRow
 from ca.store.record import GrantRow, Store
 from grants import document
+from rossec.authority import foreign_nodes
 from rossec.authority.home import AuthorityHome
 from rossec.authority.master_call import MasterCall
 from rossec.authority.signing import SKEW, SigningAuthority
@@ -115,6 +117,32 @@ class DomainOperations(ABC):
                 authority.revoke_all(revoked, f"domain {label} was removed", at)
             authority.sign_domains(at)
         return Removed(row, revoked)
+
+    def revoke_foreigner(
+        self, alias: str, reason: str, certificate: bytes = b""
+    ) -> tuple[RevocationList, int]:
+        """Revoke keys of a node of another domain here; returns the list, and their number.
+
+        All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It
+        needs nothing from the other domain, whose trust may have ended.
+
+        Raises:
+            DomainUnknown: no domain has the label.
+            NotAdmitted, CertificateRefused: as `foreign_nodes.verify`.
+            ConfigurationError: there is no key to revoke, or the certificate is another node's.
+        """
+        authority, at = self.unlock(), self._now()
+        store = authority.store
+        with store.transaction():
+            if certificate:
+                identity, root = foreign_nodes.verify(store, alias, certificate, at)
+                store.domains.add_certificate(root, identity, at)
+                keys = frozenset({identity.thumbprint})
+            else:
+                label, _ = foreign_nodes.split(alias)
+                root = find_row(store, label).root
+                keys = foreign_nodes.unrevoked_keys(store, root, alias)
+            return authority.revoke_all(keys, reason, at), len(keys)
 
     def publish_domains(self) -> bool:
         """Deliver the newest list of domains to the master; whether there is one.

@@ -17,6 +17,18 @@ from grants.policy.model import Subject
 from rossec.errors import ConfigurationError
 
 
+def split(alias: str) -> tuple[str, str]:
+    """The label and the name there.
+
+    Raises:
+        ConfigurationError: a node of this domain.
+    """
+    found = split_alias(alias)
+    if found is None:
+        raise ConfigurationError(f"{alias} is a node of this domain", "leave --certificate out")
+    return found
+
+
 def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, bytes]:
     """The identity a certificate of the node `alias` proves, and the thumbprint of its root.
 
@@ -26,16 +38,14 @@ def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, by
         CertificateRefused: not a certificate below the listed root, or invalid now.
         ConfigurationError: it is another node's.
     """
-    found = split_alias(alias)
-    if found is None:
-        raise ConfigurationError(f"{alias} is a node of this domain", "leave --certificate out")
-    row = store.domains.get(found[0])
+    label, _ = split(alias)
+    row = store.domains.get(label)
     entry = row.read()
     chain = [each for each in from_pem(pem) if each != entry.root]
     identity = ListedDomain(entry, entry.anchor).verify(chain, now)
     if identity.name != alias:
         raise ConfigurationError(
-            f"the certificate is that of {found[0]}:{identity.certified_name}", "name that node"
+            f"the certificate is that of {label}:{identity.certified_name}", "name that node"
         )
     return identity, row.root
 
@@ -45,12 +55,40 @@ def holder(store: Store, alias: str, now: int) -> bytes:
 
     Raises:
         ConfigurationError: there is none that is valid.
+        DomainUnknown: no trusted domain has the label.
     """
+    if found := split_alias(alias):
+        store.domains.get(found[0])
     for subject in subjects(store, now):
         if subject.name == alias:
             return subject.key
     raise ConfigurationError(
         "no valid certificate of this node is recorded here", "give its node.pem: --certificate"
+    )
+
+
+def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
+    """The keys of a foreign node that are recorded below the root key `root` and not revoked.
+
+    Also those of certificates that are not valid: keys live longer.
+
+    Raises:
+        ConfigurationError: there are none.
+    """
+    label, name = split(alias)
+    known = store.domains.certificates(root)
+    keys = frozenset(each.thumbprint for each in known if each.name == name)
+    if left := keys - store.revoked_entries():
+        return left
+    if keys:
+        raise ConfigurationError(
+            f"every recorded key of {label}:{name} is revoked already",
+            "if it has another one: --certificate with its node.pem; to deliver the list again:"
+            " rossec ca publish",
+        )
+    raise ConfigurationError(
+        f"no certificate of {label}:{name} is recorded here",
+        f"give its node.pem: --certificate; or end all of it: rossec domain limit {label} --admit",
     )
 
 

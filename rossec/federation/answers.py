@@ -8,10 +8,12 @@ master does not forget.
 from typing import Final, NamedTuple
 
 from rossec.errors import AnswerMalformed
+from rossec.master.state.imported_facts import FACTS_LIMIT
 from rossec.participant.graph_view import Fact, facts_of
 
 METHOD: Final = "rossec.followSite"
 MAX_PARTS: Final = 256  # of one answer; with 1,024 facts in each more than are imported
+MAX_GATHERED: Final = 2 * FACTS_LIMIT  # facts in all parts: those added, and those removed
 _DIGEST: Final = 32
 _NONE: Final[frozenset[Fact]] = frozenset()
 _HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
@@ -78,6 +80,8 @@ class SiteCursor:
         self._parts = [part] if whole else [*self._parts, part]
         if len(self._parts) > MAX_PARTS:
             raise AnswerMalformed(f"a site's answer in more than {MAX_PARTS} parts")
+        if sum(len(each.added) + len(each.removed) for each in self._parts) > MAX_GATHERED:
+            raise AnswerMalformed(f"a site's answer with more than {MAX_GATHERED} facts")
         if more:
             return None
         return self._complete(self._parts)
@@ -92,12 +96,14 @@ class SiteCursor:
 
 
 def _joined(parts: list[SiteChange]) -> SiteChange:
-    added, removed = frozenset[Fact](), frozenset[Fact]()
-    for part in parts:
-        added = (added | part.added) - part.removed
-        removed = (removed | part.removed) - part.added
-    last = parts[-1]
-    return SiteChange(added, removed, parts[0].whole, last.revocations, last.domains)
+    added, removed = set[Fact](), set[Fact]()
+    for part in parts:  # in place: each part alone costs, not all before it again
+        added |= part.added
+        added -= part.removed
+        removed |= part.removed
+        removed -= part.added
+    last, whole = parts[-1], parts[0].whole
+    return SiteChange(frozenset(added), frozenset(removed), whole, last.revocations, last.domains)
 
 
 def _digest(value: object) -> bytes:

@@ -15,9 +15,9 @@ from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import split_alias
+from ca.domains.aliases import shown, split_alias
 from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, SiteRefused
+from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, PeerRefused, SiteRefused
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
 from rossec.federation.foreign import MAX_PRESENTED, ForeignLists
@@ -33,6 +33,7 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
+PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
 LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
@@ -52,6 +53,7 @@ class FollowedSite:
     Attributes:
         state: where it is.
         error: why it is not followed now; empty: it is.
+        hint: what may be done about it, or empty.
     """
 
     def __init__(
@@ -62,10 +64,11 @@ class FollowedSite:
     ) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
-        self.error = ""
+        self.error = self.hint = ""
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()
+        self._asked_at = 0.0
         self._mirroring = Mirroring(own, settings)
         self._woken = asyncio.Event()
         self._lists_changed = asyncio.Event()
@@ -80,6 +83,9 @@ class FollowedSite:
             except (SiteRefused, IdentityRefused) as error:
                 self._failed(Event.REFUSED, error)
             except Failures as error:
+                self._failed(Event.FAILED, error)
+            except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
+                _log.exception("following site %s failed", self.settings.label)
                 self._failed(Event.FAILED, error)
             if self.state.phase is not Phase.FOLLOWING:
                 await self._pause()
@@ -143,6 +149,7 @@ class FollowedSite:
             "version": self._cursor.version,
             "lost_s": None if lost is None else round(time.monotonic() - lost, 1),
             "error": self.error,
+            "hint": self.hint,
             "parameters": list(settings.parameters),
             "mirrored": self._mirroring.mirrored,
         }
@@ -155,6 +162,7 @@ class FollowedSite:
             if not was_followed:
                 await self._greet(client, peer)
             while True:
+                await self._pace()
                 demand = self._own.state.imports.demand.version
                 asking = asyncio.ensure_future(self._next_change(client))
                 try:
@@ -167,6 +175,11 @@ class FollowedSite:
                 self._own.state.imports.settle(self.settings.label, demand)
                 await self._exchange(client, peer, change)
                 await self._mirror(client)
+
+    async def _pace(self) -> None:
+        """Let a moment pass between two questions, whatever the site or local nodes do."""
+        await asyncio.sleep(self._asked_at + PACE - time.monotonic())
+        self._asked_at = time.monotonic()
 
     async def _is_answered(
         self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
@@ -202,7 +215,7 @@ class FollowedSite:
         if (label, name) != (expected.domain, expected.master):
             stream.abort("not the master that is followed")
             raise SiteRefused(
-                f"{peer.name} answers at {expected.uri}, not {expected.master}"
+                f"{shown(peer.name)} answers at {expected.uri}, not {expected.master}"
                 + (f" of {expected.domain}" if expected.domain else ""),
                 "check the address: rossec federation list",
             )
@@ -214,13 +227,13 @@ class FollowedSite:
         except RevocationsStale:  # of its domain: it is asked for them
             return
         except CAError as error:
-            raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
+            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
 
     async def _mirror(self, client: RpcClient) -> None:
         try:
             await self._mirroring.keep(client)
         except (AnswerRefused, ImportRefused) as error:
-            self.error = printable(str(error))
+            self.error, self.hint = printable(str(error)), printable(error.hint)
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
         """Settle the lists, and show what a foreign master wants to see."""
@@ -271,7 +284,7 @@ class FollowedSite:
         if self.state.phase is not Phase.FOLLOWING:
             _audit.info("site %s is followed", self.settings.label)
         self._take(Event.ANSWERED)
-        self.error = ""
+        self.error = self.hint = ""
 
     def _failed(self, event: Event, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
@@ -279,8 +292,14 @@ class FollowedSite:
             _log.warning("site %s: %s", self.settings.label, text)
         if event is Event.REFUSED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
-        self.error = text
+        self.error, self.hint = text, printable(self._advice(error))
         self._take(event)
+
+    def _advice(self, error: BaseException) -> str:
+        """The hint of a failure; a stranger is not told why it is refused, but can guess."""
+        if isinstance(error, PeerRefused) and self._foreign is not None:
+            return f"does {self.settings.domain} trust this domain? there: rossec domain list"
+        return error.hint if isinstance(error, HintedError) else ""
 
     def _take(self, event: Event) -> None:
         label = self.settings.label

@@ -61,7 +61,10 @@ class Mesh:
         try:
             async with listening:
                 while True:
-                    self._step()
+                    try:
+                        self._step()
+                    except Exception:  # noqa: BLE001 - one failure must not end that sites are followed
+                        _log.exception("sites: a round failed; it is tried again")
                     await asyncio.sleep(_TICK)
         finally:
             self._own.effects.on_new_lists.remove(self._send_lists)

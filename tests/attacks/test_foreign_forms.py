@@ -26,7 +26,7 @@ from tests.support.site import Site
 from tests.support.victim import STATE, attacked
 
 DOMAIN: Final = "hospital"
-ENDS: Final = ("hospital", "removal")
+ENDS: Final = ("hospital", "home", "removal")
 within_a_second = pytest.mark.parametrize("by", ENDS)
 
 
@@ -70,6 +70,9 @@ class Stay:
         """End the visit; Eve hears nothing a second later."""
         if by == "removal":
             await self.list(trust.remove(self.home, DOMAIN))
+        elif by == "home":
+            data = self.home.revoke(self.hospital.identity(EVE).thumbprint)
+            await self.helper._membership.session.call("rossec.updateRevocations", data)
         else:
             self.word(self.hospital.revoke(self.hospital.identity(EVE).thumbprint))
         began = time.monotonic()

@@ -2,12 +2,13 @@
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint, to_coordinates
+from ca.keys.publickey import thumbprint, thumbprint_of, to_coordinates
 from ca.keys.signer import KeySigner
 from grants import token
 from grants.claims import issuer_uri, scope_of
@@ -156,6 +157,13 @@ def test_a_narrowing_is_signed_by_the_key_it_names() -> None:
     assert refusal(parent, NARROWING.sign(C, claims(parent, C))) is NarrowingForged
     other = first(holder=C, subject="/c").grant
     assert refusal(other, NARROWING.sign(A, claims(other))) is NarrowingForged
+
+
+def test_a_holder_without_a_key_hands_nothing_on() -> None:
+    nobody = replace(first().grant, holder=thumbprint_of(bytes(64)))
+    signed = NARROWING.sign(A, claims(nobody) | {-70033: [bytes(32), bytes(32)]})
+    with pytest.raises(NarrowingForged, match="not a point"):
+        verify_chain(nobody, [signed])
 
 
 def test_every_byte_counts() -> None:

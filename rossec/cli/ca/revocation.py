@@ -1,13 +1,18 @@
 """`rossec ca revoke | refresh | publish`: revoke identities, sign the list, deliver it."""
 
+from pathlib import Path
+
 import click
 
+from ca.domains.aliases import is_alias, local_name, shown
+from rossec import files
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
 from rossec.cli.shared.context import now
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
+from rossec.errors import ConfigurationError
 from rossec.terminal import note, say
 
 
@@ -44,13 +49,30 @@ def refresh(service: AuthorityService) -> None:
 @click.command()
 @click.argument("name")
 @click.option("--reason", default="", help="why, for the record")
+@click.option(
+    "--certificate", type=options.FILE,
+    help="of a node of another domain: revoke the key in this node.pem, and no other",
+)  # fmt: skip
 @options.master_uri
 @pass_service
-def revoke(service: AuthorityService, name: str, reason: str) -> None:
+def revoke(service: AuthorityService, name: str, reason: str, certificate: Path | None) -> None:
     """Revoke the identity of the node NAME, and notify the master at once.
 
     Its connections end and its key is never trusted again; to return it needs a new key.
+
+    NAME may be one of another domain, as hospital:/rounds/robot3: every key of it that is recorded
+    here (by rossec grant sign) is refused in this domain, whatever its own authority says.
     """
-    listed, count = service.revoke_identity(name, reason)
-    say(f"revoked {name}, {count} key{'s' * (count != 1)} (list {listed.seq})")
+    local = local_name(name)
+    if is_alias(local):
+        pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
+        listed, count = service.revoke_foreigner(local, reason, pem)
+    elif certificate is not None:
+        raise ConfigurationError(
+            f"{name} is a node of this domain, whose keys are in the record",
+            "--certificate is for nodes of other domains: LABEL:/NAME",
+        )
+    else:
+        listed, count = service.revoke_identity(name, reason)
+    say(f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})")
     publish_list(service)

@@ -20,7 +20,7 @@ from grants.validity import check_time
 from rossec import files
 from rossec.authority.list_contents import SKEW
 from rossec.cli.grant import permission_options
-from rossec.cli.grant.sign import MAX_PEM, check_new
+from rossec.cli.grant.sign import check_new
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.tokens import read_token
@@ -96,7 +96,7 @@ def narrow(
 
 def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
     """The node of the own domain that a file with its certificate names."""
-    pem = files.read(path, MAX_PEM, ConfigurationError(f"there is no file {path}", ""))
+    pem = files.read(path, options.MAX_PEM, ConfigurationError(f"there is no file {path}", ""))
     anchor = home.anchor()
     chain = [each for each in from_pem(pem) if each != anchor.certificate]
     return anchor.verify(chain, at)

@@ -20,7 +20,6 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
-MAX_PEM: Final = 64 * 1024
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 
 
@@ -72,7 +71,7 @@ def sign(
     if out is not None:
         check_new(out)
     permissions = permission_options.read(wishes)
-    pem = b"" if certificate is None else files.read(certificate, MAX_PEM)
+    pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
     deliver_grant(service, data, out)

@@ -5,6 +5,7 @@ from typing import Final
 
 import click
 
+MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 policy = click.option(

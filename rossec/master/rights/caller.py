@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 
 from ca import names
 from ca.domains.aliases import REMOTE, display_name, is_alias, origin_of, split_alias
-from ca.errors import NameRefused
+from ca.errors import HintedError, NameRefused, NotAdmitted
 from grants.errors import GrantMissing
 from grants.model import ALL_RIGHTS, Right
 from grants.reach import Reach
@@ -166,7 +166,28 @@ class Caller:
         origin = self._origin(right, name)
         if origin is not None:
             origin[0].authorize(right, origin[1])
-        raise GrantMissing(f"no grant for {right.label} on {display(name)}")
+        raise self._no_right_there(right, name)
+
+    def _no_right_there(self, right: Right, alias: str) -> HintedError:
+        """Why grants do not even come into question: nothing is called so, or none was presented.
+
+        Only a node of the own domain is told which labels there are.
+        """
+        missing = f"no grant for {right.label} on {display(alias)}"
+        try:
+            found = None if self.is_foreign else split_alias(alias)
+        except NameRefused:
+            found = None
+        if found is None:
+            return GrantMissing(missing)
+        domain = self.domain_of(found[0])
+        if domain is None:
+            return NotAdmitted(
+                f"no domain is called {found[0]} here", "at the authority: rossec domain list"
+            )
+        if domain != OWN_DOMAIN and domain not in self.elsewhere:
+            return GrantMissing(f"{missing} by the authority of {domain}")
+        return GrantMissing(missing)
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
         """Whether grants cover `right`, one of parameters, on every name below `namespace`."""

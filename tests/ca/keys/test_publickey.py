@@ -2,7 +2,13 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 
 from ca.errors import KeyRefused
-from ca.keys.publickey import require_p256, thumbprint
+from ca.keys.publickey import (
+    from_coordinates,
+    require_p256,
+    thumbprint,
+    thumbprint_of,
+    to_coordinates,
+)
 
 
 def test_thumbprint_of_rfc_9679() -> None:
@@ -33,3 +39,22 @@ def test_only_p256_public_keys(key: object) -> None:
 def test_a_p256_key_passes() -> None:
     key = ec.generate_private_key(ec.SECP256R1()).public_key()
     assert require_p256(key) is key
+
+
+def test_coordinates_name_a_key_and_its_thumbprint() -> None:
+    key = ec.generate_private_key(ec.SECP256R1()).public_key()
+    data = to_coordinates(key)
+    assert from_coordinates(data) == key
+    assert thumbprint_of(data) == thumbprint(key)
+
+
+@pytest.mark.parametrize("size", [0, 63, 65])
+def test_coordinates_of_another_length_are_refused(size: int) -> None:
+    for read in (from_coordinates, thumbprint_of):
+        with pytest.raises(KeyRefused, match="wrong length"):
+            read(bytes(size))
+
+
+def test_coordinates_off_the_curve_are_no_key() -> None:
+    with pytest.raises(KeyRefused, match="not a point"):
+        from_coordinates(bytes(64))

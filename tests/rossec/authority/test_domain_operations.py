@@ -7,10 +7,13 @@ from typing import Any
 
 import pytest
 
+from ca.certificates import to_pem
+from ca.domains.anchors import Anchors
 from ca.domains.cards import open_card
 from ca.domains.lists import DomainList, ForeignDomain, open_domains
-from ca.errors import CardRefused, DomainsRefused, DomainUnknown, StoreError
-from ca.revocation.state import open_list
+from ca.domains.standing import Standing
+from ca.errors import CardRefused, CertificateRefused, DomainsRefused, DomainUnknown, StoreError
+from ca.revocation.state import Revocations, open_list
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.authority.domain_operations import check_label_free, find_row, living_grants
@@ -18,11 +21,13 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService, MasterCall
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
+from tests.rossec.participant.test_connections import table
 from tests.support.domains import SomeNode, foreign
 from tests.support.keyservice import running_service
 from tests.support.pki import NOW, Site
 
 DAY = 86_400
+ROBOT = "/remote/hospital/rounds/robot3"
 SECRET = "four random words here"
 
 
@@ -225,6 +230,55 @@ def test_a_row_is_found_also_after_its_end(office: Office) -> None:
     assert find_row(store, "hospital") == held
 
 
+def entries_of(office: Office) -> frozenset[bytes]:
+    return open_list(office.home.revocation_list(), office.home.own_key()).entries
+
+
+def test_a_key_of_another_domain_is_revoked_by_its_certificate(office: Office) -> None:
+    office.service.accept_domain(office.hospital)
+    lost, kept = (SomeNode(office.site, "/rounds/robot3") for _ in range(2))
+    _, count = office.service.revoke_foreigner(ROBOT, "lost", to_pem(lost.leaf))
+    assert (count, entries_of(office)) == (1, frozenset({lost.identity.thumbprint}))
+    assert office.service.has_revoked
+    store = office.service.unlock().store
+    store.domains.add_certificate(office.site.anchor.thumbprint, kept.identity, NOW)
+    office.service.remove_domain("hospital", "", revoke_grants=False)
+    _, count = office.service.revoke_foreigner(ROBOT, "too")
+    assert (count, len(entries_of(office))) == (1, 2)
+    store.log.audit(office.home.own_key())
+
+
+def test_a_certificate_that_proves_nothing_revokes_nothing(office: Office) -> None:
+    stranger = SomeNode(Site.create("hospital.example"), "/rounds/robot3")
+    with pytest.raises(DomainUnknown):
+        office.service.revoke_foreigner(ROBOT, "", to_pem(stranger.leaf))
+    with pytest.raises(DomainUnknown):
+        office.service.revoke_foreigner(ROBOT, "")
+    office.service.accept_domain(office.hospital)
+    with pytest.raises(CertificateRefused):
+        office.service.revoke_foreigner(ROBOT, "", to_pem(stranger.leaf))
+    other = SomeNode(office.site, "/rounds/robot7")
+    with pytest.raises(ConfigurationError, match="that of hospital:/rounds/robot7"):
+        office.service.revoke_foreigner(ROBOT, "", to_pem(other.leaf))
+    assert not office.service.has_revoked
+
+
+def test_a_foreigner_that_is_revoked_here_is_cut(office: Office) -> None:
+    office.service.accept_domain(office.hospital)
+    robot = SomeNode(office.site, "/rounds/robot3")
+    anchors = Anchors(office.home.anchor())
+    anchors.update((office.home.domain_list() or (b"",))[0])
+    own = Revocations(office.home.own_key())
+    connections, reasons = table(Standing(anchors, own)), list[str]()
+    connections.accept(1, anchors.verify([robot.leaf], NOW), reasons.append)
+    connections.cut_ended(NOW)
+    assert reasons == []
+    office.service.revoke_foreigner(ROBOT, "lost", to_pem(robot.leaf))
+    own.update(office.home.revocation_list(), NOW)
+    connections.cut_ended(NOW)
+    assert reasons == ["the peer's identity is revoked"]
+
+
 def test_the_key_may_be_held_by_the_running_service(office: Office) -> None:
     with running_service(office.home) as running:
         with pytest.raises(AuthorityLocked):
@@ -232,7 +286,10 @@ def test_the_key_may_be_held_by_the_running_service(office: Office) -> None:
         running.operations.unlock(SECRET, 0, "a test")
         office.service.accept_domain(office.hospital)
         office.service.domain_card(("/**",))
+        robot = SomeNode(office.site, "/rounds/robot3")
+        office.service.revoke_foreigner(ROBOT, "lost", to_pem(robot.leaf))
         office.service.close()
+    assert entries_of(office) == {robot.identity.thumbprint}
     said = " ".join(running.audit)
     assert "signs a list of domains" in said
     assert "signs a card of its domain" in said

@@ -85,3 +85,25 @@ def test_without_trust_in_the_domain_nobody_is_known(store: Store, hospital: Sit
     record(store, hospital, SomeNode(hospital, "/rounds/robot3"))
     store.domains.end("hospital", "", NOW)
     assert list(foreign_nodes.subjects(store, NOW)) == []
+
+
+def test_the_recorded_keys_are_revoked_once(store: Store, hospital: Site) -> None:
+    root = hospital.anchor.thumbprint
+    with pytest.raises(ConfigurationError, match="no certificate of hospital:/rounds") as refused:
+        foreign_nodes.unrevoked_keys(store, root, ROBOT)
+    assert "--certificate" in refused.value.hint
+    keys = {record(store, hospital, SomeNode(hospital, "/rounds/robot3")) for _ in range(2)}
+    record(store, hospital, SomeNode(hospital, "/kitchen"))
+    assert foreign_nodes.unrevoked_keys(store, root, ROBOT) == keys
+    store.revoke(min(keys), "", NOW)
+    assert foreign_nodes.unrevoked_keys(store, root, ROBOT) == {max(keys)}
+    store.revoke(max(keys), "", NOW)
+    with pytest.raises(ConfigurationError, match="is revoked already") as refused:
+        foreign_nodes.unrevoked_keys(store, root, ROBOT)
+    assert "rossec ca publish" in refused.value.hint
+
+
+def test_only_an_alias_is_split() -> None:
+    assert foreign_nodes.split(ROBOT) == ("hospital", "/rounds/robot3")
+    with pytest.raises(ConfigurationError, match="a node of this domain"):
+        foreign_nodes.split("/rounds/robot3")

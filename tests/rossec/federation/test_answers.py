@@ -3,6 +3,7 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
+from rossec.federation import answers
 from rossec.federation.answers import MAX_PARTS, SiteCursor
 
 NODE = ["node", "/robot", "http://robot:1/"]
@@ -108,3 +109,11 @@ def test_an_answer_has_an_end() -> None:
         assert cursor.take(answer(more=True)) is None
     with pytest.raises(AnswerMalformed, match=f"more than {MAX_PARTS} parts"):
         cursor.take(answer(more=True))
+
+
+def test_the_facts_of_an_answer_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(answers, "MAX_GATHERED", 3)
+    cursor = SiteCursor()
+    assert cursor.take(answer(whole=True, more=True, added=[NODE, PUBLISHER])) is None
+    with pytest.raises(AnswerMalformed, match="more than 3 facts"):
+        cursor.take(answer(more=True, added=[TYPE], removed=[NODE]))

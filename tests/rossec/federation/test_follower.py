@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 from rossec.federation import states
+from rossec.federation.answers import SiteCursor
+from rossec.federation.follower import PACE
+from rossec.master.server import answers as server_answers
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -99,3 +102,40 @@ async def test_facts_travel_by_need(tmp_path: Path) -> None:
         hall.want()
         await until(lambda: hall.imported("/arm/pose"), within=3)
         assert hall.state_of("kitchen")["error"] == ""
+
+
+async def test_a_site_that_answers_at_once_is_asked_in_measure(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    take = SiteCursor.take
+
+    def counted(cursor: SiteCursor, answer: object) -> object:
+        asked.append(asyncio.get_running_loop().time())
+        return take(cursor, answer)
+
+    monkeypatch.setattr(SiteCursor, "take", counted)
+    monkeypatch.setattr(server_answers, "WATCH_WAIT", 0.0)
+    hall, kitchen = pair
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: len(asked) > 10)
+    assert asked[10] - asked[1] >= 8 * PACE
+
+
+async def test_an_error_of_another_kind_does_not_end_it(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    take = SiteCursor.take
+    failures = iter([ValueError("first"), RecursionError("second")])
+
+    def taken(cursor: SiteCursor, answer: object) -> object:
+        for error in failures:
+            raise error
+        return take(cursor, answer)
+
+    monkeypatch.setattr(SiteCursor, "take", taken)
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose"))
+    assert "following site kitchen failed" in caplog.text

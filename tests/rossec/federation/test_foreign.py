@@ -133,4 +133,12 @@ async def test_the_own_domain_is_not_taken_for_a_foreign_one(pair: list[Master])
     here, there = pair
     here.follow(SiteSettings("kitchen", there.server.uri, "/master/kitchen"))
     await until(lambda: here.state_of("kitchen")["error"])
-    assert "/remote/h/master answers at" in here.state_of("kitchen")["error"]
+    assert "h:/master answers at" in here.state_of("kitchen")["error"]
+
+
+async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Master]) -> None:
+    here, there = pair
+    there.take_domains(domain_list(there.site, "/master", seq=3))
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["error"])
+    assert "does h trust this domain?" in here.state_of("h")["hint"]

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from rossec.federation.follower import FollowedSite
 from rossec.federation.settings import SiteSettings
 from rossec.federation.site_file import FILE, SiteFile
 from tests.support.masters import Master, masters
@@ -62,3 +63,22 @@ async def test_a_master_does_not_follow_itself(pair: list[Master]) -> None:
     await until(lambda: hall.mesh.status()["problems"])
     assert "/master is this master itself" in hall.mesh.status()["problems"]["site hall"]
     assert hall.mesh.status()["sites"] == []
+
+
+async def test_a_round_that_fails_is_not_the_last(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    hall, kitchen = pair
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.state_of("kitchen")["state"] == "following")
+    failures = iter([RuntimeError("once")])
+
+    def tick(_site: FollowedSite) -> None:
+        for error in failures:
+            raise error
+
+    monkeypatch.setattr(FollowedSite, "tick", tick)
+    await until(lambda: "a round failed" in caplog.text)
+    site = kitchen.as_site("kitchen2")
+    SiteFile(hall.home.path).change(lambda sites: sites.update(kitchen2=site))
+    await until(lambda: "one master" in str(hall.mesh.status()["problems"]))
