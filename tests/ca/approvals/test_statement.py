@@ -22,7 +22,7 @@ from ca.approvals.statement import (
     RevokeMaster,
     Statement,
 )
-from ca.encoding import decode, encode
+from ca.encoding import Value, decode, encode
 from ca.errors import StatementRefused
 from tests.support.approving import NOW, WHATS, state
 
@@ -65,7 +65,10 @@ def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
     assert isinstance(head, list)
     assert head[-1] == ["stolen"]
     assert Statement.from_bytes(first).what == RevokeMaster("stolen", "/master")
-    for fields in (["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], []):
+    others: tuple[list[Value], ...] = (
+        ["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [],
+    )  # fmt: skip
+    for fields in others:
         with pytest.raises(StatementRefused):
             Statement.from_bytes(encode([*head[:-1], fields]))
 

@@ -145,9 +145,9 @@ def test_another_master_is_revoked_alone(acts: Acts) -> None:
     with acts.store() as store:
         assert store.unrevoked_keys(MASTER, acts.now)
         assert not store.unrevoked_keys(KITCHEN, acts.now)
-    for name in ("/robot", f"{KITCHEN}/x", 7):
+    for other in ("/robot", f"{KITCHEN}/x", 7):
         with pytest.raises(KeyServiceRefused, match="arguments"):
-            acts.prepare("revoke-master", "x", name)
+            acts.prepare("revoke-master", "x", other)
 
 
 def test_an_intermediate_revokes_no_master(acts: Acts) -> None:
