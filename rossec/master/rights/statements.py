@@ -88,8 +88,9 @@ class TrustState(ListInForce):
             Revoked: the key is revoked, or that of the intermediate that issued its certificate.
             CAError: of a foreigner, as `DomainTrust.check_connected`.
         """
-        keys = self._identity_keys[peer.thumbprint] = peer.keys
-        if self._is_revoked(keys):
+        if not peer.certified:  # else a twin with the same key would take the place of an own node
+            self._identity_keys[peer.thumbprint] = peer.keys
+        if self._is_revoked(peer.keys):
             raise Revoked(
                 f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key"
             )
@@ -125,13 +126,18 @@ class TrustState(ListInForce):
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """A name and key seen before, with its rights now; None: the key is revoked."""
+        if is_alias(peer.name):
+            return self._foreigner_of(peer, now)
         if self._is_revoked(self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))):
             return None
-        if not is_alias(peer.name):
-            return self._caller(peer, now, self._judge)
+        return self._caller(peer, now, self._judge)
+
+    def _foreigner_of(self, peer: Peer, now: int) -> Caller | None:
         foreigner = self._foreigners.get((peer.name, peer.thumbprint))
+        if foreigner is None or self._is_revoked(foreigner.keys):
+            return None
         try:
-            return None if foreigner is None else self._foreign_caller(foreigner, now)
+            return self._foreign_caller(foreigner, now)
         except CAError:
             return None
 
