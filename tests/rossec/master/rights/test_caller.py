@@ -10,7 +10,7 @@ from ca.errors import HintedError, NotAdmitted
 from grants.errors import GrantMissing
 from grants.model import Permission, Right
 from grants.reach import Reach
-from rossec.master.rights.caller import OWN_DOMAIN, Caller, OriginRights, Refused, display
+from rossec.master.rights.caller import OWN_DOMAIN, Caller, OriginRights, Refused
 from tests.rossec.master.fakes import ALL, caller, refuse
 
 POSE = "/remote/hospital/robot/pose"
@@ -190,14 +190,6 @@ def test_patterns_of_all_domains_count_for_the_cost_of_a_query() -> None:
     many = {f"/a{number}/*/x": Right.SUBSCRIBE for number in range(64)}
     assert visitor_of(many).patterns(Right.SUBSCRIBE) == 64
     assert visitor_of(many).names_per_yield < visitor_of().names_per_yield
-
-
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [(POSE, "hospital:/robot/pose"), ("/a", "/a"), ("/remote", "/remote"), ("", "")],
-)
-def test_display(name: str, shown: str) -> None:
-    assert display(name) == shown
 
 
 def test_a_refusal_says_what_the_label_means_to_own_nodes_alone() -> None:
