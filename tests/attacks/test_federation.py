@@ -131,5 +131,5 @@ async def test_a_robot_at_the_masters_address_is_not_followed(mesh: Mesh) -> Non
     facts = [["node", "/rounds/x", "http://10.98.0.9:4242/"]]
     mesh.domains["hospital"].enroll("/rounds/robot5")
     async with lying(mesh, "/rounds/robot5", facts=facts):
-        await said(mesh, "hospital/rounds/robot5 answers at")
+        await said(mesh, "hospital:/rounds/robot5 answers at")
         assert await names(mesh) == [POSE]
