@@ -11,16 +11,17 @@ import contextlib
 import logging
 import time
 from collections.abc import AsyncIterator, Callable, Generator, Iterable
+from functools import partial
 from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import split_alias
 from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, SiteRefused
+from rossec.errors import AnswerRefused, GraphHidden, IdentityRefused, ImportRefused, SiteRefused
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
-from rossec.federation.foreign import MAX_PRESENTED, ForeignLists
+from rossec.federation.foreign import LONGEST_FOREIGN, MAX_PRESENTED, ForeignLists
 from rossec.federation.mirroring import Mirroring
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
@@ -34,7 +35,6 @@ from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
 PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
-LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -80,13 +80,13 @@ class FollowedSite:
             try:
                 await self._follow()
             except (SiteRefused, IdentityRefused) as error:
-                self._failed(Event.REFUSED, error)
+                self._report(Event.REFUSED, error)
             except Failures as error:
-                self._failed(Event.FAILED, error)
+                self._report(Event.FAILED, error)
             except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
                 _log.exception("following site %s failed", self.settings.label)
-                self._failed(Event.FAILED, error)
-            if self.state.phase is not Phase.FOLLOWING:
+                self._report(Event.FAILED, error)
+            if self.state.phase not in (Phase.FOLLOWING, Phase.LISTENING):
                 await self._pause()
 
     def tick(self) -> None:
@@ -153,26 +153,37 @@ class FollowedSite:
         }
 
     async def _follow(self) -> None:
-        """Follow on one connection, until local nodes want more than it is asked for."""
+        """Follow on one connection, until it is to be asked for more."""
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connection() as (client, peer):
             self._take(Event.CONNECTED)
             if not was_followed:
                 await self._greet(client, peer)
-            while True:
-                await self._pace()
-                demand = self._own.state.imports.demand.version
-                asking = asyncio.ensure_future(self._next_change(client))
-                try:
-                    if not await self._is_answered(asking, peer, demand):
-                        return
-                    change = asking.result()
-                finally:
-                    asking.cancel()
-                await self._take_over(change)
-                self._own.state.imports.settle(self.settings.label, demand)
-                await self._exchange(client, peer, change)
-                await self._mirror(client)
+            try:
+                await self._poll(client, peer)
+            except GraphHidden as error:
+                if self._foreign is None or self._foreign.may_see(peer.certified_name):
+                    raise SiteRefused(str(error), error.hint) from error  # tried again
+                self._report(Event.HIDDEN, error)
+                check = partial(self._check_trust, peer)
+                await self._foreign.listen(client, peer, self._lists_changed, check)
+
+    async def _poll(self, client: RpcClient, peer: Identity) -> None:
+        """Take over what it answers, until local nodes want more."""
+        while True:
+            await self._pace()
+            demand = self._own.state.imports.demand.version
+            asking = asyncio.ensure_future(self._next_change(client))
+            try:
+                if not await self._is_answered(asking, peer, demand):
+                    return
+                change = asking.result()
+            finally:
+                asking.cancel()
+            await self._take_over(change)
+            self._own.state.imports.settle(self.settings.label, demand)
+            await self._exchange(client, peer, change)
+            await self._mirror(client)
 
     async def _pace(self) -> None:
         """Let a moment pass between two questions, whatever the site or local nodes do."""
@@ -265,7 +276,7 @@ class FollowedSite:
             try:
                 answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])
             except AnswerRefused as error:
-                raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
+                raise GraphHidden(f"{self.settings.label} refuses: {error}", error.hint) from error
             change = self._cursor.take(answer)
             if change is not None:
                 return change
@@ -284,11 +295,11 @@ class FollowedSite:
         self._take(Event.ANSWERED)
         self.error = ""
 
-    def _failed(self, event: Event, error: BaseException) -> None:
+    def _report(self, event: Event, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
         if text != self.error:
             _log.warning("site %s: %s", self.settings.label, text)
-        if event is Event.REFUSED and text != self.error:
+        if event is not Event.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
         self.error = text
         self._take(event)

@@ -7,7 +7,7 @@ import pytest
 
 from ca.domains.lists import ForeignDomain, NameRights
 from grants.model import Right
-from rossec.federation import mirroring
+from rossec.federation import foreign, mirroring
 from rossec.federation.settings import SiteSettings
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
@@ -28,6 +28,13 @@ def take(pair: list[Master], seq: int, *taken: NameRights) -> None:
     here, there = pair
     listed = [trusting(there.site, "h", *taken)]
     here.take_domains(domain_list(here.site, "/master", foreign=listed, seq=seq))
+
+
+def install_graph(to: Master, of: Master) -> None:
+    """A grant with which one master may see the graph of the other."""
+    key = to.site.identity("/master").thumbprint
+    data = of.site.grant("/robot", Right.GRAPH, "/master", holder=key)
+    to.home.add_grant(data[-16:], data)
 
 
 @pytest.fixture
@@ -127,6 +134,38 @@ async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]
     await until(lambda: not here.imported("/remote/h/rounds/pose"), within=3)
     await until(lambda: here.mesh.status()["problems"])
     assert "h is not a domain that is trusted" in str(here.mesh.status()["problems"])
+
+
+async def test_a_master_that_shows_nothing_is_asked_once_and_heard(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(foreign, "LONGEST_FOREIGN", 0.2)
+    here, there = pair
+    await here.register("/rounds/robot3", "/rounds/pose", 4711)
+    there.want()
+    await until(lambda: there.state_of("h1")["state"] == "listening")
+    assert "needs the right graph" in there.state_of("h1")["error"]
+    key = here.site.identity("/rounds/robot3").thumbprint
+    here.take_list(here.site.revoke(key))
+    revoked = there.server.state.trust.domains.standing.revoked
+    await until(lambda: key in revoked("home"), within=3)
+    assert there.state_of("h1")["state"] == "listening"
+    for name in ("rossec.federation", "rossec.audit", "rossec.audit.denials"):
+        assert [each.name for each in caplog.records].count(name) == 1, name
+    here.follow(
+        there.as_site("h", "h")
+    )  # before it knows what the hospital revokes no grant counts
+    await until(lambda: here.state_of("h")["state"] == "following")
+    install_graph(there, here)
+    await until(lambda: there.state_of("h1")["state"] == "following")
+    assert there.state_of("h1")["error"] == ""
+
+
+async def test_listening_ends_with_the_trust(pair: list[Master]) -> None:
+    _, there = pair
+    await until(lambda: there.state_of("h1")["state"] == "listening")
+    there.take_domains(domain_list(there.site, "/master", seq=3))
+    await until(lambda: there.mesh.status()["problems"])
 
 
 async def test_the_own_domain_is_not_taken_for_a_foreign_one(pair: list[Master]) -> None:
