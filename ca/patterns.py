@@ -7,11 +7,14 @@ names must be resolved by the caller, or they are refused. Names are ASCII: homo
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Final
 
 from ca.errors import NameRefused, PatternRefused
 from ca.names import check_name
 
 _WILDCARDS = ("*", "**")
+_HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
+_HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
 
 
 def check_pattern(text: str) -> str:
@@ -24,10 +27,8 @@ def check_pattern(text: str) -> str:
     try:
         check_name("/".join(segments))
     except NameRefused as error:
-        raise PatternRefused(
-            f"not a name pattern: {error}",
-            "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**",
-        ) from None
+        hint = _HINT_LABEL if ":/" in text else _HINT
+        raise PatternRefused(f"not a name pattern: {error}", hint) from None
     return text
 
 

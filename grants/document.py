@@ -104,7 +104,9 @@ def _body(data: bytes) -> bytes:
     try:
         return GRANT.peek_body(data)
     except (SignatureError, EncodingError) as error:
-        raise GrantMalformed(f"not a grant: {error}") from None
+        raise GrantMalformed(
+            f"not a grant: {error}", "give a file that `rossec grant` wrote"
+        ) from None
 
 
 def _id(body: bytes) -> bytes:

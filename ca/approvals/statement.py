@@ -13,6 +13,7 @@ from typing import Final, NamedTuple, Self, TypeAlias
 
 from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, StatementRefused
+from ca.names import MASTER, is_master_name
 
 VERSION: Final = "rossec-approval-v1"
 LIFETIME: Final = 300  # seconds that a person has
@@ -109,9 +110,10 @@ class ForeignDomain(NamedTuple):
 
 
 class RevokeMaster(NamedTuple):
-    """The revocation of the master's keys, which ends all that needs a master."""
+    """The revocation of a master's keys, which ends all that needs this master."""
 
     reason: str
+    master: str = MASTER
 
 
 What: TypeAlias = (
@@ -151,15 +153,22 @@ def _is_credential(value: object) -> bool:
     return isinstance(value, bytes) and 0 < len(value) <= MAX_CREDENTIAL
 
 
+def _is_master(value: object) -> bool:
+    return isinstance(value, str) and is_master_name(value)
+
+
 class _Form(NamedTuple):
     """The form of a kind: its fields' checks, which field names what it is about, and which
     is the digest of a payload.
+
+    A last field that equals `default` is left out, as before there was one.
     """
 
     build: Callable[..., What]
     fields: tuple[Callable[[object], bool], ...]
     subject: int | None = None
     payload: int | None = None
+    default: str | None = None
 
 
 _FORMS: Final[Mapping[Kind, _Form]] = {
@@ -173,7 +182,7 @@ _FORMS: Final[Mapping[Kind, _Form]] = {
     Kind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),
     Kind.INVITATION: _Form(Invitation, (_is_name, _is_number, _is_number, _is_flag)),
     Kind.FOREIGN_DOMAIN: _Form(ForeignDomain, (_is_digest,), 0),
-    Kind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text,)),
+    Kind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text, _is_master), default=MASTER),
 }
 
 
@@ -198,7 +207,7 @@ class Statement(NamedTuple):
         _check(self)
         log: Value = [self.log_size, self.log_root]
         head: list[Value] = [VERSION, int(self.kind), self.id, self.domain, self.made, self.until]
-        return encode([*head, log, list(self.what)])
+        return encode([*head, log, _fields(self.kind, self.what)])
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -261,9 +270,16 @@ def _kind(number: int) -> Kind:
 
 def _what(kind: Kind, fields: list[Value]) -> What:
     form = _FORMS[kind]
-    if len(fields) != len(form.fields):
+    if form.default is not None and len(fields) == len(form.fields) - 1:
+        fields = [*fields, form.default]
+    elif len(fields) != len(form.fields) or (fields and fields[-1] == form.default):
         raise StatementRefused(f"a statement of kind {kind} with {len(fields)} fields", _HINT)
     return form.build(*fields)
+
+
+def _fields(kind: Kind, what: What) -> list[Value]:
+    fields: list[Value] = list(what)
+    return fields[:-1] if fields[-1] == _FORMS[kind].default else fields
 
 
 def _check(statement: Statement) -> None:

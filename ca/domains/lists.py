@@ -196,7 +196,9 @@ def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
 def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:
     for each in domains.domains:
         if each.domain == own_domain:
-            raise DomainsRefused("the list of foreign domains names the own one")
+            raise DomainsRefused(
+                "the list of foreign domains names the own one", "rossec domain list"
+            )
         if to_coordinates(each.anchor.public_key) == own_key:
             raise DomainsRefused(f"the root of {each.domain} is this authority's own key")
 

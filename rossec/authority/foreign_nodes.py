@@ -55,7 +55,10 @@ def holder(store: Store, alias: str, now: int) -> bytes:
 
     Raises:
         ConfigurationError: there is none that is valid.
+        DomainUnknown: no trusted domain has the label.
     """
+    if found := split_alias(alias):
+        store.domains.get(found[0])
     for subject in subjects(store, now):
         if subject.name == alias:
             return subject.key

@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Final, NamedTuple, Protocol
 
 from ca.encoding import Value
-from ca.names import check_name, check_wildcard
+from ca.names import check_name, check_wildcard, is_master_name
 from ca.patterns import check_pattern
 from ca.requests import MAX_REQUEST
 from rossec import clock
@@ -181,8 +181,11 @@ async def _invitation(_: Sources, form: Form) -> Act:
 
 
 async def _revoke_master(_: Sources, form: Form) -> Act:
-    check_typed(form, "/master")
-    return Act("revoke-master", [reason(form)], "/revoked/0/0?node=/master")
+    master = form["master"]
+    if not is_master_name(master):
+        raise FormRefused("this is no master", _RELOAD)
+    check_typed(form, master)
+    return Act("revoke-master", [reason(form), master], f"/revoked/0/0?node={master}")
 
 
 READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
@@ -205,7 +208,7 @@ READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
         ),
         _invitation,
     ),
-    "revoke-master": ((frozenset({"reason", "name"}),), _revoke_master),
+    "revoke-master": ((frozenset({"reason", "name", "master"}),), _revoke_master),
 }  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
+from ca.domains.aliases import shown
 from grants.model import FilterRule, Restriction, Right, Scalar
 from rossec.ros.text import printable
 
@@ -33,8 +34,8 @@ _UNITS: Final = ((YEAR, "year"), (DAY, "day"), (HOUR, "hour"), (MINUTE, "minute"
 
 
 def name(text: object) -> str:
-    """A name of a node or a topic, on one line and bounded."""
-    return printable(text, MAX_NAME)
+    """A name of a node or a topic, on one line and bounded; an alias as `hospital:/robot/pose`."""
+    return printable(shown(text) if isinstance(text, str) else text, MAX_NAME)
 
 
 def count(number: int, what: str) -> str:

@@ -16,12 +16,19 @@ from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import split_alias
+from ca.domains.aliases import shown, split_alias
 from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import AnswerRefused, GraphHidden, IdentityRefused, ImportRefused, SiteRefused
+from rossec.errors import (
+    AnswerRefused,
+    GraphHidden,
+    IdentityRefused,
+    ImportRefused,
+    PeerRefused,
+    SiteRefused,
+)
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
-from rossec.federation.foreign import LONGEST_FOREIGN, MAX_PRESENTED, ForeignLists
+from rossec.federation.foreign import LONGEST_FOREIGN, ForeignLists
 from rossec.federation.mirroring import Mirroring
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
@@ -29,7 +36,6 @@ from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phas
 from rossec.master.state.import_events import ImportEvent
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
-from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
@@ -53,6 +59,7 @@ class FollowedSite:
     Attributes:
         state: where it is.
         error: why it is not followed now; empty: it is.
+        hint: what may be done about it, or empty.
     """
 
     def __init__(
@@ -63,7 +70,7 @@ class FollowedSite:
     ) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
-        self.error = ""
+        self.error = self.hint = ""
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()
@@ -114,8 +121,7 @@ class FollowedSite:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
             async with self.connection() as (client, peer):
-                await exchange.settle_revocations(client, self._own, peer)
-                await exchange.settle_domains(client, self._own, peer)
+                await exchange.settle(client, self._own, peer)
 
     @contextlib.asynccontextmanager
     async def connection(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
@@ -148,6 +154,7 @@ class FollowedSite:
             "version": self._cursor.version,
             "lost_s": None if lost is None else round(time.monotonic() - lost, 1),
             "error": self.error,
+            "hint": self.hint,
             "parameters": list(settings.parameters),
             "mirrored": self._mirroring.mirrored,
         }
@@ -224,7 +231,7 @@ class FollowedSite:
         if (label, name) != (expected.domain, expected.master):
             stream.abort("not the master that is followed")
             raise SiteRefused(
-                f"{peer.name} answers at {expected.uri}, not {expected.master}"
+                f"{shown(peer.name)} answers at {expected.uri}, not {expected.master}"
                 + (f" of {expected.domain}" if expected.domain else ""),
                 "check the address: rossec federation list",
             )
@@ -236,13 +243,13 @@ class FollowedSite:
         except RevocationsStale:  # of its domain: it is asked for them
             return
         except CAError as error:
-            raise SiteRefused(f"{peer.name}: {error}", error.hint) from error
+            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
 
     async def _mirror(self, client: RpcClient) -> None:
         try:
             await self._mirroring.keep(client)
         except (AnswerRefused, ImportRefused) as error:
-            self.error = printable(str(error))
+            self.error, self.hint = printable(str(error)), printable(error.hint)
 
     async def _greet(self, client: RpcClient, peer: Identity) -> None:
         """Settle the lists, and show what a foreign master wants to see."""
@@ -250,23 +257,14 @@ class FollowedSite:
             await self._foreign.greet(client, peer)
         else:
             if self.settings.parameters:
-                await self._present_own(client)
-            await exchange.settle_revocations(client, self._own, peer)
-            await exchange.settle_domains(client, self._own, peer)
-
-    async def _present_own(self, client: RpcClient) -> None:
-        """Show the grants of the own domain: a master needs `param-get` as any node does."""
-        if tokens := list(self._own.grants())[:MAX_PRESENTED]:
-            await client.ask(PRESENT_GRANTS, self._own.name, tokens)
+                await exchange.present_own(client, self._own)
+            await exchange.settle(client, self._own, peer)
 
     async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
         if self._foreign is not None:
             await self._foreign.keep_fresh(client, peer, change.revocations)
             return
-        if change.revocations != exchange.held_revocations(self._own):
-            await exchange.settle_revocations(client, self._own, peer)
-        if change.domains != self._own.state.trust.domains.digest():
-            await exchange.settle_domains(client, self._own, peer)
+        await exchange.settle(client, self._own, peer, change)
 
     async def _next_change(self, client: RpcClient) -> SiteChange:
         """The next complete answer."""
@@ -293,7 +291,7 @@ class FollowedSite:
         if self.state.phase is not Phase.FOLLOWING:
             _audit.info("site %s is followed", self.settings.label)
         self._take(Event.ANSWERED)
-        self.error = ""
+        self.error = self.hint = ""
 
     def _report(self, event: Event, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
@@ -301,8 +299,14 @@ class FollowedSite:
             _log.warning("site %s: %s", self.settings.label, text)
         if event is not Event.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
-        self.error = text
+        self.error, self.hint = text, printable(self._advice(error))
         self._take(event)
+
+    def _advice(self, error: BaseException) -> str:
+        """The hint of a failure; a stranger is not told why it is refused, but can guess."""
+        if isinstance(error, PeerRefused) and self._foreign is not None:
+            return f"does {self.settings.domain} trust this domain? there: rossec domain list"
+        return error.hint if isinstance(error, HintedError) else ""
 
     def _take(self, event: Event) -> None:
         label = self.settings.label

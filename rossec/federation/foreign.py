@@ -24,6 +24,7 @@ from rossec.ros.names import PRESENT_GRANTS
 
 LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 EVERY: Final = 10.0  # seconds between two words of a foreign master
+APART: Final = 1.0  # seconds between two lists: each is sent to every own node, which saves it
 MAX_PRESENTED: Final = 64
 _PROOFS_AT_ONCE: Final = 64
 
@@ -39,7 +40,7 @@ class ForeignLists:
     def __init__(self, own: OwnMaster, label: str) -> None:
         self._own = own
         self._label = label
-        self._asked_at = 0.0
+        self._asked_at = self._changed_at = 0.0
 
     async def greet(self, client: RpcClient, peer: Identity) -> None:
         """The first word, then the grants of that domain that this master holds.
@@ -79,7 +80,11 @@ class ForeignLists:
     async def keep_fresh(self, client: RpcClient, peer: Identity, theirs: bytes) -> None:
         """Fetch where the digest `theirs` is another, or the last word is old; raises likewise."""
         held = self._own.state.trust.domains.word(self._listed().entry.domain)
-        if theirs != held.digest() or time.monotonic() - self._asked_at >= EVERY:
+        if theirs != held.digest():
+            await asyncio.sleep(self._changed_at + APART - time.monotonic())
+            self._changed_at = time.monotonic()
+            await self.fetch(client, peer)
+        elif time.monotonic() - self._asked_at >= EVERY:
             await self.fetch(client, peer)
 
     async def fetch(self, client: RpcClient, peer: Identity) -> None:

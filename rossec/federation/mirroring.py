@@ -8,7 +8,6 @@ its origin only. The other master decides by grants what may be read (`param-get
 import time
 from typing import Any, Final
 
-from ca.errors import NameRefused
 from ca.patterns import covers
 from grants.model import Right
 from rossec.errors import AnswerMalformed, AnswerRefused
@@ -80,10 +79,7 @@ class Mirroring:
         return sorted(names)
 
     def _is_wanted(self, name: str) -> bool:
-        try:
-            wanted = any(covers(pattern, name) for pattern in self._settings.parameters)
-        except NameRefused:  # a parameter may have a name that no pattern covers
-            return False
+        wanted = any(covers(pattern, name) for pattern in self._settings.parameters)
         return wanted and self._is_taken(name)
 
     def _is_taken(self, name: str) -> bool:

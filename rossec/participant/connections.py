@@ -121,6 +121,11 @@ def _check_label(decision: Decision, standing: Standing) -> None:
         raise NotAdmitted(f"{found[0]} is no longer the domain it was")
 
 
+def _source(peer: Identity) -> bytes | str:
+    """What a limit on connections is for: the key, of a foreigner the domain."""
+    return f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint
+
+
 class _Accepted(NamedTuple):
     """A connection that a peer made, authorized or not; a plain peer is an address."""
 
@@ -187,10 +192,12 @@ class ConnectionTable(Generic[StreamT]):
     ) -> None:
         """Count a connection of `peer` until `forget` is called with the same key.
 
+        A foreign authority certifies any number of keys, so its domain counts as one peer.
+
         Raises:
             LimitExceeded: it has too many already.
         """
-        source, name = (peer, peer) if isinstance(peer, str) else (peer.thumbprint, peer.name)
+        source, name = (peer, peer) if isinstance(peer, str) else (_source(peer), peer.name)
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited and sum(other.source == source for other in self._accepted.values()) >= most:

@@ -273,11 +273,12 @@ def test_a_session_alone_takes_away_and_gives_nothing(acts: Acts) -> None:
     with acts.store() as store:
         before = len(store.identities.all()), len(store.passkeys.active())
     assert acts.removals.revoke_node("/lamp", "thief") != [0, 0]
-    with pytest.raises(KeyServiceRefused, match="a phone has to approve"):
-        acts.removals.revoke_node(MASTER, "thief")
+    for master in (MASTER, f"{MASTER}/kitchen"):
+        with pytest.raises(KeyServiceRefused, match="a phone has to approve"):
+            acts.removals.revoke_node(master, "thief")
     for kind, *arguments in (
         ("invitation", "/thief/*", 10, 3600, True), ("delegate", 86400, 3600),
-        ("revoke-master", "thief"),
+        ("revoke-master", "thief", MASTER),
     ):  # fmt: skip
         prepared = acts.prepare(str(kind), *arguments)
         with pytest.raises(PasskeyUnknown):

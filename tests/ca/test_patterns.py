@@ -152,3 +152,9 @@ def test_an_invalid_pattern_covers_no_namespace() -> None:
     for compare in (covers_below, touches):
         with pytest.raises(PatternRefused):
             compare("/a*", "/a")
+
+
+def test_a_pattern_has_no_label() -> None:
+    with pytest.raises(PatternRefused) as caught:
+        check_pattern("hospital:/robot/**")
+    assert "have no label" in caught.value.hint

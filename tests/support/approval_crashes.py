@@ -74,7 +74,7 @@ def prepare(root: Path) -> tuple[Acts, dict[str, Arguments]]:
         "policy": (sha256(CHANGED.encode()).digest(),),
         "delegate": (DAY, 3600),
         "invitation": ("/lamps/*", 3, 3600, False),
-        "revoke-master": ("stolen",),
+        "revoke-master": ("stolen", "/master"),
     }
 
 

@@ -26,7 +26,7 @@ PREPARED: Final[Mapping[str, tuple[type, ...]]] = {
     "intermediate": (bytes, bool, int),  # csr, may enroll, lifetime
     "passkey": (bytes,),  # proposal
     "invitation": (str, int, int, bool),  # pattern, uses, seconds, anonymous
-    "revoke-master": (str,),  # reason
+    "revoke-master": (str, str),  # reason, which master
 }
 
 OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
@@ -50,7 +50,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "deny-request": (bytes, str),  # id, reason: nothing
     "deny-question": (bytes, str),  # id, reason: nothing
     "revoke-grant": (bytes, str),  # id, reason: [epoch, seq]
-    "revoke-node": (str, str),  # name, reason: [epoch, seq]; not /master
+    "revoke-node": (str, str),  # name, reason: [epoch, seq]; not of a master
     "end-invitation": (bytes, str),  # id, reason: nothing
     "remove-phone": (bytes, str),  # id, reason: nothing
     # approving

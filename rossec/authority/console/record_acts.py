@@ -14,6 +14,7 @@ from ca.approvals.assertion import Passkey
 from ca.approvals.registration import to_approve
 from ca.approvals.statement import Invitation, NewPasskey, RevokeMaster
 from ca.errors import PasskeyUnknown
+from ca.names import is_master_name
 from ca.store.record import Store
 from rossec import clock
 from rossec.authority.console.access import check_bound
@@ -24,7 +25,6 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
 from rossec.authority.service import AuthorityService
 from rossec.errors import ConfigurationError, KeyServiceRefused
-from rossec.ros.names import MASTER
 
 MAX_INVITATION: Final = 30 * 86400  # seconds
 MIN_INVITATION: Final = 60
@@ -126,25 +126,25 @@ class InvitationAct(Immediate):
 
 
 class RevokeMasterAct(Immediate):
-    """The end of the master: the reason."""
+    """The end of a master: the reason, and which."""
 
     def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
         """Find its keys."""
         match arguments:
-            case [str(reason)]:
+            case [str(reason), str(master)] if is_master_name(master):
                 pass
             case _:
                 raise KeyServiceRefused("these are not the arguments of a revocation", "")
         if service.home.is_intermediate:
             raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
         with closing(service.home.store()) as store:
-            keys_of(MASTER)(store, now)
-        return ToApprove(RevokeMaster(checked_reason(reason)))
+            keys_of(master)(store, now)
+        return ToApprove(RevokeMaster(checked_reason(reason), master))
 
     def admit(self, store: Store, approved: Approved, /) -> str | None:
         """Record it; the list is signed with the key, now or when it is unlocked."""
         what, at = approved.statement.what, approved.approval.at
         assert isinstance(what, RevokeMaster)  # noqa: S101 - of this kind
-        for entry in sorted(keys_of(MASTER)(store, at)):
+        for entry in sorted(keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
-        return f"{MASTER} is revoked"
+        return f"{what.master} is revoked"

@@ -13,7 +13,7 @@ from typing import Final
 from ca.approvals.statement import Kind
 from ca.encoding import Value
 from ca.errors import RequestClosed, StoreError
-from ca.names import check_name
+from ca.names import check_name, is_master_name
 from ca.store.approvals import ApprovalState
 from ca.store.record import Store
 from ca.store.rows import INTERMEDIATE
@@ -24,7 +24,6 @@ from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.requests import GrantRequestStore
 from rossec.authority.signing import OWN_NODE
 from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceRefused
-from rossec.ros.names import MASTER
 
 PURPOSE: Final = "a revocation at the console"
 MAX_REASON: Final = 256  # characters
@@ -105,7 +104,7 @@ class Removals:
         """Revoke every key of a node, or an intermediate; returns as `revoke_grant`.
 
         Raises:
-            KeyServiceRefused: it is the authority's own node, or the master.
+            KeyServiceRefused: it is the authority's own node, or a master.
             ConfigurationError: it has no valid identity.
         """
         if name == OWN_NODE:
@@ -113,9 +112,10 @@ class Removals:
                 f"{name} is the authority's own node, which tells the master what is revoked",
                 "if the authority was stolen, make a new one",
             )
-        if name == MASTER:
+        if is_master_name(name):
             raise KeyServiceRefused(
-                f"without {name} nothing works: a phone has to approve that", "approve it there"
+                f"without {name} its nodes find nothing: a phone has to approve that",
+                "approve it there",
             )
         return self._revoke(keys_of(name), reason)
 

@@ -4,6 +4,7 @@ from ca.approvals import statement as kinds
 from ca.approvals.statement import Statement
 from ca.encoding import decode
 from ca.errors import EncodingError
+from ca.names import MASTER
 from grants import claims
 from grants.errors import GrantError
 from grants.model import ID_SIZE
@@ -29,8 +30,9 @@ def sentence(statement: Statement, payload: bytes) -> str:
             text = f"phone {name}"
         case kinds.Invitation(pattern=pattern, uses=uses):
             text = f"join code for {uses} of {pattern}"
-        case kinds.RevokeMaster(reason=reason):
-            text = "revocation of the master" + f": {reason}" * bool(reason)
+        case kinds.RevokeMaster(reason=reason, master=master):
+            which = "the master" if master == MASTER else f"the master {master}"
+            text = f"revocation of {which}" + f": {reason}" * bool(reason)
         case _:
             text = "another domain"
     return printable(text)

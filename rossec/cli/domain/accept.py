@@ -10,6 +10,7 @@ from ca.domains.card_codes import check_code
 from ca.domains.cards import MAX_CARD, Card, open_card
 from ca.domains.lists import ForeignDomain
 from ca.errors import NameRefused
+from ca.store.domains import check_apart
 from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.service import AuthorityService
@@ -72,6 +73,7 @@ def accept(
         terms.read_rules(exported) if exported else None,
         terms.read_rules(imported) if imported else None,
     )  # fmt: skip
+    _check_apart(home, domain)
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
     listed = service.accept_domain(domain)
@@ -94,6 +96,17 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
         raise ConfigurationError(
             f"domain {domain} needs a name here", "for example: --as hospital"
         ) from None
+
+
+def _check_apart(home: AuthorityHome, domain: ForeignDomain) -> None:
+    """What would be refused when it is signed, before a person compares and answers."""
+    if domain.domain == home.domain:
+        raise ConfigurationError(
+            f"this is the card of {home.domain}, the own domain",
+            "accept the card that the other authority wrote",
+        )
+    for row in home.store().domains.accepted():
+        check_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
 
 
 def _check_fingerprint(card: Card, expected: str | None) -> None:
@@ -122,7 +135,7 @@ def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked:
 
 
 def _say_what_is_next(home: AuthorityHome, domain: ForeignDomain, card: Card) -> None:
-    note(f"this is one way: connections with {domain.label} fail there until it accepts you too")
+    note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
     note(f"  here: rossec domain card --out {home.domain}.card")
     note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
     for uri in card.masters[:1]:

@@ -40,7 +40,9 @@ def add(environment: Environment, uri: str, label: str, master: str, domain: str
     site = SiteSettings(label, uri, master, found)
     if not found and master == home.name:
         raise ConfigurationError(
-            f"{master} is the master of this host itself", "give the other one's name with --name"
+            f"{master} is the master of this host itself",
+            "another one of this domain has another name: --name /master/kitchen;"
+            " that of another domain is followed once that is trusted: rossec domain accept",
         )
 
     def put(sites: dict[str, SiteSettings]) -> None:
@@ -60,7 +62,10 @@ def add(environment: Environment, uri: str, label: str, master: str, domain: str
 @click.argument("label")
 @pass_environment
 def remove(environment: Environment, label: str) -> None:
-    """Follow LABEL no longer: its names go at once, and subscribers here leave its publishers."""
+    """Follow LABEL no longer: its names go at once.
+
+    Subscribers here leave its publishers.
+    """
 
     def take(sites: dict[str, SiteSettings]) -> None:
         _find(sites, label)

@@ -41,8 +41,13 @@ def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
 
 
 def _lines(answer: dict[str, Any]) -> list[str]:
-    sites = [_line(site) for site in answer["sites"]]
+    sites = [line for site in answer["sites"] for line in (_line(site), *_hint(site))]
     return [*sites, *(printable(f"{where}: {what}") for where, what in answer["problems"].items())]
+
+
+def _hint(site: dict[str, Any]) -> list[str]:
+    hint = str(site.get("hint", ""))  # a running master may be of an older version
+    return [printable(f"{'':<16} hint: {hint}")] if hint else []
 
 
 def _line(site: dict[str, Any]) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import click
 
+from ca.domains.aliases import shown
 from grants import document
 from grants.model import Grant
 from rossec.authority.service import AuthorityService
@@ -112,4 +113,4 @@ def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, o
 def _line(grant: Grant, state: str) -> str:
     rights = "; ".join(f"{item.rights.label} {item.pattern}" for item in grant.permissions)
     end = "" if state == "revoked" else f"until {format_time(grant.expires)}  "
-    return f"{grant.id.hex()}  {grant.subject}  {rights}  {end}{state}"
+    return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}{state}"

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Mapping
 
 import click
 
-from ca.domains.aliases import shown
+from ca.domains.aliases import display_name, shown
 from ca.errors import HintedError
+from ca.names import is_master_name
 from ca.renewal import signed_at
 from ca.revocation.state import Revocations, open_timestamp
 from grants.model import Grant
@@ -85,14 +86,27 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
         except HintedError as error:
             refused.append(error)
             continue
+        label = _label(home, grant)
         for permission in grant.links[-1].permissions:
             until = format_time(grant.expires)
-            yield f"may {permission.rights.label} {permission.pattern} until {until}"
-    if not held:
+            pattern = display_name(label, permission.pattern)
+            yield f"may {permission.rights.label} {pattern} until {until}"
+    if not held and is_master_name(home.name):
+        yield "no grants: within its own domain a master needs none"
+    elif not held:
         raise ConfigurationError("no grants: it may do nothing", f"rossec grant sign {home.name}")
     if refused:
         others = f" (and {len(refused) - 1} more)" if refused[1:] else ""
         raise ConfigurationError(f"{refused[0]}{others}", refused[0].hint)
+
+
+def _label(home: NodeHome, grant: Grant) -> str:
+    """What the domain of the grant is called here, empty for the own one."""
+    anchor = home.anchor()
+    listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
+    if listed is not None:
+        return listed.entry.label
+    return "" if grant.domain == anchor.domain else grant.domain
 
 
 def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
@@ -109,8 +123,11 @@ def _domains(environment: Environment, home: NodeHome) -> Iterator[str]:
 
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
-    own = settings.read((), environment.variables, default_name=home.name)
     variables = environment.variables
+    if home.name == own_master(variables):  # it would meet its own certificate
+        yield "the master of this host: rossec master status"
+        return
+    own = settings.read((), variables, default_name=home.name)
     yield asyncio.run(_ask_master(home, own, post_quantum(variables), own_master(variables)))
 
 

@@ -6,7 +6,7 @@ checked which the node can know: its form, its time and its key.
 
 from pathlib import Path
 
-from ca.domains.aliases import origin_of
+from ca.domains.aliases import origin_of, shown
 from grants.errors import GrantNotHeld
 from grants.model import Grant
 from grants.token import MAX_TOKEN, Verifier, peek
@@ -42,12 +42,12 @@ def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
     listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
     if grant.domain == anchor.domain or listed is not None:
         signer = anchor if listed is None else listed.anchor
-        return Verifier(signer.public_key, signer.domain, (), 0, _not_asked).open(token, now)
+        Verifier(signer.public_key, signer.domain, (), 0, _not_asked).open(token, now)
     check_time(grant, now)
     if grant.holder != home.identity(now).thumbprint:
         raise GrantNotHeld(
             f"grant {grant.short_id} is bound to another key than that of {home.name}",
-            f"it is for {grant.subject} of {grant.domain}",
+            f"the domain {grant.domain} gave it to {shown(grant.subject)}: install it there",
         )
     return grant
 

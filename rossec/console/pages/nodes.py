@@ -5,6 +5,7 @@ from typing import Final, NamedTuple
 from starlette.requests import Request
 from starlette.responses import Response
 
+from ca.names import is_master_name
 from rossec.console import overview, words
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url
@@ -19,7 +20,6 @@ MAX_ROWS: Final = 40
 MAX_GRANTS: Final = 30
 THINGS: Final = 6
 _ENTRIES: Final = 200
-MASTER: Final = "/master"  # revoking it needs a passkey
 
 
 class GrantLine(NamedTuple):
@@ -63,7 +63,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
         seen=seen[:MAX_ROWS], sent=sent[:MAX_ROWS], grants=grants[:MAX_GRANTS],
         more_seen=max(0, len(seen) - MAX_ROWS), more_sent=max(0, len(sent) - MAX_ROWS),
         more_grants=max(0, len(grants) - MAX_GRANTS), sentences=told[:THINGS],
-        is_master=name == MASTER, without_master=home.without_master,
+        is_master=is_master_name(name), without_master=home.without_master,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from urllib.parse import urlencode
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from ca.names import is_master_name
 from rossec.console import approving
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url, read_form, to_base64url
@@ -18,7 +19,6 @@ from rossec.console.rendering import render
 from rossec.console.routing import Page
 from rossec.console.sentences import permissions
 from rossec.errors import FormRefused, HttpRefused
-from rossec.ros.names import MASTER
 
 REFRESH: Final = 2  # seconds until the page looks again
 MAX_NUMBER: Final = 1 << 53
@@ -53,7 +53,7 @@ async def ask_node(request: Request, context: ConsoleContext) -> Response:
     name = await _node(context, f"/{request.path_params['name']}")
     return render(
         context, request, "revoke.html", node=name, what=(), asks_name=True,
-        is_master=name == MASTER,
+        is_master=is_master_name(name),
     )  # fmt: skip
 
 

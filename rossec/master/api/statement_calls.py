@@ -80,15 +80,19 @@ class StatementCalls:
             "rossec.trl": Method((arg.binary("query"),), b"", self._query),
         }
 
-    def _present(self, request: CallRequest) -> Reply:
-        tokens = binaries(request.arguments[1])
-        presented = self._statements.present(request.caller, tokens, request.now)
+    def _present(self, request: CallRequest) -> Steps:
+        """In turns: each token costs several signatures, and 64 KiB of CBOR before the first."""
+        tokens, reasons = binaries(request.arguments[1]), list[str]()
+        for token in tokens:
+            reasons += self._statements.present(request.caller, [token], request.now).refused
+            yield
+        presented = self._statements.present(request.caller, [], request.now)
         self._deposits.presented(request.caller.thumbprint, tokens)
-        refused = "; ".join(presented.refused)
+        refused = "; ".join(reasons)
         # No error even if all are refused: a node whose grants have expired keeps its session and
         # presents new ones in it.
         status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
-        event = GrantsPresented(request.caller.identity, presented.refused)
+        event = GrantsPresented(request.caller.identity, tuple(reasons))
         return Reply(presented.held, status, events=(event,))
 
     def _renew(self, request: CallRequest) -> Reply:

@@ -12,10 +12,10 @@ from enum import Enum
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias
+from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
 from grants.model import Right
-from rossec.master.rights.caller import AddressTaken, Caller, Refused, display
+from rossec.master.rights.caller import AddressTaken, Caller, Refused
 from rossec.master.state.addresses import endpoint, is_loopback_host, is_reachable_from_here
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
@@ -193,8 +193,8 @@ class AccessControl:
         A foreigner sees no visitors of other domains and no nodes of other sites.
         """
         if caller.is_foreign:
-            shown = caller.may_see(key)
-            return tuple(n for n in nodes if n == caller.name or (shown and not is_alias(n)))
+            is_seen = caller.may_see(key)
+            return tuple(n for n in nodes if n == caller.name or (is_seen and not is_alias(n)))
         if caller.may_see(key):
             return nodes
         return (caller.name,) if caller.name in nodes else ()
@@ -228,7 +228,7 @@ def require(caller: Caller, right: Right, name: str) -> None:
         caller.explain(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        needs = f"{caller.display_name} needs the right {right.label} on {display(name)}"
+        needs = f"{caller.display_name} needs the right {right.label} on {shown(name)}"
         raise Refused(f"{needs}: {error}{hint}", (right, name)) from error
 
 

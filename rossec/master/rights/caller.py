@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Protocol
 
 from ca import names
-from ca.domains.aliases import REMOTE, display_name, is_alias, origin_of, split_alias
-from ca.errors import NameRefused
+from ca.domains.aliases import REMOTE, is_alias, origin_of, shown, split_alias
+from ca.errors import HintedError, NameRefused, NotAdmitted
 from grants.errors import GrantMissing
 from grants.model import ALL_RIGHTS, Right
 from grants.reach import Reach
@@ -113,13 +113,13 @@ class Caller:
     @property
     def display_name(self) -> str:
         """The names, for people."""
-        shown = display(self.name)
-        return f"{shown} (certified as {self.certified})" if self.certified else shown
+        name = shown(self.name)
+        return f"{name} (certified as {self.certified})" if self.certified else name
 
     @property
     def identity(self) -> str:
         """The certified name, for people."""
-        return display(self.certified or self.name)
+        return shown(self.certified or self.name)
 
     @property
     def is_foreign(self) -> bool:
@@ -137,7 +137,7 @@ class Caller:
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
         if not names.covers(own, name, wildcard=self.wildcard):
             raise Refused(
-                f"this connection belongs to {display(self.name)}, it cannot act as another"
+                f"this connection belongs to {shown(self.name)}, it cannot act as another"
             )
         if name == own:
             return self
@@ -166,21 +166,42 @@ class Caller:
         origin = self._origin(right, name)
         if origin is not None:
             origin[0].authorize(right, origin[1])
-        raise GrantMissing(f"no grant for {right.label} on {display(name)}")
+        raise self._no_right_there(right, name)
+
+    def _no_right_there(self, right: Right, alias: str) -> HintedError:
+        """Why grants do not even come into question: nothing is called so, or none was presented.
+
+        Only a node of the own domain is told which labels there are.
+        """
+        missing = f"no grant for {right.label} on {shown(alias)}"
+        try:
+            found = None if self.is_foreign else split_alias(alias)
+        except NameRefused:
+            found = None
+        if found is None:
+            return GrantMissing(missing)
+        domain = self.domain_of(found[0])
+        if domain is None:
+            return NotAdmitted(
+                f"no domain is called {found[0]} here", "at the authority: rossec domain list"
+            )
+        if domain != OWN_DOMAIN and domain not in self.elsewhere:
+            return GrantMissing(f"{missing} by the authority of {domain}")
+        return GrantMissing(missing)
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
         """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
         if not is_alias(namespace):
-            shown = self.exported is None or self.exported.covers_below(right, namespace)
-            return shown and self.reach.covers_below(right, namespace)
+            exported = self.exported is None or self.exported.covers_below(right, namespace)
+            return exported and self.reach.covers_below(right, namespace)
         found = self._tree_origin(right, namespace)
         return found is not None and found[0].covers_below(right, found[1])
 
     def may_some_below(self, right: Right, namespace: str) -> bool:
         """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
         if not is_alias(namespace):
-            shown = self.exported is None or self.exported.touches(right, namespace)
-            return shown and self.reach.touches(right, namespace)
+            exported = self.exported is None or self.exported.touches(right, namespace)
+            return exported and self.reach.touches(right, namespace)
         found = self._tree_origin(right, namespace)
         return found is not None and found[0].touches(right, found[1])
 
@@ -250,12 +271,3 @@ class Caller:
         if domain == OWN_DOMAIN:
             return OriginRights(self.reach, self.authorize)
         return None if domain is None else self.elsewhere.get(domain)
-
-
-def display(name: str) -> str:
-    """A name for people: `hospital:/robot/pose` for an alias, else the name."""
-    try:
-        found = split_alias(name)
-    except NameRefused:
-        return name
-    return name if found is None else display_name(*found)

@@ -9,6 +9,7 @@ filtered query may take many turns, between which the tree may change.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from ca.domains.aliases import shown
 from grants.model import Right
 from rossec.master.rights.access_rules import ASK_OPERATOR
 from rossec.master.rights.caller import Caller, Refused
@@ -35,7 +36,7 @@ def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) 
     nearly cover it, or the size of the tree would reveal which parameters exist.
     """
     if not items or not has_right_on_all(caller, right, items):
-        needs = f"{caller.display_name} needs the right {right.label} on {key}"
+        needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
         raise Refused(
             f"{needs}: no grant covers it and all below it ({ASK_OPERATOR})", (right, key)
         )

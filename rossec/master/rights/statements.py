@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.domains.aliases import REMOTE, is_alias
+from ca.domains.aliases import REMOTE, is_alias, shown
 from ca.domains.anchors import Anchors
 from ca.domains.standing import Standing
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
@@ -24,7 +24,7 @@ from grants.model import Grant
 from grants.narrowing import check_one_domain
 from grants.token import Verifier, peek
 from rossec.master.rights.access_rules import is_authority
-from rossec.master.rights.caller import Caller, Peer, display
+from rossec.master.rights.caller import Caller, Peer
 from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.list_in_force import ListInForce
@@ -88,10 +88,12 @@ class TrustState(ListInForce):
             Revoked: the key is revoked, or that of the intermediate that issued its certificate.
             CAError: of a foreigner, as `DomainTrust.check_connected`.
         """
-        keys = self._identity_keys[peer.thumbprint] = peer.keys
-        if self._is_revoked(keys):
-            shown = display(peer.name)
-            raise Revoked(f"the key of {shown} is revoked", "enroll the node with a new key")
+        if not peer.certified:  # else a twin with the same key would take the place of an own node
+            self._identity_keys[peer.thumbprint] = peer.keys
+        if self._is_revoked(peer.keys):
+            raise Revoked(
+                f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key"
+            )
         if peer.certified:  # a foreigner
             return self._foreign_caller(peer, now)
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
@@ -124,13 +126,12 @@ class TrustState(ListInForce):
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """A name and key seen before, with its rights now; None: the key is revoked."""
-        if self._is_revoked(self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))):
-            return None
         if not is_alias(peer.name):
-            return self._caller(peer, now, self._judge)
+            keys = self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))
+            return None if self._is_revoked(keys) else self._caller(peer, now, self._judge)
         foreigner = self._foreigners.get((peer.name, peer.thumbprint))
         try:
-            return None if foreigner is None else self._foreign_caller(foreigner, now)
+            return None if foreigner is None else self.caller(foreigner, now)
         except CAError:
             return None
 

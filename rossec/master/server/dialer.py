@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from rossec.errors import CallerMismatch, RossecError
-from rossec.master.rights.caller import display
 from rossec.master.server.updates import CALL_DEADLINE
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureContext, WireProtocol, connect
@@ -54,7 +54,7 @@ class SlaveDialer:
         if not is_node(stream.peer, node):
             stream.abort("not the node that was registered")
             self._on_mismatch(node, stream.peer)
-            other, name = display(stream.peer.name), display(node.name)
+            other, name = shown(stream.peer.name), shown(node.name)
             raise CallerMismatch(f"{other} answers at the slave API of {name}")
         return RpcClient(stream)
 

@@ -13,7 +13,7 @@ from itertools import islice
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias
+from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
 from ca.revocation.state import digest
 from rossec.master.api.methods import (
@@ -32,7 +32,7 @@ from rossec.master.api.methods import (
 from rossec.master.api.turns import CallOutcome
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
-from rossec.master.rights.caller import Peer, display
+from rossec.master.rights.caller import Peer
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
@@ -154,7 +154,7 @@ class Effects:
         """
         self.updates.drop(node)
         if self._state.registry.is_current(node):
-            gone, other = display(node.name), display(found.name)
+            gone, other = shown(node.name), shown(found.name)
             _denials.warning("%s is removed: %s answers at %s", gone, other, node.uri)
             for event in self._state.registry.remove_node(node.name):
                 self.deliver(event)
@@ -251,7 +251,7 @@ class Effects:
             try:
                 self._state.trust.caller(stream.peer, now)
             except HintedError as error:
-                name = display(stream.peer.name)
+                name = shown(stream.peer.name)
                 _audit.warning("%s is disconnected: %s", name, printable(error))
                 self._state.streams.discard(stream)  # its handler ends in a later iteration
                 stream.abort(str(error))

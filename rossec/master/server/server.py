@@ -17,6 +17,7 @@ from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec.channel.edhoc.credentials import OwnCredential, Verify
 from rossec.channel.edhoc.known import KnownCertificates
@@ -31,7 +32,6 @@ from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.caller import display
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import CallAnswers
@@ -255,7 +255,7 @@ class MasterServer:
                 file.close()
 
     async def _handle(self, stream: SecureStream[Identity]) -> None:
-        state, name = self.state, display(stream.peer.name)
+        state, name = self.state, shown(stream.peer.name)
         if not self._has_room_for(stream.peer):
             _denials.warning("%s has too many connections", name)
             stream.abort("too many connections of one identity")

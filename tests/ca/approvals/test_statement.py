@@ -22,7 +22,7 @@ from ca.approvals.statement import (
     RevokeMaster,
     Statement,
 )
-from ca.encoding import decode, encode
+from ca.encoding import Value, decode, encode
 from ca.errors import StatementRefused
 from tests.support.approving import NOW, WHATS, state
 
@@ -39,7 +39,11 @@ whats = st.one_of(
     st.builds(NewPasskey, st.binary(min_size=1, max_size=1023), digests, texts),
     st.builds(Invitation, texts, numbers, numbers, st.booleans()),
     st.builds(ForeignDomain, digests),
-    st.builds(RevokeMaster, st.one_of(texts, st.just(""))),
+    st.builds(
+        RevokeMaster,
+        st.one_of(texts, st.just("")),
+        st.sampled_from(["/master", "/master/kitchen"]),
+    ),
 )
 
 
@@ -52,6 +56,21 @@ def statements(draw: st.DrawFn) -> Statement:
         id=draw(ids), domain=draw(texts), made=made, until=until,
         log_size=draw(numbers), log_root=draw(digests),
     )  # fmt: skip
+
+
+def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
+    """So what was approved then is still read, and each statement has one encoding."""
+    first = state(RevokeMaster("stolen")).to_bytes()
+    head = decode(first)
+    assert isinstance(head, list)
+    assert head[-1] == ["stolen"]
+    assert Statement.from_bytes(first).what == RevokeMaster("stolen", "/master")
+    others: tuple[list[Value], ...] = (
+        ["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [],
+    )  # fmt: skip
+    for fields in others:
+        with pytest.raises(StatementRefused):
+            Statement.from_bytes(encode([*head[:-1], fields]))
 
 
 @given(statements())

@@ -16,6 +16,8 @@ from rossec.console.made_codes import MadeCodes
 from rossec.errors import EnrollmentUnknown, FormRefused
 
 QUESTION = "q" * 22
+KITCHEN = "/master/kitchen"
+TYPED = {"name": "/master", "master": "/master"}
 QUESTION_ID = base64.urlsafe_b64decode(QUESTION + "==")
 WAITS = IdentityRequestView(
     b"\1" * 32, "/arm", b"k", "invitation", 0, 9, "pending", False, False, b"csr"
@@ -100,8 +102,8 @@ GIVEN: list[tuple[str, dict[str, str], list[object], str]] = [
     ("invitation", INVITATION, ["/cam/*", 3, 3600, False], "/invited/{id}"),
     ("invitation", INVITATION | {"anonymous": "on"}, ["/cam/*", 3, 3600, True], "/invited/{id}"),
     (
-        "revoke-master", {"reason": "lost", "name": "/master"}, ["lost"],
-        "/revoked/0/0?node=/master",
+        "revoke-master", {"reason": "lost", "name": KITCHEN, "master": KITCHEN}, ["lost", KITCHEN],
+        "/revoked/0/0?node=/master/kitchen",
     ),
 ]  # fmt: skip
 
@@ -162,8 +164,9 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
         "invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused,
         "a single node",
     ),
-    ("revoke-master", {"reason": "a\nb", "name": "/master"}, FormRefused, "one line"),
-    ("revoke-master", {"reason": "", "name": "/Master"}, FormRefused, "the name is /master"),
+    ("revoke-master", {"reason": "a\nb"} | TYPED, FormRefused, "one line"),
+    ("revoke-master", TYPED | {"reason": "", "name": KITCHEN}, FormRefused, "the name is /master"),
+    ("revoke-master", {"reason": "", "name": "/a", "master": "/a"}, FormRefused, "no master"),
 ]  # fmt: skip
 
 

@@ -33,6 +33,12 @@ def test_a_filter_rule_in_words(operator: str) -> None:
     )
 
 
+def test_a_name_of_another_origin_is_shown_by_its_label() -> None:
+    assert words.name("/remote/hospital/rounds/robot3") == "hospital:/rounds/robot3"
+    assert words.name("/rounds/robot3") == "/rounds/robot3"
+    assert words.name("/remote") == "/remote"
+
+
 def test_every_right_has_words() -> None:
     assert set(words.RIGHTS) == set(Right)
     assert words.rights(Right.SUBSCRIBE | Right.PUBLISH) == "send and see"

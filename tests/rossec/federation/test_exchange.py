@@ -3,6 +3,12 @@ from pathlib import Path
 
 import pytest
 
+from ca.revocation.state import digest
+from rossec.errors import AnswerMalformed, AnswerRefused
+from rossec.federation import exchange
+from rossec.federation.own import OwnMaster
+from rossec.net.rpc.client import RpcClient
+from rossec.ros.xmlrpc import Fault
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -89,3 +95,64 @@ async def test_a_revoked_master_is_followed_no_longer(pair: list[Master]) -> Non
     hall.take_list(hall.site.revoke(hall.site.identity("/master/kitchen").thumbprint))
     await until(lambda: not hall.imported("/pose"), within=WITHIN)
     await until(lambda: "revoked" in hall.state_of("kitchen")["error"])
+
+
+class FixedAnswers(RpcClient):
+    """A master that gives these answers, whatever it is asked; `asked` are the methods."""
+
+    def __init__(self, *answers: object) -> None:
+        self.answers, self.asked = list(answers), list[str]()
+
+    async def ask(self, method: str, *params: object) -> object:
+        self.asked.append(method)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def own_of(master: Master) -> OwnMaster:
+    server = master.server
+    return OwnMaster(
+        server.state, server.effects, server.context, server.mirror, server.drop_mirror
+    )
+
+
+@pytest.mark.parametrize("answer", [7, [], [b"", ""], ["", b""], [b"", b"", b""]])
+async def test_an_answer_without_a_list_is_an_error(pair: list[Master], answer: object) -> None:
+    own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
+    with pytest.raises(AnswerMalformed):
+        await exchange.settle_revocations(FixedAnswers(answer), own, peer)
+    if not isinstance(answer, bytes):
+        with pytest.raises(AnswerMalformed):
+            await exchange.settle_domains(FixedAnswers(answer), own, peer)
+
+
+async def test_a_list_that_is_no_list_is_answered_with_the_own_one(pair: list[Master]) -> None:
+    own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
+    liar = FixedAnswers([b"garbage", b""], 1)
+    await exchange.settle_revocations(liar, own, peer)
+    assert liar.asked == ["rossec.revocationsSince", "rossec.updateRevocations"]
+    liar = FixedAnswers(b"garbage", 1)
+    await exchange.settle_domains(liar, own, peer)
+    assert liar.asked == ["rossec.domains", "rossec.updateDomains"]
+    assert exchange.held_revocations(own) == digest(own.state.trust.list_data)
+
+
+async def test_a_master_that_knows_no_lists_of_domains_gets_none(pair: list[Master]) -> None:
+    own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
+    for error in (AnswerRefused("no"), Fault(1, "unknown method")):
+        old = FixedAnswers(error)
+        await exchange.settle_domains(old, own, peer)
+        assert old.asked == ["rossec.domains"]
+
+
+async def test_the_entries_of_a_tree_are_bytes(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    tree = pair[0].site.revoke(b"k" * 32)
+    with pytest.raises(AnswerMalformed, match="entries of a tree"):
+        await exchange.settle_revocations(FixedAnswers([tree, b""], 7), own, peer)
+    assert pair[0].list_number == (1, 1)

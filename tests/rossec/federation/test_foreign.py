@@ -1,14 +1,19 @@
+import asyncio
 import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ca.domains.lists import ForeignDomain, NameRights
 from grants.model import Right
 from rossec.federation import foreign, mirroring
+from rossec.federation.foreign import APART
 from rossec.federation.settings import SiteSettings
+from rossec.master.server.effects import Effects
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -125,6 +130,30 @@ async def test_its_revocations_are_fetched_at_once(pair: list[Master]) -> None:
     await until(lambda: key in domains.standing.revoked("hospital"), within=3)
 
 
+async def test_lists_in_a_row_are_taken_one_each_second(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = pair
+    taken: list[float] = []
+    take = Effects.take_foreign
+
+    def noted(effects: Effects, domain: str, revocations: bytes, *rest: Any) -> None:
+        if revocations and effects is here.server.effects:
+            taken.append(time.monotonic())
+        take(effects, domain, revocations, *rest)
+
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["state"] == "following")
+    monkeypatch.setattr(Effects, "take_foreign", noted)
+    domains, began = here.server.state.trust.domains, time.monotonic()
+    for number in range(8):
+        there.take_list(there.site.revoke(bytes([number]) * 32))
+        await asyncio.sleep(0.2)
+    await until(lambda: len(domains.standing.revoked("hospital")) == 8, within=3)
+    assert taken[0] - began < APART, "the first one at once"
+    assert all(later - sooner > APART * 0.9 for sooner, later in pairwise(taken))
+
+
 async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]) -> None:
     here, there = pair
     await there.register("/rounds/robot3", "/rounds/pose", 4711)
@@ -172,4 +201,12 @@ async def test_the_own_domain_is_not_taken_for_a_foreign_one(pair: list[Master])
     here, there = pair
     here.follow(SiteSettings("kitchen", there.server.uri, "/master/kitchen"))
     await until(lambda: here.state_of("kitchen")["error"])
-    assert "/remote/h/master answers at" in here.state_of("kitchen")["error"]
+    assert "h:/master answers at" in here.state_of("kitchen")["error"]
+
+
+async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Master]) -> None:
+    here, there = pair
+    there.take_domains(domain_list(there.site, "/master", seq=3))
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["error"])
+    assert "does h trust this domain?" in here.state_of("h")["hint"]

@@ -34,7 +34,6 @@ async def test_the_parameters_that_are_named_are_mirrored(pair: list[Master]) ->
     await set_param(kitchen, "/robot/speed", 2.5)
     await set_param(kitchen, "/robot/arm/joints", [1, 2])
     await set_param(kitchen, "/secret/key", "x")
-    await set_param(kitchen, "/robot/gains", {"p-max": 3})
     hall.follow(kitchen.as_site("kitchen", "", "/robot/**", "/secret/**"))
     await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") == 2.5)
     assert mirrored(hall, "/remote/kitchen/robot/arm/joints") == [1, 2]

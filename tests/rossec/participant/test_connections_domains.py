@@ -1,5 +1,6 @@
 """Connections with foreign domains: what ends them, and when."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -8,8 +9,9 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Permission, Restriction, Right
 from rossec.clock import Clock
+from rossec.errors import LimitExceeded
 from rossec.participant.access import Access
-from rossec.participant.connections import STALE_GRACE, AuthorizedConnection
+from rossec.participant.connections import STALE_GRACE, AuthorizedConnection, ConnectionTable
 from tests.rossec.participant.test_connections import Connection, FakeStream, table
 from tests.support.domains import Pair, SomeNode, domains, foreign, grant
 from tests.support.pki import NOW
@@ -174,3 +176,16 @@ async def test_the_master_of_another_domain_has_no_more_connections_than_others(
     stream.peer = pair.peer(pair.master)
     await connections.bounded(handler)(stream)
     assert served == []
+
+
+def test_a_foreign_domain_has_as_many_connections_as_one_peer(pair: Pair) -> None:
+    connections = ConnectionTable[Any](pair.standing, most=2)
+    first, second = pair.peer(), replace(pair.peer(), thumbprint=b"another key" + bytes(21))
+    connections.accept(1, first, lambda _: None)
+    connections.accept(2, second, lambda _: None)
+    with pytest.raises(LimitExceeded, match="has 2 connections already"):
+        connections.accept(3, replace(second, thumbprint=bytes(32)), lambda _: None)
+    own = replace(first, certified="", name="/own")
+    connections.accept(4, own, lambda _: None)
+    connections.forget(1)
+    connections.accept(3, second, lambda _: None)

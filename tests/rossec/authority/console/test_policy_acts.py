@@ -139,7 +139,7 @@ def test_a_master_with_another_key_gets_no_delegation(acts: Acts) -> None:
     acts.lock()
     waits = acts.touch(prepared)
     acts.unlock()
-    assert acts.approve("revoke-master", "stolen").state == "done"
+    assert acts.approve("revoke-master", "stolen", "/master").state == "done"
     acts.enroll_master()
     acts.approving.carry_out_waiting()
     assert acts.outcome(waits.id).result == f"{MASTER} has another key now"

@@ -15,6 +15,8 @@ from tests.support.approving import registered
 from tests.support.consoleacts import DAY, JOIN_ADDRESS, Acts
 from tests.support.passkeys import Passkey
 
+KITCHEN = f"{MASTER}/kitchen"
+
 
 @pytest.fixture
 def acts(tmp_path: Path) -> Acts:
@@ -121,7 +123,7 @@ def test_the_master_is_revoked_at_once_and_listed_at_unlock(acts: Acts) -> None:
     acts.unlock()
     acts.enroll_master()
     acts.lock()
-    outcome = acts.approve("revoke-master", " stolen ")
+    outcome = acts.approve("revoke-master", " stolen ", MASTER)
     assert (outcome.state, outcome.result, outcome.data) == ("done", "/master is revoked", b"")
     assert acts.home.count_unlisted(acts.now) == 1
     with acts.store() as store:
@@ -131,13 +133,27 @@ def test_the_master_is_revoked_at_once_and_listed_at_unlock(acts: Acts) -> None:
     acts.work.maintain()
     assert acts.home.count_unlisted(acts.now) == 0
     with pytest.raises(ConfigurationError, match="no valid identity"):
-        acts.prepare("revoke-master", "again")
+        acts.prepare("revoke-master", "again", MASTER)
+
+
+def test_another_master_is_revoked_alone(acts: Acts) -> None:
+    acts.unlock()
+    for name in (MASTER, KITCHEN):
+        assert acts.enroll(name).state == "done"
+    outcome = acts.approve("revoke-master", "sold", KITCHEN)
+    assert outcome.result == "/master/kitchen is revoked"
+    with acts.store() as store:
+        assert store.unrevoked_keys(MASTER, acts.now)
+        assert not store.unrevoked_keys(KITCHEN, acts.now)
+    for other in ("/robot", f"{KITCHEN}/x", 7):
+        with pytest.raises(KeyServiceRefused, match="arguments"):
+            acts.prepare("revoke-master", "x", other)
 
 
 def test_an_intermediate_revokes_no_master(acts: Acts) -> None:
     (acts.home.path / "intermediate.pem").write_bytes((acts.home.path / "ca.pem").read_bytes())
     with pytest.raises(ConfigurationError, match="an intermediate cannot revoke"):
-        acts.prepare("revoke-master", "x")
+        acts.prepare("revoke-master", "x", MASTER)
 
 
 @pytest.mark.parametrize("kind", ["passkey", "invitation", "revoke-master"])

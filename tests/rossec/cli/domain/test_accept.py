@@ -102,13 +102,6 @@ def test_a_file_that_is_no_card(sites: Neighbours) -> None:
     assert sites.accept().code == 1
 
 
-def test_the_own_card_is_refused(sites: Neighbours) -> None:
-    own = str(sites.shell.root / "own.card")
-    assert sites.shell.unlocked("domain", "card", "--out", own).code == 0
-    said = sites.shell.unlocked("domain", "accept", own, "--as", "x", "--yes", *NOBODY)
-    refused(said, "names the own one")
-
-
 def test_a_domain_accepted_again_keeps_its_label(sites: Neighbours) -> None:
     sites.accept("--as", "clinic")
     said = sites.accept("--for", "9d")
@@ -125,3 +118,14 @@ def test_a_domain_whose_name_is_no_label_needs_one(
     assert other.unlocked("domain", "card", "--out", str(sites.card)).code == 0
     refused(sites.accept(), "domain 3rd-floor needs a name here", "--as")
     assert "trusted as third" in sites.accept("--as", "third").out
+
+
+def test_what_cannot_be_accepted_is_refused_before_anybody_is_asked(sites: Neighbours) -> None:
+    own = sites.shell.root / "own.card"
+    assert sites.shell.unlocked("domain", "card", "--out", str(own)).code == 0
+    said = sites.shell.unlocked("domain", "accept", str(own), "--as", "me")
+    refused(said, "this is the card of home, the own domain", "the other authority")
+    sites.accept()
+    said = sites.shell.unlocked("domain", "accept", str(sites.card), "--as", "clinic")
+    refused(said, "is called hospital here", "--as hospital")
+    assert "fingerprint" not in said.out

@@ -81,3 +81,9 @@ def test_the_label_of_a_trusted_domain_means_a_master_of_it(
     assert said.out == "hospital is followed: hospital:/master at http://h:11311\n"
     [found] = SiteFile(empty.node("/master")).sites()
     assert found.domain == "hospital"
+
+
+@pytest.mark.usefixtures("site")
+def test_the_masters_own_name_is_not_followed(empty: Shell) -> None:
+    said = empty("federation", "add", URI, "--as", "hospital")
+    refused(said, "/master is the master of this host itself", "rossec domain accept")

@@ -49,3 +49,15 @@ async def test_the_running_master_is_asked(empty: Shell, monkeypatch: pytest.Mon
         assert "no master is followed" in said.err
     finally:
         await port.close()
+
+
+async def test_what_may_be_done_is_below_the_site(empty: Shell) -> None:
+    empty.node("/master").mkdir(parents=True)
+    answer = {"sites": [{**ROW, "hint": "is it running?"}], "problems": {}}
+    port = AdminPort(empty.node("/master") / ADMIN_SOCKET, {"federation": lambda: answer})
+    await port.start()
+    try:
+        said = await asyncio.to_thread(empty, "federation", "status")
+    finally:
+        await port.close()
+    assert said.out.splitlines()[1] == f"{'':<16} hint: is it running?"

@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,7 @@ from rossec.home import NodeHome
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
 from rossec.node import Node
+from tests.rossec.cli.domain.sites import Neighbours
 from tests.support.commands import Said, Shell, refused
 from tests.support.witness import until
 
@@ -113,3 +115,16 @@ async def test_a_grant_for_a_node_elsewhere_arrives_through_the_master(robot: Sh
             assert said.out.endswith("the master has the grant, and gives it to the node\n")
             await until(lambda: len(node.home.grants()) == 2)
             await node.subscriber("/q", "std_msgs/String")
+
+
+def test_a_grant_for_another_domain_is_listed_by_its_label(
+    visit: Neighbours, tmp_path: Path
+) -> None:
+    certificate = visit.hospital.node("/rounds/robot3") / "node.pem"
+    said = visit.shell.unlocked(
+        "grant", "sign", "hospital:/rounds/robot3", "--subscribe", "/pose",
+        "--certificate", str(certificate), "--out", str(tmp_path / "x.grant"),
+    )  # fmt: skip
+    assert said.code == 0, said.err
+    listed = visit.shell("grant", "list", "--master", "http://127.0.0.1:1").out
+    assert "  hospital:/rounds/robot3  subscribe /pose  " in listed

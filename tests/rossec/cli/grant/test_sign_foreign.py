@@ -51,6 +51,8 @@ def test_the_certificate_is_recorded_and_need_not_be_given_again(
     visit: Neighbours, tmp_path: Path
 ) -> None:
     refused(sign(visit, "--out", str(tmp_path / "a")), "no valid certificate", "--certificate")
+    unknown = sign(visit, "--out", str(tmp_path / "a"), node=f"clinic:{ROBOT3}")
+    refused(unknown, "no domain is called 'clinic' here", "rossec domain list")
     assert sign(visit, *certificate(visit), "--out", str(tmp_path / "b")).code == 0
     assert sign(visit, "--out", str(tmp_path / "c")).code == 0
     first, again = (peek((tmp_path / name).read_bytes()) for name in "bc")

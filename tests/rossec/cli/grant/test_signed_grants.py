@@ -72,3 +72,9 @@ def test_a_revoked_grant_is_published(robot: Shell) -> None:
     said = robot.unlocked("grant", "revoke", grant_id[:8], "--master", "http://127.0.0.1:1")
     assert f"revoked {grant_id}" in said.out
     refused(said, "did not take the list", "rossec ca publish", code=3)
+
+
+def test_a_file_that_is_no_grant_is_named_so(empty: Shell, tmp_path: Path) -> None:
+    other = tmp_path / "node.pem"
+    other.write_text("-----BEGIN CERTIFICATE-----")
+    refused(empty("grant", "install", str(other)), "not a grant", "rossec grant")

@@ -1,3 +1,4 @@
+import asyncio
 import secrets
 import time
 from pathlib import Path
@@ -9,10 +10,12 @@ from ca.certificates import Identity, to_pem
 from ca.intermediates import build_intermediate_request
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
+from grants.model import Right
 from rossec.authority.home import AuthorityHome
 from rossec.cli.main import run
 from rossec.home import NodeHome
 from tests.rossec.cli.ca.test_intermediate import NOBODY
+from tests.support import trust
 from tests.support.attacker import call, credentials
 from tests.support.commands import Shell
 from tests.support.site import DAY, Site
@@ -28,8 +31,6 @@ async def bring(site: Site, data: bytes) -> None:
 async def test_a_node_in_order_and_its_faults(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import asyncio
-
     async with Site(tmp_path / "site").running() as site:
         environ = dict(site.environ)
 
@@ -168,3 +169,25 @@ def test_a_node_below_a_revoked_intermediate_is_not_ok(shell: Shell, tmp_path: P
     assert run(["doctor", "/robot", "--offline"], {"ROSSEC_HOME": str(site.root)}) == 1
     said = shell._capsys.readouterr().out
     assert "not ok  the intermediate's key of /robot is revoked according to the list in" in said
+
+
+async def test_a_master_needs_no_grants_and_is_not_taken_for_an_impostor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with Site(tmp_path / "site").running() as site:
+        code = await asyncio.to_thread(run, ["doctor", "/master"], dict(site.environ))
+        said = "".join(capsys.readouterr())
+        assert code == 0, said
+        assert "ok      no grants: within its own domain a master needs none" in said
+        assert "rossec master status" in said
+
+
+def test_a_grant_of_another_domain_is_shown_by_its_label(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site, origin = Site(tmp_path / "site"), Site(tmp_path / "origin", "hospital")
+    trust.accept(origin, site)
+    data = trust.share(origin, site, "/viewer", Right.SUBSCRIBE, "/pose")
+    site.enroll("/viewer").add_grant(data[-16:], data)
+    run(["doctor", "/viewer", "--offline"], dict(site.environ))
+    assert "may subscribe hospital:/pose until" in "".join(capsys.readouterr())

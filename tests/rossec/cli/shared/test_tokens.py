@@ -51,3 +51,9 @@ def test_a_grant_of_another_domain_must_be_for_the_nodes_key(site: Site, tmp_pat
         open_held(site.enroll("/robot"), data, site.now())
     with pytest.raises(GrantExpired):
         open_held(home, data, site.now() + 2 * DAY)
+
+
+def test_a_grant_of_the_own_domain_must_be_for_the_nodes_key(site: Site) -> None:
+    data = site.subscribe("/viewer", "/pose")
+    with pytest.raises(GrantNotHeld, match="bound to another key than that of /robot"):
+        open_held(site.enroll("/robot"), data, site.now())

@@ -39,11 +39,13 @@ def test_a_whole_node_asks_for_its_name() -> None:
     assert browser.asked("revoke-node") == [("/robot", "lost")]
 
 
-def test_the_master_asks_for_the_passkey() -> None:
+@pytest.mark.parametrize("name", ["/master", "/master/kitchen"])
+def test_a_master_asks_for_the_passkey(name: str) -> None:
     browser = Browser().log_in()
-    browser.home.nodes.append(browser.home.nodes[0]._replace(name="/master"))
-    text = browser.get("/revoke/node/master").text
+    browser.home.nodes.append(browser.home.nodes[0]._replace(name=name))
+    text = browser.get(f"/revoke/node{name}").text
     assert 'action="/prepare/revoke-master" data-approve' in text
+    assert f'name="master" value="{name}"' in text
     assert 'class="card alarm"' in text
 
 

@@ -9,9 +9,10 @@ from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import GrantsPresented, RevocationsChanged
 from rossec.master.api.statement_calls import PRESENT_LIMIT
+from rossec.master.api.turns import CallOutcome
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, run_to_end
 
 
 @pytest.fixture
@@ -35,6 +36,17 @@ def test_presented_grants_are_counted(api: MasterApi, statements: FakeStatements
     assert statements.presented == [b"one", b"two"]
     good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
     assert good_and_bad == [1, "grants presented, but refused: forged", 3]
+
+
+def test_grants_are_verified_in_turns(api: MasterApi, statements: FakeStatements) -> None:
+    params = ("/a", [b"one", b"forged", b"two"])
+    work = api.begin("rossec.presentGrants", params, caller("/a"), 0)
+    assert not isinstance(work, CallOutcome)
+    next(work)
+    assert statements.presented == [b"one"]
+    outcome = run_to_end(work)
+    assert outcome.answer == [1, "grants presented, but refused: forged", 2]
+    assert statements.presented == [b"one", b"two"]
 
 
 def test_a_node_without_a_valid_grant_keeps_its_session(api: MasterApi) -> None:

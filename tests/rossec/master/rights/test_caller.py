@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from ca.errors import HintedError
+from ca.errors import HintedError, NotAdmitted
 from grants.errors import GrantMissing
 from grants.model import Permission, Right
 from grants.reach import Reach
-from rossec.master.rights.caller import OWN_DOMAIN, Caller, OriginRights, Refused, display
+from rossec.master.rights.caller import OWN_DOMAIN, Caller, OriginRights, Refused
 from tests.rossec.master.fakes import ALL, caller, refuse
 
 POSE = "/remote/hospital/robot/pose"
@@ -192,9 +192,14 @@ def test_patterns_of_all_domains_count_for_the_cost_of_a_query() -> None:
     assert visitor_of(many).names_per_yield < visitor_of().names_per_yield
 
 
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [(POSE, "hospital:/robot/pose"), ("/a", "/a"), ("/remote", "/remote"), ("", "")],
-)
-def test_display(name: str, shown: str) -> None:
-    assert display(name) == shown
+def test_a_refusal_says_what_the_label_means_to_own_nodes_alone() -> None:
+    held = replace(visitor_of(own={"/**": ALL}), elsewhere={})
+    with pytest.raises(NotAdmitted, match="no domain is called clinic here"):
+        held.explain(Right.SUBSCRIBE, "/remote/clinic/x")
+    with pytest.raises(GrantMissing, match=r"hospital:/x by the authority of hospital\.example"):
+        held.explain(Right.SUBSCRIBE, "/remote/hospital/x")
+    with pytest.raises(GrantMissing, match=r"on /remote$"):
+        held.explain(Right.SUBSCRIBE, "/remote")
+    foreign = replace(held, name="/remote/hospital/robot")
+    with pytest.raises(GrantMissing, match=r"on clinic:/x$"):
+        foreign.explain(Right.SUBSCRIBE, "/remote/clinic/x")

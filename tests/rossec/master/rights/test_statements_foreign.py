@@ -1,6 +1,7 @@
 """Grants of several domains, and callers of other domains, in one state of trust."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -180,6 +181,25 @@ def test_one_key_of_two_domains_is_two_callers(home: Home) -> None:
     home.present(home.node, home.site.grant(home.node, {"/a": Right.PUBLISH}))
     assert home.may(home.node, Right.PUBLISH, "/a")
     assert not home.may(twin, Right.PUBLISH, "/a")
+
+
+@pytest.mark.parametrize("whose", ["own", "foreign"])
+def test_a_twin_does_not_hide_a_revoked_intermediate(home: Home, whose: str) -> None:
+    issuer = b"i" * 32
+    twin = home.identity(home.hospital.site.certify("/rounds/robot3", home.node.signer))
+    own = home.node.identity
+    if whose == "own":
+        own = replace(own, issuers=(issuer,))
+    else:
+        twin = replace(twin, issuers=(issuer,))
+    revoked, other = (own, twin) if whose == "own" else (twin, own)
+    for identity in (revoked, other):
+        home.trust.admit(identity, home.now)
+    registered = NodeRef(revoked.name, "http://10.0.0.9:1/", revoked.thumbprint)
+    assert home.trust.caller_of(registered, home.now) is not None
+    home.trust.update(home.site.revoke(issuer), home.now)
+    home.trust.admit(other, home.now)
+    assert home.trust.caller_of(registered, home.now) is None
 
 
 @pytest.mark.parametrize("listed", [True, False])
