@@ -50,7 +50,7 @@ def own_master(environ: Mapping[str, str]) -> str:
     name = environ.get(OWN_MASTER) or MASTER
     if not is_master_name(name):
         raise ConfigurationError(
-            f"{OWN_MASTER} is {name!r}, which is not the name of a master",
-            f"masters are called {MASTER}, or {MASTER}/kitchen with a word of one's own",
+            f"{name!r} is not the name of a master",
+            f"{OWN_MASTER} and --name take {MASTER}, or {MASTER}/kitchen with a word of one's own",
         )
     return name

@@ -4,6 +4,7 @@ Its list is fetched when the digest differs, its word that the list is still the
 seconds; both are judged by `DomainTrust`, and passed on to the own nodes, which judge them again.
 """
 
+import asyncio
 import time
 from typing import Final
 
@@ -19,6 +20,7 @@ from rossec.net.rpc.client import RpcClient
 from rossec.ros.names import PRESENT_GRANTS
 
 EVERY: Final = 10.0  # seconds between two words of a foreign master
+APART: Final = 1.0  # seconds between two lists: each is sent to every own node, which saves it
 MAX_PRESENTED: Final = 64
 _PROOFS_AT_ONCE: Final = 64
 
@@ -34,7 +36,7 @@ class ForeignLists:
     def __init__(self, own: OwnMaster, label: str) -> None:
         self._own = own
         self._label = label
-        self._asked_at = 0.0
+        self._asked_at = self._changed_at = 0.0
 
     async def greet(self, client: RpcClient, peer: Identity) -> None:
         """The first word, then the grants of that domain that this master holds.
@@ -52,7 +54,11 @@ class ForeignLists:
     async def keep_fresh(self, client: RpcClient, peer: Identity, theirs: bytes) -> None:
         """Fetch where the digest `theirs` is another, or the last word is old; raises likewise."""
         held = self._own.state.trust.domains.word(self._listed().entry.domain)
-        if theirs != held.digest() or time.monotonic() - self._asked_at >= EVERY:
+        if theirs != held.digest():
+            await asyncio.sleep(self._changed_at + APART - time.monotonic())
+            self._changed_at = time.monotonic()
+            await self.fetch(client, peer)
+        elif time.monotonic() - self._asked_at >= EVERY:
             await self.fetch(client, peer)
 
     async def fetch(self, client: RpcClient, peer: Identity) -> None:

@@ -102,14 +102,17 @@ class Mesh:
     def _wanted(self) -> dict[str, SiteSettings]:
         """The sites of all sources; one that contradicts an earlier one is left out."""
         found: dict[str, SiteSettings] = {}
+        before, self._warned = self._warned, {}
         for name, source in self._sources.items():
             try:
                 self._last[name] = tuple(source())
-                self._warned.pop(name, None)
             except (ConfigurationError, OSError) as error:  # the last that was read stays
-                self._warn(name, error)
+                self._warned[name] = _text(error)
             for each in self._last.get(name, ()):
                 self._add(found, each)
+        for where, text in self._warned.items():
+            if before.get(where) != text:
+                _log.warning("%s: %s", where, text)
         return found
 
     def _add(self, found: dict[str, SiteSettings], each: SiteSettings) -> None:
@@ -118,9 +121,8 @@ class Mesh:
             self._check_label(each)
             checked_sites([*found.values(), each])
         except ConfigurationError as error:
-            self._warn(where, error)
+            self._warned[where] = _text(error)
             return
-        self._warned.pop(where, None)
         found[each.label] = each
 
     def _check_label(self, each: SiteSettings) -> None:
@@ -137,13 +139,6 @@ class Mesh:
         if not each.domain and each.master == self._own.name:
             raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
 
-    def _warn(self, where: str, error: Exception) -> None:
-        hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
-        text = printable(f"{error}{hint}")
-        if self._warned.get(where) != text:
-            self._warned[where] = text
-            _log.warning("%s: %s", where, text)
-
     def _own_labels(self) -> list[str]:
         """The labels of other masters of the own domain, whose nodes have aliases here."""
         found = [follower.settings for follower, _ in self._followers.values()]
@@ -157,3 +152,8 @@ class Mesh:
     def _send_lists(self) -> None:
         for follower, _ in self._followers.values():
             self._tasks.spawn(follower.send_lists(), f"lists for {follower.settings.label}")
+
+
+def _text(error: Exception) -> str:
+    hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
+    return printable(f"{error}{hint}")

@@ -42,7 +42,8 @@ class SiteFile:
         """
         if not self._directory.is_dir():
             raise ConfigurationError(
-                f"there is no master in {self._directory}", "rossec node enroll /master"
+                f"there is no master in {self._directory}",
+                "enroll it first, by the name in ROSSEC_MASTER, or run this where the master runs",
             )
         with files.locked_directory(self._directory):
             sites = self._load()

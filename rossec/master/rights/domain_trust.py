@@ -17,8 +17,9 @@ from ca.certificates import Identity
 from ca.domains.lists import NameRights
 from ca.domains.standing import Standing
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
-from ca.keys.publickey import thumbprint
+from ca.keys.publickey import THUMBPRINT_SIZE, thumbprint
 from ca.names import is_master_name
+from ca.revocation.lists import GRANT_ID_SIZE
 from ca.revocation.state import digest
 from ca.revocation.tree import is_tree
 from grants.decision import RevocationCheck
@@ -30,6 +31,7 @@ from rossec.master.rights.delegation import discard
 
 GRACE: Final = 60  # seconds that a connection stands while revocations are stale
 MAX_PROOFS: Final = 16 * 1024  # of one foreign tree, and entries that wait for one
+_ENTRY_SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)  # no tree has others; they are kept here
 
 _NOTHING: Final = Reach(())
 
@@ -156,7 +158,7 @@ class DomainTrust:
             return []
         known, wanted = self._proofs.get(domain, {}), self._wanted.setdefault(domain, {})
         for entry in entries:
-            if entry not in known and len(wanted) < MAX_PROOFS:
+            if entry not in known and len(wanted) < MAX_PROOFS and len(entry) in _ENTRY_SIZES:
                 wanted[entry] = None
         return [known.get(entry, b"") for entry in entries]
 

@@ -1,7 +1,10 @@
+import asyncio
 import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,8 +12,10 @@ from ca.domains.lists import ForeignDomain, NameRights
 from grants.model import Right
 from rossec.errors import AnswerMalformed, SiteRefused
 from rossec.federation import foreign, mirroring
+from rossec.federation.foreign import APART
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
+from rossec.master.server.effects import Effects
 from rossec.net.rpc.client import RpcClient
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
@@ -119,6 +124,30 @@ async def test_its_revocations_are_fetched_at_once(pair: list[Master]) -> None:
     key = there.site.identity("/rounds/robot3").thumbprint
     there.take_list(there.site.revoke(key))
     await until(lambda: key in domains.standing.revoked("hospital"), within=3)
+
+
+async def test_lists_in_a_row_are_taken_one_each_second(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = pair
+    taken: list[float] = []
+    take = Effects.take_foreign
+
+    def noted(effects: Effects, domain: str, revocations: bytes, *rest: Any) -> None:
+        if revocations and effects is here.server.effects:
+            taken.append(time.monotonic())
+        take(effects, domain, revocations, *rest)
+
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["state"] == "following")
+    monkeypatch.setattr(Effects, "take_foreign", noted)
+    domains, began = here.server.state.trust.domains, time.monotonic()
+    for number in range(8):
+        there.take_list(there.site.revoke(bytes([number]) * 32))
+        await asyncio.sleep(0.2)
+    await until(lambda: len(domains.standing.revoked("hospital")) == 8, within=3)
+    assert taken[0] - began < APART, "the first one at once"
+    assert all(later - sooner > APART * 0.9 for sooner, later in pairwise(taken))
 
 
 async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]) -> None:

@@ -82,3 +82,20 @@ async def test_a_round_that_fails_is_not_the_last(
     site = kitchen.as_site("kitchen2")
     SiteFile(hall.home.path).change(lambda sites: sites.update(kitchen2=site))
     await until(lambda: "one master" in str(hall.mesh.status()["problems"]))
+
+
+async def test_what_was_wrong_is_said_once_and_while_it_is(
+    pair: list[Master], caplog: pytest.LogCaptureFixture
+) -> None:
+    hall, kitchen = pair
+    site, file = kitchen.as_site("kitchen"), SiteFile(hall.home.path)
+    file.change(lambda sites: sites.update(kitchen=site))
+    hall.follow(site)  # the configuration has the label too
+    await until(lambda: "site kitchen" in hall.mesh.status()["problems"])
+    for word in ("a", "b"):  # two more rounds
+        other = SiteSettings(word, "http://127.0.0.1:1", "/master", word)
+        file.change(lambda sites, other=other: sites.update({other.label: other}))  # type: ignore[misc]
+        await until(lambda word=word: f"site {word}" in hall.mesh.status()["problems"])  # type: ignore[misc]
+    assert caplog.text.count("site kitchen: ") == 1
+    file.change(dict.clear)
+    await until(lambda: not hall.mesh.status()["problems"])

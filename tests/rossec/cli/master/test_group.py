@@ -46,7 +46,7 @@ def test_another_master_of_the_domain(empty: Shell, monkeypatch: pytest.MonkeyPa
     assert (ran[0]["name"], ran[0]["follow_announced"]) == ("/master/kitchen", True)
     refused = empty("master", "--name", "/robot")
     assert (refused.code, len(ran)) == (1, 1)
-    assert "'/robot', which is not the name of a master" in refused.err
+    assert "'/robot' is not the name of a master" in refused.err
 
 
 def test_a_verb_runs_no_master(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -298,6 +298,9 @@ def test_proofs_of_a_foreign_tree_are_fetched_by_need(master: Master) -> None:
     master.trust.take(DOMAIN, b"", stamp, [master.speaker.leaf], NOW)
     assert master.trust.proofs(DOMAIN, [gone, here]) == [b"", b""]
     assert {gone, here} <= set(master.trust.wanted_proofs(DOMAIN))
+    wanted = master.trust.wanted_proofs(DOMAIN)
+    assert master.trust.proofs(DOMAIN, [b"", b"x" * 600_000]) == [b"", b""]
+    assert master.trust.wanted_proofs(DOMAIN) == wanted, "no tree has such entries"
     generation = master.trust.generation
     master.trust.add_proof(DOMAIN, here, entries.prove(here))
     assert master.trust.generation == generation
