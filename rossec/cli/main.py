@@ -42,7 +42,7 @@ _TABLE: Final = {
     ),
     "grant": ("grant.group:grant", "Sign, show and revoke grants."),
     "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
-    "master": ("master.group:master", "Run the master, as the node /master."),
+    "master": ("master.group:master", "Run a master, as the node /master."),
     "node": ("node.group:node", "Prepare a node on its own machine."),
     "param": ("ros.group:param", "Read and write parameters."),
     "policy": ("policy.group:policy", "Write what is allowed, and check it."),

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from grants.model import Right
 from grants.policy import readers
 from grants.policy.mistakes import Mistakes
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
@@ -121,3 +122,40 @@ def test_choices(mistakes: Mistakes) -> None:
 def test_a_sequence_is_not_a_choice(mistakes: Mistakes) -> None:
     assert readers.choice(SEQUENCE, "decision", ("deny",), mistakes) is None
     assert only(mistakes) == ("unknown decision", "expected one of deny")
+
+
+def test_an_own_pattern_is_of_names_of_this_domain(mistakes: Mistakes) -> None:
+    assert readers.own_pattern(scalar("/robot/*"), "x", Right.CALL, mistakes) == "/robot/*"
+    assert readers.own_pattern(scalar("/remote/**"), "x", Right.GRAPH, mistakes) == "/remote/**"
+    assert readers.own_pattern(None, "x", Right.CALL, mistakes) is None
+    assert mistakes.found == []
+
+
+@pytest.mark.parametrize(
+    ("text", "right"),
+    [
+        ("hospital:/robot/pose", Right.SUBSCRIBE),
+        ("hospital:/**", Right.GRAPH),
+        ("/remote/hospital/robot/pose", Right.SUBSCRIBE),
+    ],
+)
+def test_a_right_on_names_of_others_is_their_authoritys(
+    text: str, right: Right, mistakes: Mistakes
+) -> None:
+    assert readers.own_pattern(scalar(text), "x", right, mistakes) is None
+    assert "is a name of another domain" in only(mistakes)[0]
+
+
+def test_a_subject_of_another_domain_is_written_with_its_label(mistakes: Mistakes) -> None:
+    assert readers.subject(scalar("/robot/*"), "x", mistakes) == "/robot/*"
+    assert (
+        readers.subject(scalar("hospital:/rounds/*"), "x", mistakes) == "/remote/hospital/rounds/*"
+    )
+    assert readers.subject(None, "x", mistakes) is None
+    assert mistakes.found == []
+
+
+@pytest.mark.parametrize("text", ["/remote/hospital/rounds/*", "hospital:", "a b:/c", "robot"])
+def test_another_form_of_a_subject_is_a_mistake(text: str, mistakes: Mistakes) -> None:
+    assert readers.subject(scalar(text), "x", mistakes) is None
+    assert only(mistakes)[1]

@@ -142,6 +142,7 @@ print("STATE", "/word" in dict(master.getSystemState("/script")[2][1]), flush=Tr
 print("FOUND", master.searchParam("/deep/script", "speed")[2], flush=True)
 print("MET", master.getParam("/deep/script", "speed"), flush=True)
 print("NOBODY", master.getPid(), flush=True)
+print("ABROAD", master.setParam("/script", "/remote/other/speed", 1)[0], flush=True)
 many = MultiCall(master)
 many.getParam("/deep/script", "speed")
 many.getParam("/script", "speed")
@@ -173,8 +174,8 @@ async def test_proxies_that_a_program_makes_itself(site: Site, tmp_path: Path) -
         async with program(environment(site, tmp_path / "o"), source) as operator:
             await says(
                 operator, "STATE True", "FOUND /deep/speed", "MET [1, 'Parameter [/deep/speed]'",
-                "NOBODY [-1, 'missing required caller_id parameter', -1]", "MANY [2, 1]",
-                "ASKED 1", "ITSELF 1", "ELSEWHERE True", "ELSEWHERE True",
+                "NOBODY [-1, 'missing required caller_id parameter', -1]", "ABROAD -1",
+                "MANY [2, 1]", "ASKED 1", "ITSELF 1", "ELSEWHERE True", "ELSEWHERE True",
             )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ def make_connection(ends: int = NOW + 1000, keep: bool = False) -> Connection:
     decision: Any = SimpleNamespace(
         grant_ids=(GRANT,), grants=(), keep_when_stale=keep, expires=ends, name="/word"
     )
-    return AuthorizedConnection(FakeStream(), decision, None)
+    return AuthorizedConnection(FakeStream(ends=max(ends, NOW + 1000)), decision, None)
 
 
 @pytest.fixture(autouse=True)

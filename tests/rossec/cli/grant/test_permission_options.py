@@ -1,10 +1,14 @@
 """`rossec grant`: what its options make of a restriction, tried on the message type at once."""
 
+from typing import Any
+
+import click
 import pytest
+from click.testing import CliRunner
 
 from grants.errors import FilterRefused
-from grants.model import Restriction, Right, filter_rules
-from rossec.cli.grant.permission_options import permissions, restrictions, rules
+from grants.model import Permission, Restriction, Right, filter_rules
+from rossec.cli.grant.permission_options import permissions, read, restrictions, rules, wishes
 from rossec.cli.main import run
 from rossec.errors import ConfigurationError
 
@@ -65,3 +69,34 @@ def test_presets_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[0] == "coarse-position"
     assert lines[1].startswith("  hides the place within cells of 2 m")
     assert lines[2].startswith("  still discloses the room")
+
+
+def test_wishes_are_options_and_read_says_what_they_mean() -> None:
+    found: list[tuple[Permission, ...]] = []
+
+    @click.command()
+    @wishes
+    def ask(**said: Any) -> None:
+        found.append(read(said))
+
+    options = (
+        "--subscribe", "/pose", "--type", POSE, "--round", "pose.position=0.5", "--rate", "2",
+        "--clear", "header.frame_id", "--graph",
+    )  # fmt: skip
+    assert CliRunner().invoke(ask, options, catch_exceptions=False).exit_code == 0
+    [[seen, *graph]] = found
+    assert (seen.pattern, seen.rights) == ("/pose", Right.SUBSCRIBE)
+    assert seen.restriction is not None
+    assert [rule.path for rule in seen.restriction.filters] == ["header.frame_id", "pose.position"]
+    assert seen.restriction.rate == 2
+    assert [item.rights for item in graph] == [Right.GRAPH]
+
+
+def test_read_without_a_right_is_refused() -> None:
+    @click.command()
+    @wishes
+    def ask(**said: Any) -> None:
+        read(said)
+
+    with pytest.raises(ConfigurationError):
+        CliRunner().invoke(ask, (), catch_exceptions=False)
