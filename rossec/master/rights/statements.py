@@ -126,18 +126,12 @@ class TrustState(ListInForce):
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """A name and key seen before, with its rights now; None: the key is revoked."""
-        if is_alias(peer.name):
-            return self._foreigner_of(peer, now)
-        if self._is_revoked(self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))):
-            return None
-        return self._caller(peer, now, self._judge)
-
-    def _foreigner_of(self, peer: Peer, now: int) -> Caller | None:
+        if not is_alias(peer.name):
+            keys = self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))
+            return None if self._is_revoked(keys) else self._caller(peer, now, self._judge)
         foreigner = self._foreigners.get((peer.name, peer.thumbprint))
-        if foreigner is None or self._is_revoked(foreigner.keys):
-            return None
         try:
-            return self._foreign_caller(foreigner, now)
+            return None if foreigner is None else self.caller(foreigner, now)
         except CAError:
             return None
 

@@ -97,7 +97,7 @@ async def test_a_revoked_master_is_followed_no_longer(pair: list[Master]) -> Non
     await until(lambda: "revoked" in hall.state_of("kitchen")["error"])
 
 
-class Answering(RpcClient):
+class FixedAnswers(RpcClient):
     """A master that gives these answers, whatever it is asked; `asked` are the methods."""
 
     def __init__(self, *answers: object) -> None:
@@ -122,18 +122,18 @@ def own_of(master: Master) -> OwnMaster:
 async def test_an_answer_without_a_list_is_an_error(pair: list[Master], answer: object) -> None:
     own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
     with pytest.raises(AnswerMalformed):
-        await exchange.settle_revocations(Answering(answer), own, peer)
+        await exchange.settle_revocations(FixedAnswers(answer), own, peer)
     if not isinstance(answer, bytes):
         with pytest.raises(AnswerMalformed):
-            await exchange.settle_domains(Answering(answer), own, peer)
+            await exchange.settle_domains(FixedAnswers(answer), own, peer)
 
 
 async def test_a_list_that_is_no_list_is_answered_with_the_own_one(pair: list[Master]) -> None:
     own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
-    liar = Answering([b"garbage", b""], 1)
+    liar = FixedAnswers([b"garbage", b""], 1)
     await exchange.settle_revocations(liar, own, peer)
     assert liar.asked == ["rossec.revocationsSince", "rossec.updateRevocations"]
-    liar = Answering(b"garbage", 1)
+    liar = FixedAnswers(b"garbage", 1)
     await exchange.settle_domains(liar, own, peer)
     assert liar.asked == ["rossec.domains", "rossec.updateDomains"]
     assert exchange.held_revocations(own) == digest(own.state.trust.list_data)
@@ -142,7 +142,7 @@ async def test_a_list_that_is_no_list_is_answered_with_the_own_one(pair: list[Ma
 async def test_a_master_that_knows_no_lists_of_domains_gets_none(pair: list[Master]) -> None:
     own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
     for error in (AnswerRefused("no"), Fault(1, "unknown method")):
-        old = Answering(error)
+        old = FixedAnswers(error)
         await exchange.settle_domains(old, own, peer)
         assert old.asked == ["rossec.domains"]
 
@@ -154,5 +154,5 @@ async def test_the_entries_of_a_tree_are_bytes(
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     tree = pair[0].site.revoke(b"k" * 32)
     with pytest.raises(AnswerMalformed, match="entries of a tree"):
-        await exchange.settle_revocations(Answering([tree, b""], 7), own, peer)
+        await exchange.settle_revocations(FixedAnswers([tree, b""], 7), own, peer)
     assert pair[0].list_number == (1, 1)
