@@ -36,7 +36,7 @@ from rossec.master.state.registry import (
 )
 from rossec.master.state.sites import NODE, Site
 
-MAX_REGISTERED: Final = 4096  # nodes for one name; each update has all addresses
+MAX_REGISTERED: Final = 1024  # nodes of a site for one name; each update has all addresses
 
 _Entry = tuple[str, str]
 """The label of a site, and the name there of a node."""
@@ -318,7 +318,7 @@ class Imports:
         found = held.add(fact)
         if found is not None:
             entries = self._entries[found.kind].setdefault(found.key, {})
-            if len(entries) < MAX_REGISTERED:
+            if sum(label == held.site.label for label, _ in entries) < MAX_REGISTERED:
                 entries[held.site.label, fact[2]] = None
 
     def _remove(self, held: SiteFacts, fact: Fact) -> None:

@@ -10,10 +10,13 @@ import pytest
 
 from ca.domains.lists import ForeignDomain, NameRights
 from grants.model import Right
+from rossec.errors import AnswerMalformed, SiteRefused
 from rossec.federation import foreign, mirroring
 from rossec.federation.foreign import APART
+from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.master.server.effects import Effects
+from rossec.net.rpc.client import RpcClient
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -210,3 +213,58 @@ async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Ma
     here.follow(there.as_site("h", "h"))
     await until(lambda: here.state_of("h")["error"])
     assert "does h trust this domain?" in here.state_of("h")["hint"]
+
+
+async def test_proofs_of_its_tree_are_fetched(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foreign, "EVERY", 0.1)
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    here, there = pair
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["state"] == "following")
+    revoked, valid = there.site.identity("/rounds/robot3").thumbprint, b"k" * 32
+    tree, entries = there.site.revoke(revoked), there.site.entries
+    assert entries is not None
+    there.take_tree(tree, entries)
+    domains = here.server.state.trust.domains
+    await until(lambda: domains.word("hospital").revocations == tree, within=3)
+    assert domains.proofs("hospital", [revoked, valid]) == [b"", b""]
+    here.want("/asked")  # the next answer comes at once
+    await until(lambda: all(domains.proofs("hospital", [revoked, valid])), within=8)
+    assert revoked in domains.standing.revoked("hospital")
+    assert valid not in domains.standing.revoked("hospital")
+
+
+class Answering(RpcClient):
+    """A master that gives this answer, whatever it is asked."""
+
+    def __init__(self, answer: object) -> None:
+        self.answer = answer
+
+    async def ask(self, method: str, *params: object) -> object:
+        return self.answer
+
+
+@pytest.mark.parametrize("answer", [7, [], [b"", ""], [b"", b"", b""]])
+async def test_an_answer_without_revocations_is_an_error(
+    pair: list[Master], answer: object
+) -> None:
+    here, there = pair
+    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "h")
+    with pytest.raises(AnswerMalformed):
+        await lists.greet(Answering(answer), peer)
+
+
+async def test_nothing_is_asked_for_a_domain_that_is_not_listed(pair: list[Master]) -> None:
+    here, there = pair
+    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "clinic")
+    with pytest.raises(SiteRefused, match="not a domain that is trusted"):
+        await lists.keep_fresh(Answering([b"", b""]), peer, b"")
+
+
+def own_of(master: Master) -> OwnMaster:
+    server = master.server
+    return OwnMaster(
+        server.state, server.effects, server.context, server.mirror, server.drop_mirror
+    )

@@ -7,6 +7,7 @@ every other, each view is its own registrations and the others' own, and no fact
 from collections import Counter
 from typing import Any
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -228,3 +229,17 @@ def test_nothing_grows_with_a_thousand_cycles() -> None:
         facts = sum(each.facts for each in first.imports.sites)
         sizes.append((facts, len(second.api.site_calls.views), *kinds))
     assert max(sizes) <= (0, 4, 0, 0, 0, 0)
+
+
+def test_the_nodes_of_one_site_crowd_out_no_other_site(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rossec.master.state.imports.MAX_REGISTERED", 3)
+    imports = Imports(Registry())
+    crowd = [("node", f"/ghost{n}", f"http://10.0.0.9:{n + 1}/") for n in range(9)]
+    crowd += [("publisher", "/pose", f"/ghost{n}") for n in range(9)]
+    imports.apply(Site("attic"), crowd, [])
+    robot = [("node", "/robot", "http://10.0.0.2:1/"), ("publisher", "/pose", "/robot")]
+    imports.apply(Site("kitchen"), robot, [])
+    assert len(imports.nodes_of(Kind.PUBLISHER, "/pose")) == 4
+    assert "http://10.0.0.2:1/" in imports.publisher_uris("/pose")
+    imports.apply(Site("attic"), [], crowd)
+    assert imports.publisher_uris("/pose") == ["http://10.0.0.2:1/"]
