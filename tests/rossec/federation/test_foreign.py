@@ -236,7 +236,7 @@ async def test_proofs_of_its_tree_are_fetched(
     assert valid not in domains.standing.revoked("hospital")
 
 
-class Answering(RpcClient):
+class OtherMaster(RpcClient):
     """A master that gives this answer, whatever it is asked."""
 
     def __init__(self, answer: object) -> None:
@@ -253,14 +253,14 @@ async def test_an_answer_without_revocations_is_an_error(
     here, there = pair
     peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "h")
     with pytest.raises(AnswerMalformed):
-        await lists.greet(Answering(answer), peer)
+        await lists.greet(OtherMaster(answer), peer)
 
 
 async def test_nothing_is_asked_for_a_domain_that_is_not_listed(pair: list[Master]) -> None:
     here, there = pair
     peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "clinic")
     with pytest.raises(SiteRefused, match="not a domain that is trusted"):
-        await lists.keep_fresh(Answering([b"", b""]), peer, b"")
+        await lists.keep_fresh(OtherMaster([b"", b""]), peer, b"")
 
 
 def own_of(master: Master) -> OwnMaster:

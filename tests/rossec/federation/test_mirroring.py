@@ -76,7 +76,7 @@ async def test_what_was_mirrored_goes_with_the_site(pair: list[Master]) -> None:
     await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") is None)
 
 
-class Answering(RpcClient):
+class OtherMaster(RpcClient):
     """A master that gives these answers, whatever it is asked."""
 
     def __init__(self, *answers: object) -> None:
@@ -107,7 +107,7 @@ async def test_a_malformed_answer_is_an_error(
 ) -> None:
     reading = mirroring.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
     with pytest.raises(AnswerMalformed):
-        await reading.keep(Answering(*answers))
+        await reading.keep(OtherMaster(*answers))
 
 
 async def test_too_many_parameters_are_refused(
@@ -116,7 +116,7 @@ async def test_too_many_parameters_are_refused(
     monkeypatch.setattr(mirroring, "MAX_NAMES", 1)
     reading = mirroring.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
     with pytest.raises(AnswerRefused, match="has 2 parameters"):
-        await reading.keep(Answering(["/a", "/b"]))
+        await reading.keep(OtherMaster(["/a", "/b"]))
 
 
 async def test_another_list_of_domains_counts_at_once(
@@ -127,7 +127,7 @@ async def test_another_list_of_domains_counts_at_once(
     rules = {"h": Reach((Permission("/speed", Right.PARAM_GET),))}
     monkeypatch.setattr(own.state.trust.domains, "imported", rules.get)
     reading = mirroring.Mirroring(own, pair[1].as_site("h", "h", "/**"))
-    await reading.keep(Answering(["/speed", "/key"], [[[1, "", 2]]]))
+    await reading.keep(OtherMaster(["/speed", "/key"], [[[1, "", 2]]]))
     reading.judge()
     assert mirrored(pair[0], "/remote/h/speed") == 2
     assert mirrored(pair[0], "/remote/h/key") is None
