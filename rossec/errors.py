@@ -234,5 +234,9 @@ class FederationError(RossecError):
     """A step that following another master does not have."""
 
 
+class GraphHidden(RossecError):
+    """Another master shows nothing of its graph to this one."""
+
+
 class SiteRefused(RossecError):
     """Another master than the one to follow, or one that may not be followed from here."""

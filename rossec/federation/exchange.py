@@ -12,10 +12,12 @@ from ca.errors import DomainsRefused, RevocationRefused
 from ca.revocation.state import digest
 from ca.revocation.tree import is_tree
 from rossec.errors import AnswerMalformed, AnswerRefused
+from rossec.federation.answers import SiteChange
+from rossec.federation.foreign import MAX_PRESENTED
 from rossec.federation.own import OwnMaster
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
 from rossec.net.rpc.client import RpcClient
-from rossec.ros.names import DOMAINS, UPDATE_DOMAINS
+from rossec.ros.names import DOMAINS, PRESENT_GRANTS, UPDATE_DOMAINS
 from rossec.ros.xmlrpc import Fault
 
 _SINCE: Final = "rossec.revocationsSince"
@@ -26,6 +28,26 @@ def held_revocations(own: OwnMaster) -> bytes:
     """The digest of the revocation list held; empty: there is none."""
     data = own.state.trust.list_data
     return digest(data) if data else b""
+
+
+async def present_own(client: RpcClient, own: OwnMaster) -> None:
+    """Show the grants of the own domain: a master needs `param-get` as any node does."""
+    if tokens := list(own.grants())[:MAX_PRESENTED]:
+        await client.ask(PRESENT_GRANTS, own.name, tokens)
+
+
+async def settle(
+    client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None
+) -> None:
+    """Settle both lists; after an answer, those whose digests in it are others than here.
+
+    Raises:
+        CAError, RossecError: as `settle_revocations`.
+    """
+    if answer is None or answer.revocations != held_revocations(own):
+        await settle_revocations(client, own, peer)
+    if answer is None or answer.domains != own.state.trust.domains.digest():
+        await settle_domains(client, own, peer)
 
 
 async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) -> None:

@@ -11,16 +11,24 @@ import contextlib
 import logging
 import time
 from collections.abc import AsyncIterator, Callable, Generator, Iterable
+from functools import partial
 from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown, split_alias
 from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import AnswerRefused, IdentityRefused, ImportRefused, PeerRefused, SiteRefused
+from rossec.errors import (
+    AnswerRefused,
+    GraphHidden,
+    IdentityRefused,
+    ImportRefused,
+    PeerRefused,
+    SiteRefused,
+)
 from rossec.federation import exchange
 from rossec.federation.answers import METHOD, SiteChange, SiteCursor
-from rossec.federation.foreign import MAX_PRESENTED, ForeignLists
+from rossec.federation.foreign import LONGEST_FOREIGN, ForeignLists
 from rossec.federation.mirroring import Mirroring
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
@@ -28,13 +36,11 @@ from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phas
 from rossec.master.state.import_events import ImportEvent
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
-from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 _DIAL: Final = 5.0
 PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
-LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -81,13 +87,13 @@ class FollowedSite:
             try:
                 await self._follow()
             except (SiteRefused, IdentityRefused) as error:
-                self._failed(Event.REFUSED, error)
+                self._report(Event.REFUSED, error)
             except Failures as error:
-                self._failed(Event.FAILED, error)
+                self._report(Event.FAILED, error)
             except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
                 _log.exception("following site %s failed", self.settings.label)
-                self._failed(Event.FAILED, error)
-            if self.state.phase is not Phase.FOLLOWING:
+                self._report(Event.FAILED, error)
+            if self.state.phase not in (Phase.FOLLOWING, Phase.LISTENING):
                 await self._pause()
 
     def tick(self) -> None:
@@ -115,8 +121,7 @@ class FollowedSite:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
             async with self.connection() as (client, peer):
-                await exchange.settle_revocations(client, self._own, peer)
-                await exchange.settle_domains(client, self._own, peer)
+                await exchange.settle(client, self._own, peer)
 
     @contextlib.asynccontextmanager
     async def connection(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
@@ -155,26 +160,37 @@ class FollowedSite:
         }
 
     async def _follow(self) -> None:
-        """Follow on one connection, until local nodes want more than it is asked for."""
+        """Follow on one connection, until it is to be asked for more."""
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connection() as (client, peer):
             self._take(Event.CONNECTED)
             if not was_followed:
                 await self._greet(client, peer)
-            while True:
-                await self._pace()
-                demand = self._own.state.imports.demand.version
-                asking = asyncio.ensure_future(self._next_change(client))
-                try:
-                    if not await self._is_answered(asking, peer, demand):
-                        return
-                    change = asking.result()
-                finally:
-                    asking.cancel()
-                await self._take_over(change)
-                self._own.state.imports.settle(self.settings.label, demand)
-                await self._exchange(client, peer, change)
-                await self._mirror(client)
+            try:
+                await self._poll(client, peer)
+            except GraphHidden as error:
+                if self._foreign is None or self._foreign.may_see(peer.certified_name):
+                    raise SiteRefused(str(error), error.hint) from error  # tried again
+                self._report(Event.HIDDEN, error)
+                check = partial(self._check_trust, peer)
+                await self._foreign.listen(client, peer, self._lists_changed, check)
+
+    async def _poll(self, client: RpcClient, peer: Identity) -> None:
+        """Take over what it answers, until local nodes want more."""
+        while True:
+            await self._pace()
+            demand = self._own.state.imports.demand.version
+            asking = asyncio.ensure_future(self._next_change(client))
+            try:
+                if not await self._is_answered(asking, peer, demand):
+                    return
+                change = asking.result()
+            finally:
+                asking.cancel()
+            await self._take_over(change)
+            self._own.state.imports.settle(self.settings.label, demand)
+            await self._exchange(client, peer, change)
+            await self._mirror(client)
 
     async def _pace(self) -> None:
         """Let a moment pass between two questions, whatever the site or local nodes do."""
@@ -241,23 +257,14 @@ class FollowedSite:
             await self._foreign.greet(client, peer)
         else:
             if self.settings.parameters:
-                await self._present_own(client)
-            await exchange.settle_revocations(client, self._own, peer)
-            await exchange.settle_domains(client, self._own, peer)
-
-    async def _present_own(self, client: RpcClient) -> None:
-        """Show the grants of the own domain: a master needs `param-get` as any node does."""
-        if tokens := list(self._own.grants())[:MAX_PRESENTED]:
-            await client.ask(PRESENT_GRANTS, self._own.name, tokens)
+                await exchange.present_own(client, self._own)
+            await exchange.settle(client, self._own, peer)
 
     async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
         if self._foreign is not None:
             await self._foreign.keep_fresh(client, peer, change.revocations)
             return
-        if change.revocations != exchange.held_revocations(self._own):
-            await exchange.settle_revocations(client, self._own, peer)
-        if change.domains != self._own.state.trust.domains.digest():
-            await exchange.settle_domains(client, self._own, peer)
+        await exchange.settle(client, self._own, peer, change)
 
     async def _next_change(self, client: RpcClient) -> SiteChange:
         """The next complete answer."""
@@ -267,7 +274,7 @@ class FollowedSite:
             try:
                 answer = await client.ask(METHOD, self._own.name, *self._cursor.params, [*wanted])
             except AnswerRefused as error:
-                raise SiteRefused(f"{self.settings.label} refuses: {error}", error.hint) from error
+                raise GraphHidden(f"{self.settings.label} refuses: {error}", error.hint) from error
             change = self._cursor.take(answer)
             if change is not None:
                 return change
@@ -286,11 +293,11 @@ class FollowedSite:
         self._take(Event.ANSWERED)
         self.error = self.hint = ""
 
-    def _failed(self, event: Event, error: BaseException) -> None:
+    def _report(self, event: Event, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
         if text != self.error:
             _log.warning("site %s: %s", self.settings.label, text)
-        if event is Event.REFUSED and text != self.error:
+        if event is not Event.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
         self.error, self.hint = text, printable(self._advice(error))
         self._take(event)

@@ -5,7 +5,9 @@ seconds; both are judged by `DomainTrust`, and passed on to the own nodes, which
 """
 
 import asyncio
+import contextlib
 import time
+from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
@@ -13,12 +15,14 @@ from ca.domains.anchors import ListedDomain
 from ca.errors import RevocationRefused, RevocationsStale
 from ca.revocation.state import digest
 from grants.errors import GrantError
+from grants.model import Right
 from grants.token import peek
 from rossec.errors import AnswerMalformed, SiteRefused
 from rossec.federation.own import OwnMaster
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.names import PRESENT_GRANTS
 
+LONGEST_FOREIGN: Final = 8.0  # seconds between two words of a foreign master that refuses
 EVERY: Final = 10.0  # seconds between two words of a foreign master
 APART: Final = 1.0  # seconds between two lists: each is sent to every own node, which saves it
 MAX_PRESENTED: Final = 64
@@ -46,10 +50,32 @@ class ForeignLists:
             CAError, RossecError: its word is refused, or there is none.
         """
         await self.fetch(client, peer)
-        domain = self._listed().entry.domain
-        tokens = [each for each in self._own.grants() if _domain_of(each) == domain]
-        if tokens:
-            await client.ask(PRESENT_GRANTS, self._own.name, tokens[:MAX_PRESENTED])
+        if tokens := self._tokens():
+            await client.ask(PRESENT_GRANTS, self._own.name, tokens)
+
+    async def listen(
+        self, client: RpcClient, peer: Identity, changed: asyncio.Event, check: Callable[[], None]
+    ) -> None:
+        """Hear what is revoked there, of a master that shows nothing; until there is a grant.
+
+        `check` raises when the peer must go; it is called as soon as the own lists have `changed`.
+
+        Raises:
+            SiteRefused, CAError, RossecError: as `greet`, and what `check` does.
+        """
+        while not self.may_see(peer.certified_name):
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LONGEST_FOREIGN):
+                    await changed.wait()
+            changed.clear()
+            check()
+            await self.fetch(client, peer)
+
+    def may_see(self, master: str) -> bool:
+        """Whether this master holds a grant, unverified, that says it may see the graph there."""
+        now = self._own.state.now()
+        held = (peek(token) for token in self._tokens())
+        return any(each.covers(Right.GRAPH, master) and now < each.expires for each in held)
 
     async def keep_fresh(self, client: RpcClient, peer: Identity, theirs: bytes) -> None:
         """Fetch where the digest `theirs` is another, or the last word is old; raises likewise."""
@@ -97,6 +123,11 @@ class ForeignLists:
                     continue
                 taken += 1
         return taken
+
+    def _tokens(self) -> list[bytes]:
+        """The grants of that domain that this master holds, as far as they are shown."""
+        domain = self._listed().entry.domain
+        return [each for each in self._own.grants() if _domain_of(each) == domain][:MAX_PRESENTED]
 
     def _listed(self) -> ListedDomain:
         listed = self._own.state.trust.domains.anchors.listed(self._label)

@@ -20,6 +20,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
 _TICK: Final = 1.0
+_ANNOUNCED: Final = "announced"
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
@@ -44,7 +45,7 @@ class Mesh:
     ) -> None:
         self._own = own
         self._announced = announced
-        heard: dict[str, ReadSites] = {} if announced is None else {"announced": announced.sites}
+        heard: dict[str, ReadSites] = {} if announced is None else {_ANNOUNCED: announced.sites}
         self._sources = {**sources, **heard}
         self._last: dict[str, tuple[SiteSettings, ...]] = {}
         self._warned: dict[str, str] = {}
@@ -109,7 +110,8 @@ class Mesh:
             except (ConfigurationError, OSError) as error:  # the last that was read stays
                 self._warned[name] = _text(error)
             for each in self._last.get(name, ()):
-                self._add(found, each)
+                if name != _ANNOUNCED or not _has_master(found, each):
+                    self._add(found, each)
         for where, text in self._warned.items():
             if before.get(where) != text:
                 _log.warning("%s: %s", where, text)
@@ -152,6 +154,12 @@ class Mesh:
     def _send_lists(self) -> None:
         for follower, _ in self._followers.values():
             self._tasks.spawn(follower.send_lists(), f"lists for {follower.settings.label}")
+
+
+def _has_master(sites: Mapping[str, SiteSettings], heard: SiteSettings) -> bool:
+    """Whether somebody named the master that was heard: that is no contradiction."""
+    known = {(each.domain, each.master) for each in sites.values()}
+    return (heard.domain, heard.master) in known
 
 
 def _text(error: Exception) -> str:

@@ -24,6 +24,7 @@ class Phase(Enum):
     DIALLING = "dialling"
     GREETING = "greeting"
     FOLLOWING = "following"
+    LISTENING = "listening"
     LOST = "lost"
 
 
@@ -33,6 +34,7 @@ class Event(Enum):
     DUE = "it is time to dial"
     CONNECTED = "there is a connection"
     ANSWERED = "the site has answered, and the answer is taken over"
+    HIDDEN = "the site shows nothing of its graph, only what is revoked"
     FAILED = "no connection, no answer, or an invalid one"
     REFUSED = "the site is another one, or refuses"
     EXPIRED = "the facts of a lost site are too old"
@@ -49,6 +51,7 @@ class Effect(Enum):
 
 
 _CONNECTING: Final = (Phase.DIALLING, Phase.GREETING)
+_OPEN: Final = (*_CONNECTING, Phase.FOLLOWING, Phase.LISTENING)
 TABLE: Final = {
     (Phase.IDLE, Event.DUE): (Phase.DIALLING, Effect.NONE),
     (Phase.LOST, Event.DUE): (Phase.DIALLING, Effect.NONE),
@@ -56,8 +59,11 @@ TABLE: Final = {
     (Phase.DIALLING, Event.CONNECTED): (Phase.GREETING, Effect.NONE),
     (Phase.GREETING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
     (Phase.FOLLOWING, Event.ANSWERED): (Phase.FOLLOWING, Effect.NONE),
-    **{(at, Event.FAILED): (Phase.LOST, Effect.MARK) for at in (*_CONNECTING, Phase.FOLLOWING)},
-    **{(at, Event.REFUSED): (Phase.IDLE, Effect.DROP) for at in (*_CONNECTING, Phase.FOLLOWING)},
+    (Phase.GREETING, Event.HIDDEN): (Phase.LISTENING, Effect.DROP),
+    (Phase.FOLLOWING, Event.HIDDEN): (Phase.LISTENING, Effect.DROP),
+    (Phase.LISTENING, Event.DUE): (Phase.DIALLING, Effect.NONE),  # it may show more now
+    **{(at, Event.FAILED): (Phase.LOST, Effect.MARK) for at in _OPEN},
+    **{(at, Event.REFUSED): (Phase.IDLE, Effect.DROP) for at in _OPEN},
     **{(at, Event.EXPIRED): (at, Effect.EXPIRE) for at in (*_CONNECTING, Phase.LOST)},
     **{(at, Event.REMOVED): (Phase.IDLE, Effect.DROP) for at in Phase},
 }
@@ -95,6 +101,7 @@ class SiteState:
             self.lost_since, self.failures, self._has_facts = None, 0, True
         elif effect in (Effect.EXPIRE, Effect.DROP):
             self.lost_since, self._has_facts = None, False
+            self.failures = 0 if event is Event.HIDDEN else self.failures
         elif event is Event.FAILED and self._has_facts and self.lost_since is None:
             self.lost_since = clock
         return effect

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from grants.model import Right
 from rossec.federation import states
 from rossec.federation.answers import SiteCursor
 from rossec.federation.follower import PACE
@@ -139,3 +140,46 @@ async def test_an_error_of_another_kind_does_not_end_it(
     hall.follow(kitchen.as_site("kitchen"))
     await until(lambda: hall.imported("/pose"))
     assert "following site kitchen failed" in caplog.text
+
+
+async def test_a_site_that_is_revoked_while_its_answer_is_waited_for(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose"))
+    await asyncio.sleep(0.2)  # nothing has changed: the next answer comes after five seconds
+    hall.take_list(hall.site.revoke(hall.site.identity("/master/kitchen").thumbprint))
+    await until(lambda: not hall.imported("/pose"), within=2)
+    await until(lambda: "revoked" in hall.state_of("kitchen")["error"])
+
+
+async def test_a_site_with_more_facts_than_the_limit_is_not_followed(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.server.state.imports._limit = 1
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: "more than 1 facts" in hall.state_of("kitchen")["error"])
+    assert hall.imported("/pose") == []
+    assert hall.state_of("kitchen")["facts"] == 0
+
+
+async def test_a_site_whose_parameters_are_mirrored_is_shown_the_own_grants(
+    pair: list[Master],
+) -> None:
+    hall, kitchen = pair
+    hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
+    await kitchen.register("/robot", "/pose", 4711)
+    hall.follow(kitchen.as_site("kitchen", "", "/robot/**"))
+    await until(lambda: hall.imported("/pose"))
+    asked = kitchen.server.state.trust.caller(hall.site.identity("/master"), hall.site.now())
+    assert asked.may(Right.PARAM_GET, "/robot/speed")
+    assert hall.state_of("kitchen")["parameters"] == ["/robot/**"]
+
+
+async def test_a_newer_list_goes_to_a_site_whose_answer_is_waited_for(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.state_of("kitchen")["state"] == "following")
+    await asyncio.sleep(0.2)
+    hall.take_list(hall.site.revoke(b"k" * 32))
+    await until(lambda: kitchen.list_number == (1, 2), within=3)

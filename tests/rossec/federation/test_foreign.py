@@ -10,10 +10,13 @@ import pytest
 
 from ca.domains.lists import ForeignDomain, NameRights
 from grants.model import Right
-from rossec.federation import mirroring
+from rossec.errors import AnswerMalformed, SiteRefused
+from rossec.federation import foreign, mirroring
 from rossec.federation.foreign import APART
+from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.master.server.effects import Effects
+from rossec.net.rpc.client import RpcClient
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -33,6 +36,13 @@ def take(pair: list[Master], seq: int, *taken: NameRights) -> None:
     here, there = pair
     listed = [trusting(there.site, "h", *taken)]
     here.take_domains(domain_list(here.site, "/master", foreign=listed, seq=seq))
+
+
+def install_graph(to: Master, of: Master) -> None:
+    """A grant with which one master may see the graph of the other."""
+    key = to.site.identity("/master").thumbprint
+    data = of.site.grant("/robot", Right.GRAPH, "/master", holder=key)
+    to.home.add_grant(data[-16:], data)
 
 
 @pytest.fixture
@@ -158,6 +168,38 @@ async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]
     assert "h is not a domain that is trusted" in str(here.mesh.status()["problems"])
 
 
+async def test_a_master_that_shows_nothing_is_asked_once_and_heard(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(foreign, "LONGEST_FOREIGN", 0.2)
+    here, there = pair
+    await here.register("/rounds/robot3", "/rounds/pose", 4711)
+    there.want()
+    await until(lambda: there.state_of("h1")["state"] == "listening")
+    assert "needs the right graph" in there.state_of("h1")["error"]
+    key = here.site.identity("/rounds/robot3").thumbprint
+    here.take_list(here.site.revoke(key))
+    revoked = there.server.state.trust.domains.standing.revoked
+    await until(lambda: key in revoked("home"), within=3)
+    assert there.state_of("h1")["state"] == "listening"
+    for name in ("rossec.federation", "rossec.audit", "rossec.audit.denials"):
+        assert [each.name for each in caplog.records].count(name) == 1, name
+    here.follow(
+        there.as_site("h", "h")
+    )  # before it knows what the hospital revokes no grant counts
+    await until(lambda: here.state_of("h")["state"] == "following")
+    install_graph(there, here)
+    await until(lambda: there.state_of("h1")["state"] == "following")
+    assert there.state_of("h1")["error"] == ""
+
+
+async def test_listening_ends_with_the_trust(pair: list[Master]) -> None:
+    _, there = pair
+    await until(lambda: there.state_of("h1")["state"] == "listening")
+    there.take_domains(domain_list(there.site, "/master", seq=3))
+    await until(lambda: there.mesh.status()["problems"])
+
+
 async def test_the_own_domain_is_not_taken_for_a_foreign_one(pair: list[Master]) -> None:
     here, there = pair
     here.follow(SiteSettings("kitchen", there.server.uri, "/master/kitchen"))
@@ -171,3 +213,58 @@ async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Ma
     here.follow(there.as_site("h", "h"))
     await until(lambda: here.state_of("h")["error"])
     assert "does h trust this domain?" in here.state_of("h")["hint"]
+
+
+async def test_proofs_of_its_tree_are_fetched(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foreign, "EVERY", 0.1)
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    here, there = pair
+    here.follow(there.as_site("h", "h"))
+    await until(lambda: here.state_of("h")["state"] == "following")
+    revoked, valid = there.site.identity("/rounds/robot3").thumbprint, b"k" * 32
+    tree, entries = there.site.revoke(revoked), there.site.entries
+    assert entries is not None
+    there.take_tree(tree, entries)
+    domains = here.server.state.trust.domains
+    await until(lambda: domains.word("hospital").revocations == tree, within=3)
+    assert domains.proofs("hospital", [revoked, valid]) == [b"", b""]
+    here.want("/asked")  # the next answer comes at once
+    await until(lambda: all(domains.proofs("hospital", [revoked, valid])), within=8)
+    assert revoked in domains.standing.revoked("hospital")
+    assert valid not in domains.standing.revoked("hospital")
+
+
+class OtherMaster(RpcClient):
+    """A master that gives this answer, whatever it is asked."""
+
+    def __init__(self, answer: object) -> None:
+        self.answer = answer
+
+    async def ask(self, method: str, *params: object) -> object:
+        return self.answer
+
+
+@pytest.mark.parametrize("answer", [7, [], [b"", ""], [b"", b"", b""]])
+async def test_an_answer_without_revocations_is_an_error(
+    pair: list[Master], answer: object
+) -> None:
+    here, there = pair
+    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "h")
+    with pytest.raises(AnswerMalformed):
+        await lists.greet(OtherMaster(answer), peer)
+
+
+async def test_nothing_is_asked_for_a_domain_that_is_not_listed(pair: list[Master]) -> None:
+    here, there = pair
+    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "clinic")
+    with pytest.raises(SiteRefused, match="not a domain that is trusted"):
+        await lists.keep_fresh(OtherMaster([b"", b""]), peer, b"")
+
+
+def own_of(master: Master) -> OwnMaster:
+    server = master.server
+    return OwnMaster(
+        server.state, server.effects, server.context, server.mirror, server.drop_mirror
+    )

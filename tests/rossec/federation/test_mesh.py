@@ -1,11 +1,16 @@
+import asyncio
+import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
+from rossec.federation.announced import AnnouncedMasters
+from rossec.federation.config import FederationConfig
 from rossec.federation.follower import FollowedSite
 from rossec.federation.settings import SiteSettings
 from rossec.federation.site_file import FILE, SiteFile
+from rossec.federation.start import mesh_of
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -99,3 +104,23 @@ async def test_what_was_wrong_is_said_once_and_while_it_is(
     assert caplog.text.count("site kitchen: ") == 1
     file.change(dict.clear)
     await until(lambda: not hall.mesh.status()["problems"])
+
+
+async def test_a_master_that_was_named_and_is_heard_too_is_no_contradiction(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hall, kitchen = pair
+    heard = (kitchen.as_site("kitchen"), SiteSettings("attic", "http://127.0.0.1:1", "/master/a"))
+    monkeypatch.setattr(AnnouncedMasters, "sites", lambda _: heard)
+    monkeypatch.setattr(AnnouncedMasters, "listening", lambda _: contextlib.nullcontext())
+    config = FederationConfig(follow_announced=True, sites=(kitchen.as_site("galley"),))
+    mesh = mesh_of(hall.server, hall.home, config)
+    running = asyncio.ensure_future(mesh.run())
+    try:
+        await until(lambda: len(mesh.status()["sites"]) == 2)
+    finally:
+        running.cancel()
+    assert [(s["label"], s["source"]) for s in mesh.status()["sites"]] == [
+        ("attic", "announced"), ("galley", "configuration"),
+    ]  # fmt: skip
+    assert mesh.status()["problems"] == {}

@@ -3,8 +3,12 @@ from pathlib import Path
 
 import pytest
 
-from grants.model import Right
+from grants.model import Permission, Right
+from grants.reach import Reach
+from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.federation import mirroring
+from rossec.federation.own import OwnMaster
+from rossec.net.rpc.client import RpcClient
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -70,3 +74,64 @@ async def test_what_was_mirrored_goes_with_the_site(pair: list[Master]) -> None:
     await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") == 1)
     hall.take_list(hall.site.revoke(hall.site.identity("/master/kitchen").thumbprint))
     await until(lambda: mirrored(hall, "/remote/kitchen/robot/speed") is None)
+
+
+class OtherMaster(RpcClient):
+    """A master that gives these answers, whatever it is asked."""
+
+    def __init__(self, *answers: object) -> None:
+        self.answers = list(answers)
+
+    async def ask(self, method: str, *params: object) -> object:
+        return self.answers.pop(0)
+
+    async def call(self, method: str, *params: object) -> object:
+        return self.answers.pop(0)
+
+
+def own_of(master: Master) -> OwnMaster:
+    server = master.server
+    return OwnMaster(
+        server.state, server.effects, server.context, server.mirror, server.drop_mirror
+    )
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        (7,), (["/a"], 7), (["/a"], []), (["/a", "/a/b"], [[[1, "", 1]], [[1, "", 1]]]),
+    ],
+)  # fmt: skip
+async def test_a_malformed_answer_is_an_error(
+    pair: list[Master], answers: tuple[object, ...]
+) -> None:
+    reading = mirroring.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
+    with pytest.raises(AnswerMalformed):
+        await reading.keep(OtherMaster(*answers))
+
+
+async def test_too_many_parameters_are_refused(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mirroring, "MAX_NAMES", 1)
+    reading = mirroring.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
+    with pytest.raises(AnswerRefused, match="has 2 parameters"):
+        await reading.keep(OtherMaster(["/a", "/b"]))
+
+
+async def test_another_list_of_domains_counts_at_once(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For what was mirrored, and for what was just being read."""
+    own = own_of(pair[0])
+    rules = {"h": Reach((Permission("/speed", Right.PARAM_GET),))}
+    monkeypatch.setattr(own.state.trust.domains, "imported", rules.get)
+    reading = mirroring.Mirroring(own, pair[1].as_site("h", "h", "/**"))
+    await reading.keep(OtherMaster(["/speed", "/key"], [[[1, "", 2]]]))
+    reading.judge()
+    assert mirrored(pair[0], "/remote/h/speed") == 2
+    assert mirrored(pair[0], "/remote/h/key") is None
+    rules["h"] = Reach(())
+    reading.judge()
+    assert mirrored(pair[0], "/remote/h/speed") is None
+    assert reading.mirrored == 0

@@ -53,6 +53,20 @@ def test_a_refusal_drops_the_facts_at_once(reached: int) -> None:
     assert state.take(Event.DUE, 2.0) is Effect.NONE, "it is tried again: rights may be given"
 
 
+@pytest.mark.parametrize("reached", [2, 3])
+def test_a_site_that_shows_nothing_is_listened_to(reached: int) -> None:
+    state = SiteState()
+    for event in (Event.DUE, Event.CONNECTED, Event.ANSWERED)[:reached]:
+        state.take(event, 0.0)
+    state.failures = 3
+    assert state.take(Event.HIDDEN, 1.0) is Effect.DROP
+    assert (state.phase, state.failures) == (Phase.LISTENING, 0)
+    assert state.take(Event.FAILED, 2.0) is Effect.MARK
+    assert not state.has_expired(1000.0), "there are no facts"
+    state.phase = Phase.LISTENING
+    assert state.take(Event.DUE, 3.0) is Effect.NONE, "there is a grant now"
+
+
 @pytest.mark.parametrize("phase", list(Phase))
 def test_removal_drops_the_facts_whatever_the_phase(phase: Phase) -> None:
     state = SiteState()

@@ -142,7 +142,6 @@ print("STATE", "/word" in dict(master.getSystemState("/script")[2][1]), flush=Tr
 print("FOUND", master.searchParam("/deep/script", "speed")[2], flush=True)
 print("MET", master.getParam("/deep/script", "speed"), flush=True)
 print("NOBODY", master.getPid(), flush=True)
-print("ABROAD", master.setParam("/script", "/remote/other/speed", 1)[0], flush=True)
 many = MultiCall(master)
 many.getParam("/deep/script", "speed")
 many.getParam("/script", "speed")
@@ -174,9 +173,26 @@ async def test_proxies_that_a_program_makes_itself(site: Site, tmp_path: Path) -
         async with program(environment(site, tmp_path / "o"), source) as operator:
             await says(
                 operator, "STATE True", "FOUND /deep/speed", "MET [1, 'Parameter [/deep/speed]'",
-                "NOBODY [-1, 'missing required caller_id parameter', -1]", "ABROAD -1",
+                "NOBODY [-1, 'missing required caller_id parameter', -1]",
                 "MANY [2, 1]", "ASKED 1", "ITSELF 1", "ELSEWHERE True", "ELSEWHERE True",
             )  # fmt: skip
+
+
+ABROAD = """
+import rospy
+import rossec
+rossec.secure()
+rospy.init_node("operator")
+rospy.set_param("/remote/other/speed", 1)
+rospy.spin()
+"""
+
+
+async def test_what_is_offered_below_remote_is_refused_and_said(site: Site, tmp_path: Path) -> None:
+    """rospy.set_param ignores the answer."""
+    entitle(site, "/operator", {Right.PARAM_SET: ("/**",)})
+    async with program(environment(site, tmp_path), ABROAD) as operator:
+        await operator.read_until("setParam: /remote/other/speed cannot be set here")
 
 
 OTHERS = """
