@@ -155,6 +155,15 @@ async def test_the_api_survives_malformed_requests(victim: Victim) -> None:
     await victim.goes_on()
 
 
+async def test_what_only_the_master_may_call_is_refused_to_others(victim: Victim) -> None:
+    client = RpcClient(await dial(victim.uri, credentials(victim.site, GUEST)))
+    answer = await client.call("publisherUpdate", GUEST, "/word", [])
+    await client.close()
+    assert isinstance(answer, list)
+    assert answer[0] == -1
+    await victim.goes_on()
+
+
 async def test_the_master_changes_parameters_and_publishers(victim: Victim) -> None:
     site = victim.site
     own = credentials(site, "/boss")
