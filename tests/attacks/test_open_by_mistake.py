@@ -55,6 +55,10 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
         "rossec.updateRevocationTree": (b"x", b"x"), "rossec.revocationProofs": ([],),
         "rossec.trl": (b"\xa0",), "rossec.depositGrants": ([b"x"],),
         "rossec.deliveryStates": ([],), "rossec.fetchGrants": (b"",),
+        "rossec.domains": (b"x",), "rossec.updateDomains": (b"x",),
+        "rossec.foreignRevocations": ("other", b"x"),
+        "rossec.foreignRevocationProofs": ("other", []), "rossec.followSite": ("", 0, []),
+
         **{f"register{kind}": (TOPIC, POSE, "http://h:1/") for kind in ("Publisher", "Subscriber")},
         **{f"unregister{kind}": (TOPIC, "http://h:1/") for kind in ("Publisher", "Subscriber")},
     }  # fmt: skip

@@ -16,8 +16,8 @@ FOUND: Final = 30.0  # seconds; they announce themselves each second, and a load
 
 
 @pytest.fixture
-async def two(tmp_path: Path) -> AsyncIterator[Mesh]:
-    async with mesh_of({"home": ("hall", "kitchen")}, tmp_path) as mesh:
+async def two(short_path: Path) -> AsyncIterator[Mesh]:
+    async with mesh_of({"home": ("hall", "kitchen")}, short_path) as mesh:
         home = mesh.domains["home"]
         home.enroll("/robot", publish=POSE)
         home.enroll("/viewer", subscribe=HEAT)

@@ -56,8 +56,8 @@ def state(master: MasterProcess) -> dict[str, Any]:
 
 
 @pytest.fixture
-async def pair(tmp_path: Path) -> AsyncIterator[tuple[MasterProcess, Kitchen]]:
-    site = Site(tmp_path / "s")
+async def pair(short_path: Path) -> AsyncIterator[tuple[MasterProcess, Kitchen]]:
+    site = Site(short_path / "s")
     for name in ("/master", KITCHEN):
         site.enroll(name)
     data = domain_list(site, "/master", KITCHEN)

@@ -15,11 +15,11 @@ PAGE: Final = ROOT / "docs" / "howto" / "a-visit.md"
 
 
 @pytest.fixture
-def shells(tmp_path: Path) -> Iterator[dict[str, TypedShell]]:
+def shells(short_path: Path) -> Iterator[dict[str, TypedShell]]:
     with lan_of({"home": ("home",), "hospital": ("hospital",)}) as lan:
         if not lan.real:
             pytest.skip("needs network namespaces")
-        opened = shells_of(lan.hosts, tmp_path)
+        opened = shells_of(lan.hosts, short_path)
         try:
             yield opened
         finally:
