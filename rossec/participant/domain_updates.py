@@ -120,7 +120,16 @@ class DomainUpdates:
         await self.fetch_wanted(call)
 
     async def fetch_wanted(self, call: MasterCall) -> None:
-        """Fetch the revocations of domains that are new, and proofs; raises likewise."""
+        """Fetch the revocations of domains that are new, and proofs; raises likewise.
+
+        Those of which there is no list yet are asked for each time: until then every peer of the
+        domain is refused, and the master may receive its first list a moment after this node asked.
+        """
+        self._wanted |= {
+            each.entry.domain
+            for each in self._standing.anchors.all_listed
+            if (held := self._standing.foreign(each.entry.domain)) is None or held.current is None
+        }
         while self._wanted and self._supported:
             await self._fetch_foreign(call, self._wanted.pop())
         for listed in self._standing.anchors.all_listed:

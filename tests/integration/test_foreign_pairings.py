@@ -105,6 +105,9 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
         speakers = [start(hospital, kind, SPEAKERS[kind]) for kind in KINDS]
         for speaker in speakers:
             speaker.wait_for("READY")
+        for kind in KINDS:  # until then they refuse a foreigner, and `wait_for_service` ends
+            known = hospital.site.root / "nodes" / f"{kind}_speaker" / "foreign" / "home.cose"
+            wait(known.exists)
         told = " ".join(f"{LABEL}/{kind}" for kind in KINDS), str(directory / "never")
         listeners = {kind: start(home, kind, LISTENERS[kind], *told) for kind in KINDS}
         yield Cast(home, hospital, listeners)

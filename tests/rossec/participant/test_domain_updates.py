@@ -112,6 +112,20 @@ async def test_what_is_in_use_is_fetched_each_time_else_at_half_its_age(
         assert robot.methods() == [DOMAINS, *fetched]
 
 
+async def test_a_domain_without_a_list_is_asked_for_each_time(robot: Robot) -> None:
+    """Its master may be heard of a moment after this node's session began."""
+    robot.answers[FOREIGN_REVOCATIONS] = lambda *_: [b"", b"", []]
+    await robot.updates.session_opened(robot.call)
+    robot.methods()
+    await robot.updates.fetch_wanted(robot.call)
+    robot.answers[FOREIGN_REVOCATIONS] = robot.word
+    await robot.updates.fetch_wanted(robot.call)
+    assert robot.methods() == [FOREIGN_REVOCATIONS] * 2
+    robot.standing.check(DOMAIN, KEY, NOW)
+    await robot.updates.fetch_wanted(robot.call)
+    assert robot.methods() == []
+
+
 async def test_a_master_of_an_older_version_is_used_without_domains(robot: Robot) -> None:
     del robot.answers[DOMAINS]
     await robot.updates.session_opened(robot.call)
