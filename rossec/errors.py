@@ -240,3 +240,19 @@ class GraphHidden(RossecError):
 
 class SiteRefused(RossecError):
     """Another master than the one to follow, or one that may not be followed from here."""
+
+
+class OverlayUnavailable(RossecError):
+    """The library of the overlay is not installed, or no router can be used."""
+
+
+class LinkEnded(RossecError):
+    """A link through the overlay ended: reset, no progress, or a frame that is malformed."""
+
+
+class StreamRefused(RossecError):
+    """A stream of a link between relays is refused, or breaks its rules."""
+
+
+class RelayRefused(RossecError):
+    """Another relay, a card or a door is refused."""

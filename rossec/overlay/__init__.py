@@ -1,1 +1,1 @@
-"""Links between sites. Reserved: nothing is here yet."""
+"""Links between sites: relays carry sealed bytes through routers that learn nothing of them."""

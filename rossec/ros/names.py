@@ -22,6 +22,9 @@ DOMAINS: Final = "rossec.domains"  # to the master
 UPDATE_DOMAINS: Final = "rossec.updateDomains"
 FOREIGN_REVOCATIONS: Final = "rossec.foreignRevocations"
 FOREIGN_PROOFS: Final = "rossec.foreignRevocationProofs"
+RELAY_DOORS: Final = "rossec.relayDoors"  # to the master, from a relay
+RELAY_TARGET: Final = "rossec.relayTarget"
+PORTS: Final = "rossec.ports"  # from a relay to a node
 DOMAINS_UPDATE: Final = "rossec.domainsUpdate"  # from the master to a node
 FOREIGN_UPDATE: Final = "rossec.foreignRevocationUpdate"
 # What the master pushes that others signed: taken also while revocations are stale.

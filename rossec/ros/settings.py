@@ -18,6 +18,7 @@ from rossec.ros import names
 
 DEFAULT_MASTER_URI: Final = "http://localhost:11311"
 DEFAULT_PORT: Final = 11311
+DOOR_PATH: Final = "/via"  # of a slave API's URI that a relay serves
 _ASSIGN: Final = ":="
 _SPECIAL: Final = frozenset({"__name", "__ns", "__master", "__ip", "__hostname", "__log"})
 
@@ -106,6 +107,23 @@ def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str
 def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
     """The URI that `parse_uri` takes apart; a numeric IPv6 host is put in brackets."""
     return f"{scheme}://[{host}]:{port}/" if ":" in host else f"{scheme}://{host}:{port}/"
+
+
+def is_door(uri: str) -> bool:
+    """Whether a slave API's URI is a relay's door: `http://host:port/via`.
+
+    At a door the node's TCPROS connections are accepted too, so the address in its answer to
+    `requestTopic` is not used: it is one of the node's own network.
+    """
+    try:
+        return urlsplit(uri).path == DOOR_PATH
+    except ValueError:
+        return False
+
+
+def build_door(host: str, port: int) -> str:
+    """The URI of the door of a node, that `is_door` recognizes."""
+    return build_uri(host, port).removesuffix("/") + DOOR_PATH
 
 
 def is_loopback(host: str) -> bool:

@@ -53,10 +53,10 @@ from rossec.master.state.registry import Kind, Registry
 from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.host.relayed import is_near
 from rossec.net.rpc.client import serve_calls
 from rossec.ros.http import HEADERS_LIMIT
 from rossec.ros.names import MASTER
-from rossec.ros.settings import is_loopback
 from rossec.ros.text import printable
 
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp is valid for 30
@@ -272,7 +272,7 @@ class MasterServer:
             return
         state.streams.add(stream)  # until its socket is closed: a lingering one counts
         stream.when_closed(partial(state.streams.discard, stream))
-        is_local = is_loopback(stream.address) or stream.address == stream.local_address
+        is_local = is_near(stream.address, stream.local_address)
         await serve_calls(
             stream,
             partial(self._answers.dispatch, is_local),
