@@ -1,56 +1,35 @@
-"""Keys of mailboxes: where a relay is reached through routers. Pure.
+"""Keys of mailboxes, `rossec/1/<seat>/<box>`. Pure.
 
-`rossec/1/<seat>/<box>`: the seat is the name that the routers' operator gave a customer, the box is
-random. No name, label, domain or topic is in a key (docs/spec/overlay.md): routers see it.
+A seat is the router operator's name for a customer, a box 16 random bytes: no name, label, domain
+or topic is in a key. Whoever puts to a key that came from outside checks it here first: a key with
+a wildcard would be put to many mailboxes.
 """
 
 import re
 from typing import Final
 
-from rossec.errors import ConfigurationError, RelayRefused
-
-PREFIX: Final = "rossec/1"
-BOX_OCTETS: Final = 16
-OPEN_SEAT: Final = "open"  # the seat of routers without access control
-_SEAT: Final = re.compile(r"[a-z0-9]{1,32}", re.ASCII)
-_KEY: Final = re.compile(rf"{PREFIX}/([a-z0-9]{{1,32}})/([0-9a-f]{{32}})", re.ASCII)
+BOX: Final = 16  # bytes
+_KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
+_SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
 
 
-def check_seat(text: str) -> str:
-    """Return `text` if it is the name of a seat.
-
-    Raises:
-        ConfigurationError: anything else.
-    """
-    if _SEAT.fullmatch(text) is None:
-        raise ConfigurationError(
-            f"{text[:64]!a} is not the name of a seat", "1 to 32 lower case letters and digits"
-        )
-    return text
+def is_seat(name: str) -> bool:
+    """Whether `name` may be that of a seat."""
+    return _SEAT.fullmatch(name) is not None
 
 
-def mailbox_key(seat: str, box: bytes) -> str:
-    """The key of a mailbox below `seat`; `box` has 16 random octets.
+def is_mailbox(key: str) -> bool:
+    """Whether `key` is the key of exactly one mailbox."""
+    return _KEY.fullmatch(key) is not None
+
+
+def mailbox(seat: str, box: bytes) -> str:
+    """The key of the mailbox `box` (16 random bytes) of a seat.
 
     Raises:
-        ConfigurationError: not a seat.
+        ValueError: not a seat's name, or a box of another length.
     """
-    if len(box) != BOX_OCTETS:
-        raise ValueError(f"a box has {BOX_OCTETS} octets")
-    return f"{PREFIX}/{check_seat(seat)}/{box.hex()}"
-
-
-def check_mailbox(key: str) -> str:
-    """Return `key` if it is that of a mailbox.
-
-    Raises:
-        RelayRefused: anything else.
-    """
-    if _KEY.fullmatch(key) is None:
-        raise RelayRefused("this is not the key of a mailbox", "take the whole card of the relay")
+    key = f"rossec/1/{seat}/{box.hex()}"
+    if not is_mailbox(key):
+        raise ValueError("not the key of a mailbox")
     return key
-
-
-def seat_of(key: str) -> str:
-    """The seat in the key of a mailbox; raises as `check_mailbox`."""
-    return check_mailbox(key).split("/")[2]
