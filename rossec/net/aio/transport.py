@@ -20,15 +20,19 @@ class TransportOwner(Protocol):
     """Receives the events of the socket; names as in `asyncio.BufferedProtocol`."""
 
     def get_buffer(self) -> memoryview:
-        """The buffer for the next bytes."""
+        """The buffer for the next bytes.
+
+        Raises:
+            BlockingIOError: there is no room; the owner has paused reading.
+        """
         ...
 
     def buffer_updated(self, count: int) -> None:
         """So many bytes were written there."""
         ...
 
-    def eof_received(self) -> None:
-        """The peer sends nothing more."""
+    def eof_received(self) -> bool | None:
+        """The peer sends nothing more; true: this side does, the socket stays open."""
         ...
 
     def resume_writing(self) -> None:
@@ -97,6 +101,11 @@ class Transport:
             self._reading = False
             self._loop.remove_reader(self._fd)
 
+    def read_now(self) -> None:
+        """Read what has arrived, once, in the caller's turn and not in the loop's."""
+        if not (self._closing or self.closed):
+            self._read()
+
     def _readable(self) -> None:
         if self._read() and self._eof_due and not self.closed:
             self._read()  # the peer's answer and its FIN mostly arrive together
@@ -118,8 +127,9 @@ class Transport:
             return True
         self.pause_reading()
         self._closing = True
-        self._owner.eof_received()
-        if not self._pending:
+        if self._owner.eof_received():
+            self._closing = False
+        elif not self._pending:
             self.abort()
         return False
 
