@@ -7,16 +7,13 @@ the credit given. An end is passed on as an end, a broken connection as a broken
 
 import asyncio
 import socket
-import struct
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final, Protocol, TypeVar
 
 from rossec.channel.records import Bytes
 from rossec.errors import StreamRefused
 from rossec.net.aio.transport import Transport
 
-_RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)  # SO_LINGER: the close is a reset
 _KEEPALIVE: Final = (
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
     (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 60),  # a host that vanished must not hold a stream
@@ -133,13 +130,8 @@ class Pump:
         """The stream is broken off: so is the connection."""
         if self._transport is None:
             self.connection_lost()
-            return
-        if not self._transport.closed:
-            with suppress(OSError):
-                self._transport.socket.setsockopt(
-                    socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE
-                )
-            self._transport.abort()
+        else:
+            self._transport.reset()
 
     # -- called by the transport
 

@@ -7,12 +7,14 @@ straight into the owner's buffer.
 
 import asyncio
 import socket
+import struct
 from collections import deque
 from contextlib import suppress
 from typing import Final, Protocol
 
 from rossec.channel.records import Bytes
 
+_RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
 _HIGH_WATER: Final = 64 * 1024  # bytes buffered here, above which a writer should wait
 
 
@@ -259,6 +261,13 @@ class Transport:
     def _shut(self) -> None:
         with suppress(OSError):  # the peer may have reset the connection already
             self._socket.shutdown(socket.SHUT_WR)
+
+    def reset(self) -> None:
+        """Abort, so that the peer sees a broken connection and no end."""
+        if not self.closed:
+            with suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE)
+            self.abort()
 
     def abort(self) -> None:
         """Close the socket now; what was not sent is dropped."""
