@@ -60,8 +60,6 @@ RETIRED: Final = {
     "Dialler": "SlaveDialer",
     "dialler": "dialer",
     "dials_for": "is_own",
-    "Door": "ConnectionTable",
-    "Doors": "Connector",
     "Doorways": "PortPool",
     "doorways": "ports",
     "doubted": "probed",

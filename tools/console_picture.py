@@ -15,9 +15,9 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from tests.support.browser import DESKTOP, running_chromium  # noqa: E402
-from tests.support.masterprocess import free_port  # noqa: E402
 from tests.support.pagecheck import PageCheck  # noqa: E402
 from tests.support.person import press  # noqa: E402
+from tests.support.ports import free_port  # noqa: E402
 
 WAIT_MS = 60_000
 PICTURE = ROOT / "docs" / "pictures" / "console-desktop.png"

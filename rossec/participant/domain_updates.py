@@ -4,7 +4,8 @@ The list of domains is fetched at each beginning of a session and with each hear
 revocations of a foreign domain when its peers or grants are here, and of the others often enough
 that a new peer finds them fresh; both are pushed besides. The master only carries them: everything
 is verified here, and is on disk before it is used. A master that knows no domains, of an older
-version, is used without them; one with an older list receives the newer one.
+version, is used without them; one with an older list receives the newer one. A call that fails
+otherwise is made again at the next heartbeat.
 """
 
 import logging
@@ -22,7 +23,7 @@ from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, take
 from rossec.ros.names import DOMAINS, FOREIGN_PROOFS, FOREIGN_REVOCATIONS, UPDATE_DOMAINS
 from rossec.ros.text import printable
-from rossec.ros.xmlrpc import Fault
+from rossec.ros.xmlrpc import Fault, is_unknown_method
 from rossec.saved_domains import DomainFiles
 
 MAX_CHAIN: Final = 2  # certificates: a master's, and its intermediate's
@@ -143,13 +144,19 @@ class DomainUpdates:
         try:
             answer = await call(DOMAINS, digest(self._standing.anchors.data))
         except (Fault, AnswerRefused) as error:
-            _log.debug("the master knows no domains: %s", printable(error))
-            self._supported = False
+            if is_unknown_method(error):
+                _log.debug("the master knows no domains: %s", printable(error))
+                self._supported = False
+            else:
+                self._warn(DOMAINS, error)
             return False
         if not isinstance(answer, bytes):
             self._warn(DOMAINS, AnswerMalformed("the master's list of domains is not one"))
             return False
-        return not answer or await self._take_or_send(call, answer)
+        if answer:
+            return await self._take_or_send(call, answer)
+        self._warned.pop(DOMAINS, None)
+        return True
 
     async def _take_or_send(self, call: MasterCall, data: bytes) -> bool:
         """Take the master's list; one that is older is answered by the newer one."""

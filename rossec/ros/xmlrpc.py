@@ -123,6 +123,16 @@ def value_of(answer: object) -> object:
     return value
 
 
+def is_unknown_method(error: Exception) -> bool:
+    """Whether a server answered that it has no such method.
+
+    All faults have code 1. The text is that of the standard library's `SimpleXMLRPCDispatcher`,
+    which stock ROS uses, and of rossec's own servers.
+    """
+    text = str(error.faultString) if isinstance(error, Fault) else ""
+    return 'method "' in text and text.endswith('" is not supported')
+
+
 def _check_size(data: bytes, limit: int) -> None:
     if len(data) > limit:
         raise XmlRpcRefused(f"{len(data)} bytes of XML where at most {limit} are allowed")

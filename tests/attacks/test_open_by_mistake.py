@@ -13,7 +13,7 @@ from rossec.ros.names import MASTER
 from tests.support.attacker import EVE
 from tests.support.caller import caller
 from tests.support.commands import Shell, refused
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
 

@@ -19,7 +19,7 @@ from rossec.node import Node, Publisher
 from rossec.participant import connections as staleness
 from rossec.ros.names import MASTER
 from tests.support.commands import Said, Shell
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 from tests.support.witness import until
 
 WORDS, TYPE = "/words", "std_msgs/String"

@@ -9,9 +9,9 @@ from playwright.sync_api import expect
 
 from tests.support.browser import DESKTOP, Chromium, Window
 from tests.support.consolesite import ASKED, SCAN, ConsoleSite
-from tests.support.masterprocess import free_port
 from tests.support.pagecheck import PageCheck
 from tests.support.person import heading, press
+from tests.support.ports import free_port
 
 pytestmark = pytest.mark.browser
 

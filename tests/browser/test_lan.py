@@ -22,6 +22,7 @@ from tests.support.browser import Chromium, running_chromium
 from tests.support.console_tls import NAME, bundle, foreign_leaf, new_authority, new_key, pem
 from tests.support.consolecommand import console
 from tests.support.pagecheck import PageCheck
+from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
 
 pytestmark = pytest.mark.browser
@@ -47,12 +48,6 @@ def trust(home: Path, root: bytes) -> None:
     subprocess.run(["certutil", *place, "-N", "--empty-password"], check=True)
     given = ("-n", "rossec console", "-t", "C,,")
     subprocess.run(["certutil", *place, "-A", *given], input=root, check=True)
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 def test_a_browser_that_trusts_it_opens_the_console_and_no_other_site(

@@ -11,12 +11,13 @@ from ca.names import (
     check_wildcard,
     covers,
     is_master_name,
+    is_relay_name,
     is_reserved,
     parse_spiffe_id,
     spiffe_id,
 )
 
-RESERVED = ("/ca", "/master", "/master/kitchen")
+RESERVED = ("/ca", "/master", "/master/kitchen", "/relay", "/relay/attic")
 
 names = st.from_regex(r"(/[A-Za-z][A-Za-z0-9_]{0,9}){1,8}", fullmatch=True)
 domains = st.from_regex(r"[a-z0-9._-]{1,30}", fullmatch=True)
@@ -156,6 +157,19 @@ def test_the_master_and_the_authority_are_covered_by_nobody_else(name: str) -> N
 def test_the_names_of_masters(name: str, is_master: bool) -> None:
     assert is_master_name(name) is is_master
     assert is_reserved(name) is (is_master or name == "/ca")
+
+
+@pytest.mark.parametrize(
+    ("name", "is_relay"),
+    [
+        ("/relay", True), ("/relay/attic", True), ("/relay/attic/a", False), ("/relay/", False),
+        ("/relays", False), ("/relay_1", False), ("/remote/office/relay", False),
+        ("/relay/attic\n", False),
+    ],
+)  # fmt: skip
+def test_the_names_of_relays(name: str, is_relay: bool) -> None:
+    assert is_relay_name(name) is is_relay
+    assert is_reserved(name) is is_relay
 
 
 def test_reserved_names_have_no_tail() -> None:

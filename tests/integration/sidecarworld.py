@@ -18,9 +18,9 @@ from typing import Final
 
 from grants.model import Right
 from rossec.ros.names import MASTER
-from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.processes import descendants, parents
 from tests.support.hosts import Host, Hosts
+from tests.support.ports import free_port
 from tests.support.site import DAY, Site
 
 ROSSEC: Final = str(Path(sys.executable).parent / "rossec")

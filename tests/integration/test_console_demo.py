@@ -4,7 +4,6 @@ import http.client
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,14 +15,10 @@ from urllib.parse import urlencode, urlsplit
 
 import pytest
 
+from tests.support.ports import free_port
+
 ROSSEC = str(Path(sys.executable).parent / "rossec")
 LINK = re.compile(r"http://localhost:\d+/login#\S+")
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 @dataclass

@@ -13,8 +13,8 @@ from ca.errors import HintedError
 from rossec.authority.console.client import Assertion, ConsoleClient, Registration
 from rossec.authority.console.messages import SOCKET
 from rossec.errors import PhoneCodeRefused
-from tests.support.masterprocess import free_port
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
+from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
 
 CODE = """

@@ -14,8 +14,8 @@ from ca.errors import HintedError
 from rossec.authority.console.client import Assertion, ConsoleClient, Registration
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.console.views import Outcome
-from tests.support.masterprocess import free_port
 from tests.support.passkeys import Passkey
+from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
 
 DAY = 86_400

@@ -25,13 +25,13 @@ from grants import document
 from grants.model import Right
 from rossec.errors import RossecError
 from rossec.net.rpc.client import RpcClient
-from rossec.sidecar.loopback_port import free_port
 from tests.integration.sidecarworld import ROSSEC, Running, wait
 from tests.support.attacker import credentials, dial, drafted
 from tests.support.caller import Caller
 from tests.support.commands import PASSPHRASE
 from tests.support.fleet import PROJECT, SECURE
 from tests.support.masterprocess import master_process
+from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import until
 

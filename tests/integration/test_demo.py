@@ -7,7 +7,6 @@ import re
 import secrets
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ import pytest
 from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.demo.robot import CAMERA, FRAME, POSE, SCAN
 from rossec.node import message_type
+from tests.support.ports import free_port
 from tests.support.recorder import Recording, record
 
 BIN: Final = Path(sys.executable).parent
@@ -194,12 +194,6 @@ def running(line: str, env: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
             process.terminate()
     finally:
         process.kill()
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
 
 
 # --- failing

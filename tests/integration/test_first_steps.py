@@ -9,7 +9,6 @@ import gc
 import os
 import re
 import shutil
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from typing import Final
 import pytest
 
 from rossec.cli.main import run
+from tests.support.ports import free_port
 
 BIN: Final = Path(sys.executable).parent
 
@@ -116,12 +116,6 @@ def home(tmp_path: Path, template: Path, capsys: pytest.CaptureFixture[str]) -> 
     """An authority, an enrolled robot and a master."""
     shutil.copytree(template, tmp_path / "home")
     return Home(tmp_path / "home", capsys)
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
 
 
 def test_commands_without_an_authority_are_refused(bare: Home, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from typing import Final
 import pytest
 
 from ca.enrollment import invitation
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 
 ROSSEC: Final = str(Path(sys.executable).parent / "rossec")
 SECRET: Final = "four random words here"

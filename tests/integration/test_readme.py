@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from tests.integration.test_first_steps import ROOT, SECRET, free_port
+from tests.integration.test_first_steps import ROOT, SECRET
+from tests.support.ports import free_port
 
 
 def quickstart() -> str:

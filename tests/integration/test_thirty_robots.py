@@ -13,7 +13,8 @@ from typing import Final
 
 import pytest
 
-from tests.integration.test_first_steps import BIN, ROOT, SECRET, free_port
+from tests.integration.test_first_steps import BIN, ROOT, SECRET
+from tests.support.ports import free_port
 
 TEXT: Final = (ROOT / "docs" / "howto" / "thirty-robots.md").read_text()
 BACKGROUND: Final = re.compile(r"(?m)^(rossec (?:ca serve|master)) .*&.*$")

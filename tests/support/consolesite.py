@@ -15,7 +15,7 @@ from typing import Final
 
 from rossec.cli.main import run
 from tests.support.commands import PASSPHRASE
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 
 POSE: Final = "/robot/pose"
 SCAN: Final = "/robot/scan"

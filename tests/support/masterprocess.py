@@ -9,15 +9,9 @@ from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 
 from rossec.ros.names import MASTER
+from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import until
-
-
-def free_port() -> int:
-    """A port of loopback that was free a moment ago."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
-        return port
 
 
 class MasterProcess:

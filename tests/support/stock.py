@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Final
 
+from tests.support.ports import free_port
 from tests.support.witness import until
 
 TOOLS: Final = Path("/usr/bin")
@@ -78,8 +79,7 @@ async def process(env: dict[str, str], *command: str) -> AsyncIterator[asyncio.s
 @contextlib.asynccontextmanager
 async def rosmaster(directory: Path) -> AsyncIterator[str]:
     """Debian's rosmaster on a free port; its URI."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
+    port = free_port()
     uri = f"http://127.0.0.1:{port}/"
     env = environment(uri, directory)
     async with process(env, str(TOOLS / "rosmaster"), "--core", "-p", str(port)):

@@ -6,7 +6,7 @@ from typing import Any, Final
 import click
 
 from ca.domains.lists import LEAST_FRESH, MOST_FRESH, ForeignDomain, NameRights
-from ca.names import MASTER
+from ca.names import MASTER, RELAY
 from ca.patterns import check_pattern
 from grants.model import ALL_RIGHTS, Right
 from rossec.authority.home import fingerprint
@@ -16,6 +16,7 @@ from rossec.errors import ConfigurationError
 
 # Without these, the masters of two domains cannot follow each other, nor learn of revocations.
 OF_MASTERS: Final = (MASTER, f"{MASTER}/*")
+OF_RELAYS: Final = (RELAY, f"{RELAY}/*")  # without these no link between sites
 EVERYTHING, NOTHING = "everything", "nothing"
 MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
@@ -24,7 +25,7 @@ _UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
 
 admit = click.option(
     "--admit", multiple=True, metavar="PATTERN",
-    help="nodes of it that may connect; its masters may as well",
+    help="nodes of it that may connect; its masters and relays may as well",
 )  # fmt: skip
 
 
@@ -70,8 +71,8 @@ def check_fresh(seconds: int) -> int:
 
 
 def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
-    """The patterns that are admitted: those given, and the masters; each once, sorted."""
-    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS}))
+    """The patterns that are admitted: those given, masters and relays; each once, sorted."""
+    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
 
 
 def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
@@ -100,10 +101,8 @@ def _rule(text: str) -> NameRights:
 
 def lines(terms: ForeignDomain) -> Iterator[str]:
     """The terms for people."""
-    names = [pattern for pattern in terms.admitted if pattern not in OF_MASTERS]
-    masters = len(names) + len(OF_MASTERS) == len(terms.admitted)
     yield f"  fingerprint {fingerprint(terms.anchor)}"
-    yield f"  admits {', '.join(names) or 'no node'}{', and its masters' * masters}"
+    yield f"  admits {_admitted(terms.admitted)}"
     yield f"  until {format_time(terms.until)}"
     yield f"  its word on its revocations may be {duration(terms.fresh)} old"
     for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
@@ -112,6 +111,13 @@ def lines(terms: ForeignDomain) -> Iterator[str]:
         else:
             said = (f"{pattern} ({Right(bits).label})" for pattern, bits in given)
             yield f"  {what}: {', '.join(said) or NOTHING}"
+
+
+def _admitted(patterns: tuple[str, ...]) -> str:
+    kinds = {"masters": OF_MASTERS, "relays": OF_RELAYS}
+    nodes = [each for each in patterns if each not in {*OF_MASTERS, *OF_RELAYS}]
+    whole = [word for word, names in kinds.items() if {*names} <= {*patterns}]
+    return (", ".join(nodes) or "no node") + (f", and its {' and '.join(whole)}" if whole else "")
 
 
 def as_json(terms: ForeignDomain) -> dict[str, Any]:

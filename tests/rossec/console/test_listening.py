@@ -7,14 +7,9 @@ import pytest
 from rossec.console.listening import listen, listen_for_proxy, listen_tcp
 from rossec.console.options import Options, read_options
 from rossec.errors import ConfigurationError
+from tests.support.ports import free_port
 
 LOOPBACK = ("127.0.0.1", "::1")
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 def close(sockets: list[socket.socket]) -> None:

@@ -5,7 +5,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from rossec.errors import MasterNotFound
 from tests.rossec.discovery.conftest import Make
 from tests.rossec.discovery.links import receive
 from tests.support.hosts import Host, Hosts, two_hosts
+from tests.support.ports import free_port
 from tests.support.site import Site
 
 ROSSEC = (sys.executable, "-m", "rossec")
@@ -113,8 +113,7 @@ async def test_a_master_that_answers_is_chosen(site: Site, make: Make) -> None:
 
 @pytest.mark.usefixtures("link")
 async def test_a_master_behind_a_firewall(site: Site, make: Make) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        port = closed.getsockname()[1]
+    port = free_port()
     async with asyncio.TaskGroup() as group:
         finding = group.create_task(_refused(site))
         await receive(make(host="127.0.0.1", port=port, issued=int(time.time())))

@@ -19,7 +19,7 @@ from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.reporting import Reporter
 from rossec.participant.connections import AuthorizedConnection
 from rossec.ros.settings import parse_uri
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import until
 

@@ -56,7 +56,7 @@ class Robot:
     async def call(self, method: str, *params: object) -> object:
         self.called.append((method, *params))
         if method not in self.answers:
-            raise Fault(1, "no such method")
+            raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
         return self.answers[method](*params)
 
     def methods(self) -> list[str]:
@@ -134,6 +134,31 @@ async def test_a_master_of_an_older_version_is_used_without_domains(robot: Robot
     robot.answers[DOMAINS] = lambda _: b""
     await robot.updates.session_opened(robot.call)
     assert FOREIGN_REVOCATIONS in robot.methods(), "another session, another master"
+
+
+@pytest.mark.parametrize(
+    "error", [Fault(1, "rossec: internal error"), AnswerRefused("no rule allows this method")]
+)
+async def test_a_call_that_fails_is_made_again_at_the_next_heartbeat(
+    robot: Robot, error: Exception, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_: bytes) -> object:
+        raise error
+
+    robot.answers[DOMAINS] = fail
+    await robot.updates.session_opened(robot.call)
+    assert robot.methods() == [DOMAINS, FOREIGN_REVOCATIONS], "of the domains that are known"
+    robot.standing.check(DOMAIN, KEY, NOW)
+    robot.used = [DOMAIN]
+    await robot.updates.heartbeat(robot.call)
+    assert robot.methods() == [DOMAINS, FOREIGN_REVOCATIONS]
+    assert caplog.text.count(f"{DOMAINS}: ") == 1, "the same is said once"
+    newer = robot.newer(foreign(robot.pair.hospital, label="clinic"))
+    for answer in (lambda _: newer, lambda _: b"", fail):
+        robot.answers[DOMAINS] = answer
+        await robot.updates.heartbeat(robot.call)
+    assert robot.files.load_domains() == newer
+    assert caplog.text.count(f"{DOMAINS}: ") == 2, "it was over meanwhile"
 
 
 async def test_a_master_with_an_older_list_receives_the_newer_one(

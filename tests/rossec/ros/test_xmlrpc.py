@@ -1,6 +1,7 @@
 """XML-RPC bodies: round trips, bombs, the ROS triple."""
 
 import datetime
+from xmlrpc.server import SimpleXMLRPCDispatcher
 
 import pytest
 from hypothesis import given
@@ -119,6 +120,20 @@ def test_the_ros_triple() -> None:
     assert refused.value.code == -1
     with pytest.raises(AnswerRefused, match="without a reason"):
         xmlrpc.value_of([0, "", 0])
+
+
+def test_an_unknown_method_is_told_from_other_failures() -> None:
+    stock = SimpleXMLRPCDispatcher()._marshaled_dispatch(xmlrpc.dump_call("dance", []))
+    with pytest.raises(xmlrpc.Fault) as unknown:
+        xmlrpc.load_response(stock)  # type: ignore[arg-type]  # these are bytes
+    assert xmlrpc.is_unknown_method(unknown.value)
+    for other in (
+        xmlrpc.Fault(1, "rossec: internal error"),
+        xmlrpc.Fault(1, 'rossec: method "dance" is not supported today'),
+        xmlrpc.Fault(1, "the type is not supported"),
+        AnswerRefused('method "dance" is not supported'),
+    ):
+        assert not xmlrpc.is_unknown_method(other)
 
 
 def test_a_peers_status_is_one_printable_line() -> None:

@@ -39,10 +39,10 @@ from rossec.sidecar.core.events import (
 )
 from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.executor import CommandExecutor, SlaveApiClient, run_layer
-from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import ANY_CALLER, STRING, Program
 from tests.support.contexts import context
+from tests.support.ports import free_port
 from tests.support.secure_streams import Stream
 from tests.support.wire import ALICE, BOB
 from tests.support.witness import until

@@ -25,7 +25,7 @@ from rossec.home import NodeHome
 from rossec.operation import landlock
 from tests.support.commands import PASSPHRASE
 from tests.support.joining import asked
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 from tests.support.site import Site
 
 

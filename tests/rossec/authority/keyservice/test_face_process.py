@@ -17,7 +17,7 @@ from rossec.clock import now
 from rossec.errors import ConfigurationError, KeyServiceRefused, PeerUserRefused
 from rossec.net.host.peeruid import UnixPeer
 from tests.support.commands import PASSPHRASE
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 from tests.support.witness import until
 
 

@@ -18,7 +18,7 @@ from rossec.authority.keyservice.lock import service_lock
 from rossec.cli.ca import serve as module
 from rossec.operation.audit import read_entries, verify
 from tests.support.commands import Said, Shell, refused
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 
 
 @pytest.fixture(autouse=True)

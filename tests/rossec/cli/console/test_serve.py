@@ -15,7 +15,7 @@ from rossec.cli.console import serve as module
 from rossec.console.address import NAME
 from tests.support.commands import Said, Shell, refused
 from tests.support.keyservice import running_service
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from rossec.console.tls.store import key_pem, open_authority
 from tests.support.commands import Shell, refused
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
 from tests.support.consolecommand import console
+from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
 
 
@@ -29,12 +30,6 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess
     running.start("--no-network", "--unlock-for", "0")
     yield running
     running.close()
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 def ask(

@@ -17,7 +17,7 @@ def test_a_card_is_shown_and_accepted(sites: Neighbours) -> None:
     assert f"  fingerprint {sites.fingerprint}" in said.out
     for line in (
         "domain hospital.example, here hospital:/... and /remote/hospital",
-        "  admits /rounds/*, and its masters",
+        "  admits /rounds/*, and its masters and relays",
         "  its word on its revocations may be 90s old",
         "  shown to it: /robot/** (subscribe, call)",
         "  taken from it: whatever grants allow",
@@ -31,7 +31,7 @@ def test_a_card_is_shown_and_accepted(sites: Neighbours) -> None:
     assert said.code == 3
     assert "did not take the list of domains" in said.err
     (entry,) = sites.listed().domains
-    assert entry.admitted == ("/master", "/master/*", "/rounds/*")
+    assert entry.admitted == ("/master", "/master/*", "/relay", "/relay/*", "/rounds/*")
     assert (entry.label, entry.fresh) == ("hospital", 90)
     assert (entry.exported, entry.imported) == ((("/robot/**", 6),), None)
     assert sites.shell("ca", "log", "verify").code == 0
@@ -40,7 +40,7 @@ def test_a_card_is_shown_and_accepted(sites: Neighbours) -> None:
 def test_without_admit_the_names_of_the_card_are_admitted(sites: Neighbours) -> None:
     sites.accept("--as", "clinic")
     (entry,) = sites.listed().domains
-    assert entry.admitted == ("/master", "/master/*", "/rounds/**")
+    assert entry.admitted == ("/master", "/master/*", "/relay", "/relay/*", "/rounds/**")
     assert entry.label == "clinic"
 
 

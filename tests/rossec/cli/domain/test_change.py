@@ -31,7 +31,7 @@ def test_what_is_given_changes_and_the_rest_stays(trusted: Neighbours) -> None:
     assert after == dataclasses.replace(before, fresh=7200, imported=())
     trusted.change("limit", "hospital", "--export", "everything", "--admit", "/a", "--yes")
     (last,) = trusted.listed().domains
-    assert last.admitted == ("/a", "/master", "/master/*")
+    assert last.admitted == ("/a", "/master", "/master/*", "/relay", "/relay/*")
     assert (last.exported, last.imported, last.until) == (None, (), before.until)
 
 

@@ -23,7 +23,7 @@ def test_a_trusted_domain_is_listed_and_shown(sites: Neighbours) -> None:
     for part in (
         "domain hospital.example, here hospital: trusted\n",
         f"  fingerprint {sites.fingerprint}\n",
-        "  admits /rounds/*, and its masters\n",
+        "  admits /rounds/*, and its masters and relays\n",
         "  shown to it: /a (subscribe, param-get)\n",
         "  0 grants for its nodes",
         "whether it trusts this domain too, the master knows: rossec federation status",

@@ -10,8 +10,8 @@ from rossec.errors import ConfigurationError
 from tests.vectors.make_domains import ENTRY, OTHER
 
 
-def test_masters_are_admitted_with_the_nodes() -> None:
-    assert terms.admitted(["/b", "/a", "/a"]) == ("/a", "/b", "/master", "/master/*")
+def test_masters_and_relays_are_admitted_with_the_nodes() -> None:
+    assert terms.admitted(["/b", "/a", "/a"]) == ("/a", "/b", *terms.OF_MASTERS, *terms.OF_RELAYS)
     with pytest.raises(PatternRefused):
         terms.admitted(["a"])
 
@@ -52,6 +52,8 @@ def test_terms_for_people_and_for_programs() -> None:
     assert "admits no node, and its masters" in "\n".join(
         terms.lines(dataclasses.replace(OTHER, admitted=terms.OF_MASTERS))
     )
+    both = dataclasses.replace(OTHER, admitted=terms.admitted(["/a"]))
+    assert "admits /a, and its masters and relays" in "\n".join(terms.lines(both))
     shown = terms.as_json(ENTRY)
     assert shown["exported"] == [{"pattern": "/robot/**", "rights": ["subscribe"]}]
     assert shown["imported"] == []

@@ -1,7 +1,6 @@
 import asyncio
 import os
 import re
-import socket
 
 import pytest
 
@@ -17,6 +16,7 @@ from tests.rossec.cli.node.operators import SITE, Operator, after
 from tests.support.commands import Shell, refused
 from tests.support.enrolling import clock
 from tests.support.pki import Site
+from tests.support.ports import free_port
 
 
 def test_a_node_is_enrolled(empty: Shell) -> None:
@@ -122,12 +122,6 @@ def test_a_node_is_enrolled_by_its_label(empty: Shell) -> None:
     assert said.code == 0, said.err
     assert said.out.startswith(f"{label}\n/robot waits at 127.0.0.1:{operator.port}; ")
     assert f"rossec ca enroll --address 127.0.0.1:{operator.port}\n" in said.out
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
 
 
 def test_a_node_is_enrolled_for_anonymous_nodes(empty: Shell) -> None:

@@ -13,7 +13,7 @@ from rossec.console.server.supervisor import settings_for, supervise
 from rossec.console.server.web_process import WebOptions
 from rossec.errors import ConfigurationError
 from tests.support.consoleprocess import UNMEASURED, listening
-from tests.support.masterprocess import free_port
+from tests.support.ports import free_port
 from tests.support.serviceprocess import children_of
 
 

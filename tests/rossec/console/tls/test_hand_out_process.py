@@ -17,16 +17,11 @@ from rossec.console.tls.hand_out import FILE
 from rossec.console.tls.hand_out_process import handing_out
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import new_authority
+from tests.support.ports import free_port
 
 ORIGIN = "https://rossec.local:7411"
 HERE = ("127.0.0.1",)
 CERTIFICATE = new_authority().data
-
-
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 def listening() -> socket.socket:

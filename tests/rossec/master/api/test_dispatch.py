@@ -10,6 +10,7 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied, Denied, StopMaster
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Registry
+from rossec.ros.xmlrpc import is_unknown_method
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 
@@ -83,8 +84,9 @@ def test_a_call_with_other_arguments_gets_the_default(
 
 
 def test_an_unknown_method_is_a_fault(api: MasterApi) -> None:
-    with pytest.raises(Fault, match='method "dance" is not supported'):
+    with pytest.raises(Fault, match='method "dance" is not supported') as unknown:
         ask(api, everything("/a"), "dance", "/a")
+    assert is_unknown_method(unknown.value)
 
 
 def test_a_refused_call_is_reported_with_the_missing_right(api: MasterApi) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from rossec.net.aio import dial as module
 from rossec.net.aio.dial import dial
+from tests.support.ports import free_port
 
 Found = list[tuple[Any, Any, Any, Any, tuple[str, int]]]
 
@@ -37,7 +38,7 @@ async def test_a_numeric_address_that_does_not_answer_at_once(
 
 async def test_a_numeric_address_without_a_listener() -> None:
     with pytest.raises(ConnectionRefusedError):
-        await dial("127.0.0.1", closed_port(), 5)
+        await dial("127.0.0.1", free_port(), 5)
     with pytest.raises(OverflowError):
         await dial("127.0.0.1", 1 << 20, 5)
 
@@ -72,13 +73,6 @@ async def never() -> None:
     await asyncio.sleep(60)
 
 
-def closed_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        found: int = sock.getsockname()[1]
-        return found
-
-
 async def test_an_address_needs_no_resolver(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     resolve(monkeypatch)
     with await dial("127.0.0.1", port, 5) as sock:
@@ -91,7 +85,7 @@ async def test_an_address_needs_no_resolver(port: int, monkeypatch: pytest.Monke
 async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     resolve(
         monkeypatch,
-        (socket.AF_INET, "127.0.0.1", closed_port()),
+        (socket.AF_INET, "127.0.0.1", free_port()),
         (socket.AF_INET, "127.0.0.1", port),
     )
     with await dial("host", port, 5) as sock:
@@ -99,7 +93,7 @@ async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.Monk
 
 
 async def test_all_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", closed_port())] * 2)
+    resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", free_port())] * 2)
     with pytest.raises(ConnectionRefusedError):
         await dial("host", 1, 5)
 
