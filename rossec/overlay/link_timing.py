@@ -62,8 +62,9 @@ class CongestionWindow:
         """So many bytes arrived, of so many that were on the way."""
         if on_the_way < self.size // 2:  # the writer is slower than the window
             return
-        grown = count if self.size < self._threshold else max(1, STEP * count // self.size)
-        self.size = min(MOST_WINDOW, self.size + grown)
+        if self.size >= self._threshold:
+            count = min(count, STEP * count // self.size)
+        self.size = min(MOST_WINDOW, self.size + count)
 
     def lost(self, offset: int, sent: int) -> None:
         """The frame at `offset` was lost; frames were sent up to `sent`."""
