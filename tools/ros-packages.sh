@@ -11,7 +11,7 @@ ros=(
     python3-std-srvs python3-rosgraph-msgs python3-rosbag python3-rosservice python3-rosparam
     python3-roslaunch python3-tf2-ros python3-dynamic-reconfigure rosout topic-tools libroscpp-dev libstd-msgs-dev g++ pkg-config
     libnodeletlib-tools libnodeletlib-dev tf2-tools rviz xvfb
-    tcpdump iproute2 openssl stunnel4 softhsm2 fonts-dejavu-core librsvg2-bin
+    tcpdump iproute2 nftables openssl stunnel4 softhsm2 fonts-dejavu-core librsvg2-bin
 )
 browser=(chromium libnss3-tools fonts-inter fonts-dejavu-core)
 

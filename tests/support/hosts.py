@@ -56,8 +56,7 @@ class Hosts:
             yield found
             running.terminate()
             said, _ = await asyncio.wait_for(running.communicate(), 20)
-        dropped = re.search(rb"(\d+) packets? dropped by kernel", said)
-        found.append(Recording(list(_packets(file)), int(dropped[1]) if dropped else -1))
+        found.append(packets_of(file, said))
 
 
 @contextlib.contextmanager
@@ -111,6 +110,12 @@ def _join(near: tuple[str, ...], far: tuple[str, ...], far_pid: int) -> None:
         ip(host, f"addr add fd99::{number}/64 dev {_LINK} nodad")
         ip(host, f"link set {_LINK} up")
         ip(host, "link set lo up")
+
+
+def packets_of(file: Path, said: bytes) -> Recording:
+    """What tcpdump recorded into `file`; `said`: what it printed at its end."""
+    dropped = re.search(rb"(\d+) packets? dropped by kernel", said)
+    return Recording(list(_packets(file)), int(dropped[1]) if dropped else -1)
 
 
 def _packets(file: Path) -> Iterator[bytes]:

@@ -13,7 +13,7 @@ from typing import Final, NoReturn
 
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError
-from rossec.net.aio.transport import Transport
+from rossec.net.aio.transport import ByteTransport
 
 _PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
 
@@ -24,7 +24,7 @@ class BaseStream:
     A subclass calls `_deliver` and then `_notify`, sets `error` at the end, and wakes the waiters.
     """
 
-    transport: Transport
+    transport: ByteTransport
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()

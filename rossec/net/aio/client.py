@@ -2,7 +2,7 @@
 
 import asyncio
 import socket
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Final
 
@@ -20,6 +20,7 @@ from rossec.errors import (
 )
 from rossec.net.aio.dial import dial
 from rossec.net.aio.stream import SecureStream
+from rossec.net.aio.transport import ByteTransport, Transport, TransportOwner
 from rossec.net.context import SecureContext
 
 _CONNECT_TIMEOUT: Final = 10.0
@@ -67,6 +68,32 @@ async def connect(
 async def _handshake(
     sock: socket.socket, core: Callable[[], Connection[PeerT]]
 ) -> SecureStream[PeerT]:
+    try:
+        connection, address = core(), sock.getpeername()[0]
+        ready = authenticate(connection, partial(Transport, sock), address)
+    except OSError as error:
+        sock.close()
+        text = f"the connection was reset at once: {error}"
+        raise PeerUnreachable(
+            text, "the peer is overloaded, or something on the path resets connections"
+        ) from error
+    except BaseException:
+        sock.close()
+        raise
+    return await ready
+
+
+def authenticate(
+    connection: Connection[PeerT],
+    transport: Callable[[TransportOwner], ByteTransport],
+    address: str,
+) -> Awaitable[SecureStream[PeerT]]:
+    """Begin the handshake over this transport; what is returned waits for its end.
+
+    Raises:
+        ChannelError: the handshake failed; raised by what is returned.
+        OSError: of the transport, which is the caller's then.
+    """
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
     def on_authenticated(stream: SecureStream[PeerT]) -> None:
@@ -77,17 +104,13 @@ async def _handshake(
         if not ready.done():
             ready.set_exception(error)
 
-    try:
-        stream = SecureStream(core(), sock, sock.getpeername()[0], on_authenticated, on_end)
-    except OSError as error:
-        sock.close()
-        text = f"the connection was reset at once: {error}"
-        raise PeerUnreachable(
-            text, "the peer is overloaded, or something on the path resets connections"
-        ) from error
-    except BaseException:
-        sock.close()
-        raise
+    stream = SecureStream(connection, transport, address, on_authenticated, on_end)
+    return _wait(stream, ready)
+
+
+async def _wait(
+    stream: SecureStream[PeerT], ready: asyncio.Future[SecureStream[PeerT]]
+) -> SecureStream[PeerT]:
     try:
         return await ready
     except BaseException:

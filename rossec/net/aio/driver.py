@@ -1,11 +1,10 @@
-"""One `Connection` on an asyncio loop: its socket, timer and back-pressure, no decisions.
+"""One `Connection` on an asyncio loop: its transport, timer and back-pressure, no decisions.
 
-The socket is read straight into the connection's receive buffer. What is sent, and when, is in
+What arrives is read straight into the connection's receive buffer. What is sent, and when, is in
 `rossec.net.aio.stream.SecureStream`, which users hold.
 """
 
 import asyncio
-import socket
 from collections.abc import Callable, Sequence
 from typing import Final, Generic, Self
 
@@ -16,7 +15,7 @@ from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio.base import BaseStream
-from rossec.net.aio.transport import Transport
+from rossec.net.aio.transport import ByteTransport, TransportOwner
 from rossec.net.forks import forget_in_children
 
 LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
@@ -28,13 +27,13 @@ def wall_clock() -> int:
 
 
 class Driver(BaseStream, Generic[PeerT]):
-    """One connection on a loop; it owns `sock` and starts at once.
+    """One connection on a loop; it owns its transport and starts at once.
 
     `peer` is the identity of the peer's certificate, once it is authenticated.
 
     Args:
         connection: the core.
-        sock: a connected TCP socket.
+        transport: makes what carries its bytes: `partial(Transport, sock)` for a connected socket.
         address: the peer's IP address.
         on_authenticated: called once.
         on_end: called once, when the handshake or the connection is over, with the reason.
@@ -47,7 +46,7 @@ class Driver(BaseStream, Generic[PeerT]):
     def __init__(
         self,
         connection: Connection[PeerT],
-        sock: socket.socket,
+        transport: Callable[[TransportOwner], ByteTransport],
         address: str,
         on_authenticated: Callable[[Self], None],
         on_end: Callable[[Self, ChannelError], None],
@@ -63,7 +62,7 @@ class Driver(BaseStream, Generic[PeerT]):
         self._when_closed: list[Callable[[], None]] | None = None
         self.authenticated = False
         self.address = address
-        self.transport = Transport(sock, self)
+        self.transport = transport(self)
         self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
         self.flush()
         self.transport.resume_reading()
@@ -137,15 +136,8 @@ class Driver(BaseStream, Generic[PeerT]):
 
     @property
     def local_address(self) -> str:
-        """This side's IP address, as the peer sees it unless there is NAT between.
-
-        Empty when the connection is gone.
-        """
-        try:
-            host: str = self.transport.socket.getsockname()[0]
-        except OSError:
-            return ""
-        return host
+        """As of `ByteTransport.local_address`."""
+        return self.transport.local_address
 
     def when_closed(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the socket is closed: some time after the connection ended."""

@@ -19,6 +19,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelError, PlainPeer
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.tasks import TaskSet
+from rossec.net.aio.transport import Transport
 from rossec.net.context import SecureContext
 from rossec.net.halfopen import HalfOpenSlot
 
@@ -109,7 +110,8 @@ class SecureServer(Generic[PeerT]):
     def _begin(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
         try:
             core = self._context.responder(self._protocol)
-            stream = SecureStream(core, sock, address, self._on_authenticated, self._on_end)
+            carry = partial(Transport, sock)
+            stream = SecureStream(core, carry, address, self._on_authenticated, self._on_end)
         except BaseException:
             sock.close()
             slot.release()

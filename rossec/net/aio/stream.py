@@ -6,7 +6,6 @@ bytes that never breaks inside what was sent together.
 """
 
 import asyncio
-import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from time import monotonic
@@ -18,6 +17,7 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError
 from rossec.net.aio.driver import Driver
+from rossec.net.aio.transport import ByteTransport, TransportOwner
 
 _JOIN_LIMIT: Final = 64 * 1024
 _SMALL: Final = 32 * 1024  # below it joining beats a record of its own
@@ -30,7 +30,7 @@ class SecureStream(Driver[PeerT]):
     def __init__(
         self,
         connection: Connection[PeerT],
-        sock: socket.socket,
+        transport: Callable[[TransportOwner], ByteTransport],
         address: str,
         on_authenticated: Callable[[Self], None],
         on_end: Callable[[Self, ChannelError], None],
@@ -43,7 +43,7 @@ class SecureStream(Driver[PeerT]):
         self._limit = connection.unit_limit
         self._join = min(_JOIN_LIMIT, self._limit)
         self._small = min(_SMALL, self._limit)
-        super().__init__(connection, sock, address, on_authenticated, on_end)
+        super().__init__(connection, transport, address, on_authenticated, on_end)
 
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.

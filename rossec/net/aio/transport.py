@@ -40,6 +40,62 @@ class TransportOwner(Protocol):
         ...
 
 
+class ByteTransport(Protocol):
+    """What carries the bytes of one connection: `Transport`, or a link between sites.
+
+    `rossec.net.aio.driver.Driver` is given a function that makes it for its owner.
+    """
+
+    @property
+    def backlog(self) -> int:
+        """How many bytes are buffered here."""
+        ...
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing more is sent or received."""
+        ...
+
+    @property
+    def local_address(self) -> str:
+        """This side's IP address, as the peer sees it unless there is NAT between; or empty."""
+        ...
+
+    @property
+    def writable(self) -> bool:
+        """Whether a writer need not wait."""
+        ...
+
+    @property
+    def reading(self) -> bool:
+        """Whether arriving bytes are read."""
+        ...
+
+    def resume_reading(self) -> None:
+        """Read whenever bytes arrive."""
+        ...
+
+    def pause_reading(self) -> None:
+        """Read no more for now; flow control slows the peer."""
+        ...
+
+    def write(self, data: Bytes) -> None:
+        """Send `data`, which may change afterwards."""
+        ...
+
+    def write_eof(self) -> None:
+        """End this side's stream after what was written."""
+        ...
+
+    def finish(self) -> None:
+        """Close once everything is written: both sides have closed."""
+        ...
+
+    def abort(self) -> None:
+        """Close now; what was not sent is dropped."""
+        ...
+
+
 class Transport:
     """The socket of one connection; it owns the socket from the beginning."""
 
@@ -69,9 +125,16 @@ class Transport:
         self._closing = self._eof_due = self._reading = False
 
     @property
-    def socket(self) -> socket.socket:
-        """The socket: for its options, not for its bytes."""
-        return self._socket
+    def local_address(self) -> str:
+        """This side's IP address, as the peer sees it unless there is NAT between.
+
+        Empty when the connection is gone.
+        """
+        try:
+            host: str = self._socket.getsockname()[0]
+        except OSError:
+            return ""
+        return host
 
     @property
     def writable(self) -> bool:

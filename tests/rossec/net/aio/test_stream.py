@@ -17,6 +17,7 @@ from rossec.errors import (
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import driver as driver_module
 from rossec.net.aio import stream as secure_module
+from rossec.net.aio.transport import Transport
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo, still_works
 from tests.support.wire import ALICE, BOB, FakeIdentity
@@ -42,7 +43,8 @@ async def test_units_there_and_back(protocol: WireProtocol, size: int) -> None:
 async def test_nothing_waits_for_nagle(server: SecureServer[FakeIdentity]) -> None:
     async with await call(server) as stream:
         for each in (stream, *server._streams):
-            sock = each.transport.socket
+            assert isinstance(each.transport, Transport)
+            sock = each.transport._socket
             assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 

@@ -121,3 +121,12 @@ async def test_a_spurious_wake_up_reads_nothing() -> None:
     transport.abort()
     other.close()
     await until(recorder, "lost")
+
+
+async def test_the_local_address_is_the_sockets() -> None:
+    transport, recorder, other = pair()
+    assert transport.local_address == "127.0.0.1"
+    transport.abort()
+    assert transport.local_address == ""
+    await until(recorder, "lost")
+    other.close()

@@ -1,0 +1,176 @@
+"""TLS of routers: the authority of one operator's routers, and their certificates. Pure.
+
+It is trusted by sites for routers alone, and by nothing else (no browser, no system store): so it
+has no name constraints, and may certify whatever host the operator moves a router to. It issues to
+no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
+"""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from ipaddress import ip_address
+from typing import Final, Self
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from rossec.errors import ConfigurationError
+
+DAY: Final = 86400
+LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority means new files for all
+LEAF_LIFETIME: Final = 365 * DAY
+BACKDATE: Final = 3600  # seconds; clocks of hosts differ
+_ROOT: Final = "rossec routers"
+_LEAF: Final = "rossec router"
+_SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+_DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
+
+
+@dataclass(frozen=True)
+class RouterAuthority:
+    """The authority: its key, its certificate. Times are seconds since the epoch."""
+
+    key: ec.EllipticCurvePrivateKey
+    certificate: x509.Certificate
+
+    @classmethod
+    def create(cls, key: ec.EllipticCurvePrivateKey, *, now: int, serial: int) -> Self:
+        """A new one, valid for twenty years; `serial` is 127 random bits."""
+        builder = (
+            _builder(key.public_key(), _ROOT, serial, now - BACKDATE, now + LIFETIME)
+            .issuer_name(_subject(_ROOT))
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(_usage(authority=True), critical=True)
+            .add_extension(_SERVER, critical=False)
+            .add_extension(_key_identifier(key), critical=False)
+        )
+        return cls(key, builder.sign(key, hashes.SHA256()))
+
+    @classmethod
+    def load(cls, key: bytes, certificate: bytes) -> Self:
+        """The authority from both files, PEM.
+
+        Raises:
+            ConfigurationError: one is damaged, or they do not belong together.
+        """
+        found = load_key(key)
+        try:
+            (root,) = x509.load_pem_x509_certificates(certificate)
+        except ValueError:
+            raise ConfigurationError("the routers' certificate is damaged", _DAMAGED) from None
+        if root.public_key() != found.public_key():
+            raise ConfigurationError("the routers' authority has another key", _DAMAGED)
+        return cls(found, root)
+
+    @property
+    def pem(self) -> bytes:
+        """The certificate."""
+        return self.certificate.public_bytes(Encoding.PEM)
+
+    def issue(
+        self, key: ec.EllipticCurvePublicKey, hosts: tuple[str, ...], *, now: int, serial: int
+    ) -> bytes:
+        """A router's certificate (PEM) for `hosts`, names or addresses, valid for a year.
+
+        Raises:
+            ConfigurationError: the authority itself is not valid now.
+        """
+        end = int(self.certificate.not_valid_after_utc.timestamp())
+        if not int(self.certificate.not_valid_before_utc.timestamp()) <= now < end:
+            raise ConfigurationError("the routers' authority is not valid now", "check the clock")
+        builder = (
+            _builder(key, _LEAF, serial, now - BACKDATE, min(now + LEAF_LIFETIME, end))
+            .issuer_name(self.certificate.subject)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_usage(authority=False), critical=True)
+            .add_extension(x509.SubjectAlternativeName(map(_general, hosts)), critical=False)
+            .add_extension(_SERVER, critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None),
+                critical=False,
+            )
+        )
+        return builder.sign(self.key, hashes.SHA256()).public_bytes(Encoding.PEM)
+
+    def is_current(self, certificate: bytes, hosts: tuple[str, ...], *, now: int) -> bool:
+        """Whether a router's certificate (PEM) is of this authority, for `hosts` and not old.
+
+        Old is what has less than a third of its time left.
+        """
+        try:
+            (leaf,) = x509.load_pem_x509_certificates(certificate)
+            leaf.verify_directly_issued_by(self.certificate)
+            names = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        except Exception:  # noqa: BLE001 - whatever is wrong with it, it is made anew
+            return False
+        start, end = leaf.not_valid_before_utc.timestamp(), leaf.not_valid_after_utc.timestamp()
+        return list(names) == list(map(_general, hosts)) and now < end - (end - start) / 3
+
+
+def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    """PKCS#8, without a passphrase."""
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def load_key(pem: bytes) -> ec.EllipticCurvePrivateKey:
+    """A private key.
+
+    Raises:
+        ConfigurationError: it is damaged, or not of P-256.
+    """
+    try:
+        key = load_pem_private_key(pem, None)
+    except (ValueError, TypeError):
+        raise ConfigurationError("a key of the router is damaged", _DAMAGED) from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.curve.name != "secp256r1":
+        raise ConfigurationError("a key of the router is not a P-256 key", _DAMAGED)
+    return key
+
+
+def _general(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _builder(
+    key: ec.EllipticCurvePublicKey, subject: str, serial: int, start: int, end: int
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .serial_number(serial)
+        .public_key(key)
+        .subject_name(_subject(subject))
+        .not_valid_before(datetime.fromtimestamp(start, UTC))
+        .not_valid_after(datetime.fromtimestamp(end, UTC))
+    )
+
+
+def _subject(text: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+
+def _key_identifier(key: ec.EllipticCurvePrivateKey) -> x509.SubjectKeyIdentifier:
+    return x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+
+
+def _usage(*, authority: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not authority,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=authority,
+        crl_sign=authority,
+        encipher_only=False,
+        decipher_only=False,
+    )
