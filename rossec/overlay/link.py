@@ -1,0 +1,399 @@
+"""One link: a reliable stream of bytes each way over a carrier that may lose frames. Pure.
+
+`now` is a monotonic clock in seconds. After every call: put what `frames_to_send` returns, and
+call `tick` at `deadline`. Nothing here is authenticated: the bytes inside are. So the side that was
+called sends at most three times what it received until `validated` (a forged reply key must not
+amplify), and routers, who see the identifier of a link, can end it, as they could by dropping.
+"""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Final, Self
+
+from rossec.channel.records import Bytes
+from rossec.errors import LinkEnded
+from rossec.overlay import link_frames as frames
+from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
+from rossec.overlay.link_receiver import Receiver
+from rossec.overlay.link_sender import Sender
+from rossec.overlay.link_timing import FIRST_WINDOW
+
+SILENCE: Final = 30.0  # seconds without progress, after which a link is over
+KEEPALIVE: Final = 10.0  # seconds without a frame of the peer, after which it is asked for one
+LINGER: Final = 5.0  # seconds for the last acknowledgements of both ends
+AMPLIFICATION: Final = 3
+_HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
+
+
+class State(Enum):
+    """Where a link is."""
+
+    IDLE = auto()  # called from here, and nothing written yet
+    OPENING = auto()  # OPEN was sent
+    RUNNING = auto()
+    DRAINING = auto()  # `finish` was called
+    DONE = auto()  # both sides ended
+    RESET = auto()
+
+
+_ENDED: Final = frozenset({State.DONE, State.RESET})
+_NEXT: Final = {
+    (State.IDLE, "write"): State.OPENING,
+    (State.IDLE, "finish"): State.DONE,
+    (State.OPENING, "answer"): State.RUNNING,
+    (State.RUNNING, "finish"): State.DRAINING,
+    (State.DRAINING, "drained"): State.DONE,
+}
+"""What changes a state; a reset ends every one, and the rest changes none."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStats:
+    """What a link measured: the smoothed round trip (0: none yet) and octets of its streams."""
+
+    srtt_s: float
+    retransmissions: int
+    sent: int
+    received: int
+
+
+class Link:
+    """A link of this side. `reply_key`: the mailbox of the side that opened it."""
+
+    __slots__ = (
+        "_began", "_end_at", "_end_offset", "_octets_in", "_octets_out", "_opener", "_out",
+        "_probe_at", "_receiver", "_sender", "_silent_since", "_validated", "link_id",
+        "reply_key", "state",
+    )  # fmt: skip
+
+    def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
+        if len(link_id) != frames.LINK_ID:
+            raise ValueError(f"a link identifier has {frames.LINK_ID} bytes")
+        self.link_id = link_id
+        self.reply_key = reply_key
+        self.state = State.IDLE if opener else State.RUNNING
+        self._opener = opener
+        self._validated = False
+        self._octets_in = self._octets_out = 0
+        self._out: list[bytes] = []
+        self._sender = Sender()
+        self._receiver = Receiver()
+        self._began = now
+        self._silent_since: float | None = None  # since when an answer is missing
+        self._probe_at: float | None = None
+        self._end_offset: int | None = None  # of this side's END, when it was sent
+        self._end_at: float | None = None  # when the last acknowledgements are given up
+
+    @classmethod
+    def open(cls, link_id: bytes, reply_key: str, now: float) -> Self:
+        """A link to another mailbox; it begins with the first `write`.
+
+        Args:
+            link_id: 16 random bytes.
+            reply_key: the own mailbox in which the answers arrive, for this link alone.
+            now: seconds.
+        """
+        return cls(link_id, reply_key, now, opener=True)
+
+    @classmethod
+    def accept(cls, frame: bytes, now: float) -> Self:
+        """The called side of a link, from its OPEN; then pass that frame to `receive`.
+
+        Raises:
+            LinkEnded: not an OPEN in form.
+        """
+        opened = frames.read(frame)
+        if opened.kind != Kind.OPEN or opened.offset != 0 or opened.received != 0:
+            raise LinkEnded("a link that does not begin with its OPEN")
+        reply_key, _ = frames.split_return_address(opened.body)
+        return cls(opened.link, reply_key, now, opener=False)
+
+    # -- receiving
+
+    def receive(self, frame: bytes, now: float) -> list[Bytes]:
+        """Take a frame of this link; returns bytes of the stream, in order, as views of frames.
+
+        Raises:
+            LinkEnded: the peer reset the link, or sent what is malformed; the link is over.
+        """
+        if self.state in _ENDED:
+            return []
+        try:
+            read = frames.read(frame)
+            self._octets_in += len(frame)
+            return self._take(read, now)
+        except LinkEnded:
+            told = frame[:1] == bytes((Kind.RESET,))  # a reset is not answered
+            last = self.reset()
+            self._out = [] if told else [last]
+            raise
+
+    def _take(self, frame: Frame, now: float) -> list[Bytes]:
+        kind = frame.kind
+        if frame.link != self.link_id:
+            raise LinkEnded("a frame of another link")
+        if kind == Kind.RESET:
+            raise LinkEnded("the other side reset the link")
+        if self.state is State.IDLE:
+            raise LinkEnded("an answer to a link that was not opened")
+        if self.state is State.OPENING:
+            self._move("answer")
+        progress = self._sender.received(frame.received, frame.limit, now)
+        found: list[Bytes] = []
+        if kind == Kind.DATA:
+            found = self._receiver.data(frame.offset, frame.body, now)
+        elif kind == Kind.ACK:
+            self._sender.seen(frame.offset, frames.read_ranges(frame), now)
+        elif kind == Kind.OPEN:
+            found = self._reopened(frame, now)
+        elif kind == Kind.PROBE:
+            self._receiver.probed(frame.offset, now)
+        else:
+            self._receiver.end(frame.offset, now)
+        self._settle(progress, now)
+        return found
+
+    def _reopened(self, frame: Frame, now: float) -> list[Bytes]:
+        """The OPEN, the first one or again."""
+        reply_key, body = frames.split_return_address(frame.body)
+        if self._opener or frame.offset != 0 or reply_key != self.reply_key:
+            raise LinkEnded("another OPEN for a link that is open")
+        return self._receiver.data(0, body, now)
+
+    def consumed(self, count: int, now: float) -> None:
+        """The application took `count` bytes of what `receive` returned: the peer may send more."""
+        if self.state not in _ENDED:
+            self._receiver.consumed(count, now)
+
+    @property
+    def peer_ended(self) -> bool:
+        """Whether the peer ended its stream: after what was received, nothing follows."""
+        return self._receiver.ended
+
+    # -- sending
+
+    def write(self, data: Bytes, now: float) -> None:
+        """Send `data`, which may change afterwards, as soon as may be; after the end, never."""
+        if self.state is State.IDLE:
+            self._send_open(data, now)
+        elif self.state is State.RUNNING:
+            size = len(data)
+            if self._sender.fits(size) and HEAD + size <= self._allowance():
+                self._send_data([data], size, now)
+            else:
+                self._sender.queue(data)
+        elif self.state is State.OPENING:
+            self._sender.queue(data)
+
+    def _send_open(self, data: Bytes, now: float) -> None:
+        """OPEN, with what there is to say at once; the rest waits for an answer."""
+        address = frames.return_address(self.reply_key, OPEN_SIZE - HEAD - len(data))
+        first = memoryview(data)[:FIRST_WINDOW]
+        self._move("write")
+        self._began = now
+        self._transmit(Kind.OPEN, [address, first], len(first), now)
+        self._sender.queue(memoryview(data)[FIRST_WINDOW:])
+
+    def _send_data(self, pieces: list[Bytes], size: int, now: float) -> None:
+        self._transmit(Kind.DATA, pieces, size, now)
+
+    def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
+        """Send a frame that is kept until it is acknowledged."""
+        frame = frames.joined(self._head(kind, self._sender.next), pieces)
+        self._sender.sent(frame, size, now)
+        self._put(frame)
+        if self._silent_since is None:
+            self._silent_since = now
+            self._probe_at = now + self._sender.round_trip.wait
+
+    def _head(self, kind: Kind, offset: int) -> bytes:
+        receiver = self._receiver
+        receiver.told(ack=kind is Kind.ACK)
+        return frames.head(kind, self.link_id, offset, receiver.expected, receiver.limit)
+
+    def _put(self, frame: bytes) -> None:
+        self._octets_out += len(frame)
+        self._out.append(frame)
+
+    def _allowance(self) -> int:
+        """How many octets may leave now; one RESET is always left."""
+        if self._validated or self._opener:
+            return MAX_FRAME
+        return AMPLIFICATION * self._octets_in - self._octets_out - HEAD
+
+    @property
+    def writable(self) -> bool:
+        """Whether a writer need not wait."""
+        return self._sender.backlog <= _HIGH_WATER
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that were written and not sent for the first time."""
+        return self._sender.backlog
+
+    def frames_to_send(self, now: float) -> list[bytes]:
+        """The frames that may leave now, in order: all of them for the peer's mailbox."""
+        if self.state not in _ENDED:
+            self._pump(now)
+            self._acknowledge(now)
+        out, self._out = self._out, []
+        return out
+
+    def _pump(self, now: float) -> None:
+        sender = self._sender
+        while (frame := sender.resend(self._allowance(), now)) is not None:
+            self._put(frame)
+        if self.state is State.OPENING:
+            return
+        while sender.backlog:
+            pieces = sender.cut(self._allowance() - HEAD)
+            if not pieces:
+                return
+            self._send_data(pieces, sum(map(len, pieces)), now)
+        if self.state is State.DRAINING and self._end_offset is None and self._allowance() >= HEAD:
+            self._end_offset = sender.next
+            self._transmit(Kind.END, [], 1, now)
+
+    def _acknowledge(self, now: float) -> None:
+        receiver = self._receiver
+        if receiver.ack_at is None or receiver.ack_at > now:
+            return
+        body = frames.pack_ranges(receiver.ranges())
+        if HEAD + len(body) <= self._allowance():
+            self._put(self._head(Kind.ACK, max(receiver.seen, receiver.expected)) + body)
+        else:
+            receiver.told(ack=True)  # the peer asks again
+
+    # -- ends
+
+    def validated(self) -> None:
+        """The peer is authenticated: it may be sent, and may send, as much as a link carries.
+
+        Both sides call it; a side that never does is over after `SILENCE`.
+        """
+        if not self._validated and self.state not in _ENDED:
+            self._validated = True
+            self._receiver.widen(self._began)
+
+    def finish(self, now: float) -> None:  # noqa: ARG002 - as the other events; nothing is timed
+        """End this side's stream after what was written; done when the peer ended its own too."""
+        if self.state is State.OPENING:
+            self._out = [self.reset()]  # nobody answered: nothing is to be drained
+        elif (self.state, "finish") in _NEXT:
+            self._move("finish")
+
+    def reset(self) -> bytes:
+        """End the link at once; returns the frame that says so."""
+        frame = frames.head(Kind.RESET, self.link_id, 0, self._receiver.expected, 0)
+        self._over(State.RESET)
+        self._out = []
+        return frame
+
+    def _move(self, event: str) -> None:
+        state = _NEXT[self.state, event]
+        if state in _ENDED:
+            self._over(state)
+        else:
+            self.state = state
+
+    def _over(self, state: State) -> None:
+        """Keep nothing but frames that may still leave."""
+        self.state = state
+        self._sender.forget()
+        self._receiver.forget()
+        self._probe_at = self._end_at = self._silent_since = None
+
+    # -- time
+
+    def _settle(self, progress: bool, now: float) -> None:
+        """After a frame of the peer: is all said, and until when must it answer again?"""
+        sender = self._sender
+        if self._end_offset is not None and sender.base >= self._end_offset:
+            if self._receiver.ended and not sender.in_flight:
+                self._acknowledge(now)
+                self._move("drained")
+                return
+            if self._end_at is None:
+                self._end_at = now + LINGER
+        if not sender.in_flight:
+            self._silent_since = None
+        elif progress:
+            self._silent_since = now
+        asks = sender.waiting or (self._opener and not self._validated)
+        self._probe_at = now + (sender.round_trip.wait if asks else KEEPALIVE)
+
+    def deadline(self) -> float | None:
+        """When to call `tick` at the latest; None: never."""
+        if self.state in _ENDED:
+            return None
+        over = self._over_at()
+        times = (over, self._probe_at, self._receiver.ack_at, self._end_at)
+        return min((at for at in times if at is not None), default=None)
+
+    def _over_at(self) -> float | None:
+        since = self._silent_since
+        if not self._validated and (since is None or self._began < since):
+            since = self._began
+        return None if since is None or self.state is State.IDLE else since + SILENCE
+
+    def tick(self, now: float) -> None:
+        """Let time pass: ask for what is overdue, give up what is over.
+
+        Raises:
+            LinkEnded: no progress for `SILENCE`, or not validated so long.
+        """
+        if self.state in _ENDED:
+            return
+        over = self._over_at()
+        if over is not None and now >= over:
+            self._out = [self.reset()]
+            raise LinkEnded(
+                f"no progress on a link for {SILENCE:.0f} s",
+                "is the other relay running, and is a router reached from both?",
+            )
+        if self._end_at is not None and now >= self._end_at:
+            self._move("drained")
+        elif self._probe_at is not None and now >= self._probe_at:
+            self._probe(now)
+
+    def _probe(self, now: float) -> None:
+        """Ask how far the peer is; before it ever answered, with the OPEN itself."""
+        if self._silent_since is None:
+            self._silent_since = now
+        silence = now - self._silent_since
+        self._probe_at = now + self._sender.round_trip.again(silence)
+        if self.state is State.OPENING:
+            self._put(self._sender.repeat_first(now))
+            return
+        body = b""
+        if self._opener:  # a relay that was started again learns where to refuse
+            padded = 0 if self._validated else OPEN_SIZE - HEAD
+            body = frames.return_address(self.reply_key, padded)
+        if HEAD + len(body) <= self._allowance():
+            self._put(self._head(Kind.PROBE, self._sender.next) + body)
+
+    # -- measured
+
+    @property
+    def stats(self) -> LinkStats:
+        """What was measured so far."""
+        sender = self._sender
+        return LinkStats(
+            sender.round_trip.srtt_s, sender.retransmissions, sender.next, self._receiver.expected
+        )
+
+
+def refusal(frame: bytes) -> tuple[str, bytes] | None:
+    """What to put where, when a PROBE arrives of a link that is not known here: a RESET.
+
+    So a relay that was started again ends at once what it knows nothing of. None: nothing, as for
+    every other frame of an unknown link.
+    """
+    if frames.kind_of(frame) != Kind.PROBE:
+        return None
+    try:
+        probe = frames.read(frame)
+        reply_key, _ = frames.split_return_address(probe.body)
+    except LinkEnded:
+        return None
+    return reply_key, frames.head(Kind.RESET, probe.link, 0, 0, 0)

@@ -1,0 +1,69 @@
+"""Round trips of a link, how much may be on the way, and when an answer is overdue. Pure.
+
+The congestion window doubles each round trip until something is lost, then grows by 64 KiB; a loss
+halves it, once for all that was on the way then. Routers drop what they cannot queue.
+"""
+
+from typing import Final
+
+FIRST_WINDOW: Final = 64 * 1024
+LEAST_WINDOW: Final = 16 * 1024
+MOST_WINDOW: Final = 4 * 1024 * 1024
+STEP: Final = 64 * 1024
+LEAST_WAIT: Final = 0.2  # seconds
+MOST_WAIT: Final = 5.0
+_SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
+
+
+class RoundTrip:
+    """The smoothed round trip, in seconds; 0 until one was measured."""
+
+    __slots__ = ("srtt_s",)
+
+    def __init__(self) -> None:
+        self.srtt_s = 0.0
+
+    def sample(self, seconds: float) -> None:
+        """One round trip of a frame that was sent once (Karn's rule)."""
+        self.srtt_s = seconds if self.srtt_s == 0.0 else self.srtt_s + (seconds - self.srtt_s) / 8
+
+    @property
+    def wait(self) -> float:
+        """How long an acknowledgement may take before it is asked for."""
+        return max(LEAST_WAIT, 4 * self.srtt_s)
+
+    @property
+    def repeat(self) -> float:
+        """How long a frame that was sent again is not judged: what crossed it says nothing."""
+        return max(0.01, 1.25 * self.srtt_s)
+
+    def again(self, silence: float) -> float:
+        """How long until it is asked again, after so many seconds without an answer.
+
+        Doubling would sleep for seconds after a router's successor took over.
+        """
+        return max(LEAST_WAIT, 2 * self.srtt_s, min(MOST_WAIT, silence / _SILENCE_PART))
+
+
+class CongestionWindow:
+    """How many bytes may be on the way."""
+
+    __slots__ = ("_recovery", "_threshold", "size")
+
+    def __init__(self) -> None:
+        self.size = FIRST_WINDOW
+        self._threshold = MOST_WINDOW
+        self._recovery = 0
+
+    def acknowledged(self, count: int, on_the_way: int) -> None:
+        """So many bytes arrived, of so many that were on the way."""
+        if on_the_way < self.size // 2:  # the writer is slower than the window
+            return
+        grown = count if self.size < self._threshold else max(1, STEP * count // self.size)
+        self.size = min(MOST_WINDOW, self.size + grown)
+
+    def lost(self, offset: int, sent: int) -> None:
+        """The frame at `offset` was lost; frames were sent up to `sent`."""
+        if offset >= self._recovery:
+            self._recovery = sent
+            self.size = self._threshold = max(LEAST_WINDOW, self.size // 2)
