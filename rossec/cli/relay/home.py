@@ -1,6 +1,7 @@
 """What the commands of `rossec relay` share: the relay of this host, and what it knows."""
 
 from contextlib import suppress
+from typing import Final
 
 from ca.domains.anchors import Anchors
 from ca.errors import DomainsRefused
@@ -10,6 +11,8 @@ from rossec.environment import own_master, own_relay
 from rossec.home import NodeHome
 from rossec.overlay.relay_files import RelayFiles
 from rossec.saved_domains import DomainFiles
+
+ADMIN_SOCKET: Final = "admin.sock"
 
 
 def relay_files(environment: Environment) -> RelayFiles:
