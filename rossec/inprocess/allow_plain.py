@@ -1,7 +1,8 @@
 """What may stay plain while a fleet migrates: named topics and services, nothing else. Pure.
 
 An entry is a name (`/chatter`), for any peer, or a name and an address, for one
-(`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated.
+(`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated. It never takes
+the way of a relay: behind that loopback address is anyone.
 """
 
 import ipaddress
@@ -10,6 +11,7 @@ from collections.abc import Iterable
 from ca.errors import NameRefused
 from ca.names import check_name
 from rossec.errors import ConfigurationError
+from rossec.net.host.relayed import is_relayed
 
 _HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
@@ -37,6 +39,8 @@ class PlainPeers:
 
     def allows(self, name: str, address: str) -> bool:
         """Whether `name` may be used unencrypted with the peer at `address`."""
+        if is_relayed(address):
+            return False
         return (name, None) in self._allowed or (name, _canonical(address)) in self._allowed
 
 

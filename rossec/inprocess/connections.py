@@ -55,6 +55,7 @@ from rossec.participant.topic_handshake import (
     requested_topic,
 )
 from rossec.ros import header
+from rossec.ros.settings import is_door
 
 _RIGHTS: Final[dict[type, Right]] = {
     TCPROSSub: Right.SUBSCRIBE,
@@ -83,6 +84,8 @@ class Connections:
         if sock is None or protocol is None:
             return
         try:
+            if sock.is_plain and is_door(str(transport.endpoint_id)):
+                raise PlainPeer("the peer behind a relay is a plain ROS node", _HINT_PLAIN)
             data = header.encode(self._fields(protocol, sock))
             sock.send_unit(data)
         except HintedError as error:

@@ -16,7 +16,7 @@ from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.sockets import RosSocket
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
-from rossec.ros.settings import parse_uri
+from rossec.ros.settings import is_door, parse_uri
 
 _FIRST_PAUSE: Final = 0.5
 _LONGEST_PAUSE: Final = 30.0
@@ -32,7 +32,12 @@ class SubscriptionLoop:
     def run(
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
     ) -> None:
-        """`robust_connect_subscriber`: connected for as long as the master names the publisher."""
+        """`robust_connect_subscriber`: connected for as long as the master names the publisher.
+
+        `host`, `port`: the publisher's answer, of no use at a relay's door, where its topics are.
+        """
+        if is_door(uri):
+            host, port = parse_uri(uri)
         pause = _FIRST_PAUSE
         while not conn.done and not rospy.is_shutdown():
             before = conn.stat_num_msg

@@ -40,7 +40,7 @@ from rossec.participant.remote_names import answer_here, offer_refusal
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros.http import HttpClient
 from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.settings import parse_uri
+from rossec.ros.settings import is_door, parse_uri
 from rossec.ros.xmlrpc import dump_call, load_response
 
 REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
@@ -99,7 +99,7 @@ class XmlRpcClient:
         if address == self._process.background_loop.address:
             return self._call_master(method, params)
         try:
-            return _stock_types(self._call_node(address, method, params))
+            return _stock_types(self._call_node(uri, method, params))
         except PlainPeer as error:  # rospy tries again after this one
             raise ConnectionRefusedError(
                 errno.ECONNREFUSED, self._report_refusal(uri, error)
@@ -186,13 +186,13 @@ class XmlRpcClient:
 
     # -- other nodes
 
-    def _call_node(self, address: tuple[str, int], method: str, params: Params) -> object:
-        local_identity = self._process.local_identity
+    def _call_node(self, uri: str, method: str, params: Params) -> object:
+        local_identity, address = self._process.local_identity, parse_uri(uri)
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
             stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
         except PlainPeer:
-            if not self._process.plain or method != "requestTopic":
+            if not self._process.plain or method != "requestTopic" or is_door(uri):
                 raise
             request = _request(method, params, local_identity.name)
             return self._call_plain(address, params, request)

@@ -23,7 +23,7 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.net.rpc.client import REQUEST_DEADLINE
 from rossec.participant import slave_api
 from rossec.participant.remote_names import answer_for
-from rossec.participant.slave_api import refusal, topic_offer
+from rossec.participant.slave_api import ports_answer, refusal, topic_offer
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.ros import names
 from rossec.ros.http import HttpServer
@@ -170,6 +170,9 @@ class XmlRpcServer:
         if method == "requestTopic":
             start_tcpros_server()
             return topic_offer(params[2], *get_tcpros_server_address())
+        if method == names.PORTS:
+            start_tcpros_server()
+            return ports_answer(get_tcpros_server_address()[1])
         if method == "publisherUpdate":
             self._process.registrations.set_publishers(params[1], params[2])
         match server._dispatch(method, params):  # noqa: SLF001 - stock's handler

@@ -19,7 +19,7 @@ from rossec.overlay.link_sender import Sender
 from rossec.overlay.link_timing import FIRST_WINDOW
 
 SILENCE: Final = 30.0  # seconds without progress, after which a link is over
-KEEPALIVE: Final = 10.0  # seconds without a frame of the peer, after which it is asked for one
+KEEPALIVE: Final = 5.0  # seconds without a frame of the peer, after which it is asked for one
 LINGER: Final = 5.0  # seconds for the last acknowledgements of both ends
 AMPLIFICATION: Final = 3
 _HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
@@ -37,6 +37,7 @@ class State(Enum):
 
 
 _ENDED: Final = frozenset({State.DONE, State.RESET})
+_OPEN: Final = frozenset({State.RUNNING, State.DRAINING})
 _NEXT: Final = {
     (State.IDLE, "write"): State.OPENING,
     (State.IDLE, "finish"): State.DONE,
@@ -174,12 +175,14 @@ class Link:
 
     def write(self, data: Bytes, now: float) -> None:
         """Send `data`, which may change afterwards, as soon as may be; after the end, never."""
+        size = len(data)
+        if size == 0:
+            return
         if self.state is State.IDLE:
             self._send_open(data, now)
         elif self.state is State.RUNNING:
-            size = len(data)
             if self._sender.fits(size) and HEAD + size <= self._allowance():
-                self._send_data([data], size, now)
+                self._transmit(Kind.DATA, [data], size, now)
             else:
                 self._sender.queue(data)
         elif self.state is State.OPENING:
@@ -193,9 +196,6 @@ class Link:
         self._began = now
         self._transmit(Kind.OPEN, [address, first], len(first), now)
         self._sender.queue(memoryview(data)[FIRST_WINDOW:])
-
-    def _send_data(self, pieces: list[Bytes], size: int, now: float) -> None:
-        self._transmit(Kind.DATA, pieces, size, now)
 
     def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
         """Send a frame that is kept until it is acknowledged."""
@@ -243,13 +243,13 @@ class Link:
         sender = self._sender
         while (frame := sender.resend(self._allowance(), now)) is not None:
             self._put(frame)
-        if self.state is State.OPENING:
+        if self.state not in _OPEN:
             return
         while sender.backlog:
             pieces = sender.cut(self._allowance() - HEAD)
             if not pieces:
                 return
-            self._send_data(pieces, sum(map(len, pieces)), now)
+            self._transmit(Kind.DATA, pieces, sum(map(len, pieces)), now)
         if self.state is State.DRAINING and self._end_offset is None and self._allowance() >= HEAD:
             self._end_offset = sender.next
             self._transmit(Kind.END, [], 1, now)
@@ -275,12 +275,13 @@ class Link:
             self._validated = True
             self._receiver.widen(self._began)
 
-    def finish(self, now: float) -> None:  # noqa: ARG002 - as the other events; nothing is timed
+    def finish(self, now: float) -> None:
         """End this side's stream after what was written; done when the peer ended its own too."""
         if self.state is State.OPENING:
             self._out = [self.reset()]  # nobody answered: nothing is to be drained
         elif (self.state, "finish") in _NEXT:
             self._move("finish")
+            self._pump(now)
 
     def reset(self) -> bytes:
         """End the link at once; returns the frame that says so."""

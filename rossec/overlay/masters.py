@@ -121,5 +121,3 @@ class OwnMasters:
 
 def _ignore(_masters: Mapping[str, str]) -> None:
     """Only the own master says which others there are."""
-
-

@@ -44,12 +44,15 @@ class Dialer:
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
 
+        At a relay's door that is the door again: the node names an address of its own network.
+
         Raises:
             RossecError: out of reach, or no connection offered.
             CAError: the peer is revoked, or this is not known.
         """
         api = settings.parse_uri(uri, "a publisher's URI")
-        address = await self._request_topic(await self.rpc(*api), topic)
+        named = await self._request_topic(await self.rpc(*api), topic)
+        address = api if settings.is_door(uri) else named
         self._own_addresses.check_redirect(api, address)
         stream = await self._connect(*address, WireProtocol.TCPROS)
         self._check_identity(stream)

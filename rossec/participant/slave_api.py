@@ -4,7 +4,8 @@ Pure dispatch. Only the master's identity may control a node (attacks N1-N3). An
 may call `requestTopic`, and the answer is the same whether the topic exists or not: the grant is
 checked on the topic connection (N5). All other calls disclose information (N4): they are for the
 master, and for peers that have presented a grant for them (`slave_rights`), as `rosnode ping`,
-`info` and `kill` need. UDPROS is never offered (N10).
+`info` and `kill` need; a relay of the own domain asks for the TCPROS port. UDPROS is never offered
+(N10).
 """
 
 from collections.abc import Callable, Mapping
@@ -16,11 +17,12 @@ from ca.certificates import Identity
 from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
 from rossec.participant.remote_names import answer_for
-from rossec.participant.slave_rights import SLAVE_CALLS
+from rossec.participant.slave_rights import RELAY_ONLY, SLAVE_CALLS, is_relay
 from rossec.ros.names import (
     DOMAINS_UPDATE,
     FOREIGN_UPDATE,
     MASTER,
+    PORTS,
     REVOCATION_UPDATE,
 )
 
@@ -76,6 +78,7 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
     DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
     FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
     "requestTopic": SlaveMethod((str, list), [], master_only=False),
+    PORTS: SlaveMethod((), [], master_only=False),
     "getName": SlaveMethod((), ""),
     "getUri": SlaveMethod((), ""),
     "getMasterUri": SlaveMethod((), ""),
@@ -103,9 +106,9 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    granted = authorized and method in SLAVE_CALLS
-    if rule.master_only and peer.name != master and not granted:
-        return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
+    only = _only_for(method, peer, master)
+    if only is not None and not (authorized and method in SLAVE_CALLS):
+        return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
     unnamed = without_caller(params, rule.default)
     if unnamed is not None:
         return unnamed
@@ -114,6 +117,13 @@ def refusal(
     if not peer.covers(str(params[0])):
         return [_ERROR, f"rossec: caller_id is not {shown(peer.name)}", rule.default]
     return alias_asked(method, params)
+
+
+def _only_for(method: str, peer: Identity, master: str) -> str | None:
+    """Who alone may call a method that `peer` may not; None: it may."""
+    if method in RELAY_ONLY:
+        return None if is_relay(peer) else "a relay"
+    return "the master" if RULES[method].master_only and peer.name != master else None
 
 
 def alias_asked(method: str, params: tuple[object, ...]) -> Answer | None:
@@ -141,6 +151,11 @@ def topic_offer(protocols: list[object], host: str, port: int) -> Answer:
     return [1, "ready", [TCPROS, host, port]]
 
 
+def ports_answer(tcpros_port: int) -> Answer:
+    """Answer to a relay's `rossec.ports`: at the host of the slave API."""
+    return [1, "", [tcpros_port]]
+
+
 def offers_tcpros(protocols: object) -> bool:
     """Whether the protocols that a subscriber offers include TCPROS."""
     named = protocols if isinstance(protocols, list) else []
@@ -161,6 +176,7 @@ class SlaveApi:
             DOMAINS_UPDATE: partial(self._push, DOMAINS_UPDATE),
             FOREIGN_UPDATE: partial(self._push, FOREIGN_UPDATE),
             "requestTopic": self._request_topic,
+            PORTS: self._ports,
         }
 
     async def __call__(
@@ -198,6 +214,9 @@ class SlaveApi:
 
     def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
         return topic_offer(protocols, *self._events.topic_endpoint())
+
+    def _ports(self, _: Identity) -> Answer:
+        return ports_answer(self._events.topic_endpoint()[1])
 
     def _describe(self, method: str, peer: Identity) -> Answer:
         return [1, "", answer_for(peer, method, self._events.describe()[method])]

@@ -1,163 +1,139 @@
-"""Relays of several sites in one process, with masters of theirs and no routers between."""
+"""Two relays without names and masters: the streams of one link over a real secure stream."""
 
 import asyncio
 import contextlib
-import time
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
-from ca.certificates import Identity
-from ca.domains.lists import ForeignDomain
-from rossec.master.state.doors import Door, Target
-from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
-from rossec.errors import LinkEnded
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.member import RelayMember
-from rossec.overlay.peers import Peer
-from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
-from tests.support.masters import Master, domain_list
-from tests.support.site import DAY, Site
-from tests.support.witness import until
+from rossec.channel.opening import WireProtocol
+from rossec.net.aio import SecureStream, connect, serve
+from rossec.net.aio.dial import dial
+from rossec.overlay.mux import Role
+from rossec.overlay.mux_units import NODE, Target
+from rossec.overlay.pump import Pump
+from rossec.overlay.streams import Dial, Streams
+from tests.support.contexts import context
+from tests.support.wire import ALICE, BOB, FakeIdentity
 
-Serve = Callable[[SecureStream[Identity]], Awaitable[None]]
+ROBOT = Target(NODE, "/robot")
+Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 @dataclass
-class Wires:
-    """Mailboxes: each that is read is a port of loopback."""
+class Link:
+    """The streams of both sides, what they run on, and how each ended."""
 
-    ports: dict[str, int] = field(default_factory=dict)
+    near: SecureStream[FakeIdentity]
+    far: SecureStream[FakeIdentity]
 
+    caller: Streams
+    called: Streams
+    ends: list[BaseException]
+    runs: list[asyncio.Task[None]]
 
-class WireNetwork:
-    """What a relay needs of routers, over TCP."""
-
-    def __init__(self, wires: Wires, seat: str, context: SecureContext[Identity]) -> None:
-        self._wires, self.seat, self._context = wires, seat, context
-        self.router = "tcp/127.0.0.1:7447"
-        self.dialled: list[str] = []
-
-    async def dial(self, mailbox: str) -> SecureStream[Identity]:
-        self.dialled.append(mailbox)
-        if mailbox not in self._wires.ports:
-            raise LinkEnded("nobody answers")
-        port = self._wires.ports[mailbox]
-        return await connect("127.0.0.1", port, self._context, WireProtocol.HTTP)
-
-    def listen(self, mailbox: str, serve_one: Serve) -> SecureServer[Identity]:
-        server = serve(serve_one, "127.0.0.1", 0, self._context, WireProtocol.HTTP)
-        self._wires.ports[mailbox] = server.port
-        return server
-
-
-class RelayedSite:
-    """A domain with a master and a relay, both in this process."""
-
-    def __init__(self, root: Path, domain: str, wires: Wires) -> None:
-        self.site = Site(root, domain)
-        self.domain, self.wires = domain, wires
-        self.label = domain.partition(".")[0]
-        for name in ("/master", "/relay"):
-            self.site.enroll(name)
-        self.master = Master(self.site)
-        self.files = RelayFiles(self.site.enroll("/relay"))
-        self.listed = 0
-        self.relay: Relay
-        self.member: RelayMember
-        self.network: WireNetwork
-        self._running: asyncio.Task[None] | None = None
-
-    def trust(self, *others: "RelayedSite", admitted: tuple[str, ...] = ("/**",)) -> bytes:
-        """The newest list of domains: these, and no others."""
-        self.listed += 1
-        until_then = int(time.time()) + DAY
-        entries = [
-            ForeignDomain(
-                each.domain, each.label, each.site.anchor.certificate, admitted, 3600, until_then
-            )
-            for each in others
-        ]  # fmt: skip
-        self.master.domains = domain_list(
-            self.site, "/master", foreign=entries, seq=self.listed
-        )
-        return self.master.domains
-
-    def box(self, other: "RelayedSite") -> str:
-        """Of the mailbox that is told to `other`."""
-        return f"{sum(map(ord, self.domain + other.domain)):032x}"
-
-    def add(self, other: "RelayedSite") -> None:
-        """Cards were exchanged with `other`."""
-        key = mailbox(other.label, bytes.fromhex(other.box(self)))
-        peer = Peer(other.label, self.box(other), other.label, "/relay", key)
-        self.files.change(lambda peers: peers.update({other.label: peer}))
-
-    def remove(self, other: "RelayedSite") -> None:
-        self.files.change(lambda peers: peers.__delitem__(other.label))
-
-    async def start(self) -> None:
-        """Start the relay; the master runs."""
-        environ = {
-            "ROSSEC_HOME": str(self.site.root), "ROS_MASTER_URI": self.master.server.uri,
-            "ROS_IP": "127.0.0.1",
-        }  # fmt: skip
-        self.member = RelayMember("/relay", environ)
-        self.network = WireNetwork(self.wires, self.label, self.member.link_context)
-        self.relay = Relay(self.member, self.network, OpenDoors("127.0.0.1"), self.files.peers)
-        self._running = asyncio.ensure_future(self.relay.run())
-
-    async def stop(self) -> None:
-        """End the relay."""
-        if self._running is not None:
-            self._running.cancel()
-            await asyncio.gather(self._running, return_exceptions=True)
-
-    async def door(self, peer: str, kind: str, name: str) -> Door:
-        """The door that the master gets for a target."""
-        doors, target = self.master.server.state.doors, Target(peer, kind, name)
-        doors.want(f"{peer} {kind} {name}", [target])
-        await until(lambda: doors.door(target) is not None)
-        found = doors.door(target)
-        assert found is not None
-        return found
-
-    async def through(
-        self, door: Door, caller: str = "/master", protocol: WireProtocol = WireProtocol.HTTP
-    ) -> SecureStream[Identity]:
-        """A connection of a node of this site through a door."""
-        home = self.site.enroll(caller)
-        context = SecureContext(home.credentials(), self.member.standing.anchors.verify)
-        return await connect(door.host, door.port, context, protocol)
+    async def ended(self) -> list[BaseException]:
+        """How both sides ended."""
+        async with asyncio.timeout(30):
+            await asyncio.gather(*self.runs)
+        return self.ends
 
 
 @contextlib.asynccontextmanager
-async def two_sites(root: Path) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
-    """A home and an office that trust each other, whose relays have each other's cards."""
-    wires = Wires()
-    home, office = (RelayedSite(root / each, f"{each}.example", wires) for each in ("home", "office"))
-    both = home, office
+async def secure_pair() -> AsyncIterator[
+    tuple[SecureStream[FakeIdentity], SecureStream[FakeIdentity]]
+]:
+    """Both ends of a secure stream, the one that dialled first."""
+    accepted: asyncio.Future[SecureStream[FakeIdentity]] = (
+        asyncio.get_running_loop().create_future()
+    )
+
+    async def keep(stream: SecureStream[FakeIdentity]) -> None:
+        accepted.set_result(stream)
+        await stream.wait_ended()
+
+    async with serve(keep, "127.0.0.1", 0, context(BOB), WireProtocol.HTTP) as server:
+        dialled = await connect("127.0.0.1", server.port, context(ALICE), WireProtocol.HTTP)
+        try:
+            yield dialled, await accepted
+        finally:
+            dialled.abort("the test is over")
+
+
+@contextlib.asynccontextmanager
+async def linked(dial_target: Dial) -> AsyncIterator[Link]:
+    """A link whose called side connects streams by `dial_target`."""
+    ends: list[BaseException] = []
+
+    async def run(streams: Streams) -> None:
+        try:
+            await streams.run()
+        except Exception as error:  # noqa: BLE001 - the test looks at it
+            ends.append(error)
+
+    async with secure_pair() as (near, far), asyncio.TaskGroup() as group:
+        caller = Streams(near, Role.CALLER, "hospital")
+        called = Streams(far, Role.CALLED, "home", dial_target)
+        runs = [group.create_task(run(each)) for each in (caller, called)]
+        try:
+            yield Link(near, far, caller, called, ends, runs)
+        finally:
+            for task in runs:
+                task.cancel()
+
+
+def to_port(port: int) -> Dial:
+    """Connects every stream to this port of loopback."""
+
+    async def dial_target(_target: Target, _pump: Pump) -> socket.socket:
+        return await dial("127.0.0.1", port, 10)
+
+    return dial_target
+
+
+@contextlib.asynccontextmanager
+async def program(
+    serve_one: Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]],
+) -> AsyncIterator[int]:
+    """A plain TCP server; its port."""
+
+    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError, asyncio.IncompleteReadError):
+            await serve_one(reader, writer)
+        writer.close()
+
+    server = await asyncio.start_server(handle, "127.0.0.1", 0)
+    async with server:
+        yield server.sockets[0].getsockname()[1]
+
+
+async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Send back everything, then end."""
+    while data := await reader.read(1 << 16):
+        writer.write(data)
+        await writer.drain()
+    writer.write_eof()
+
+
+async def tcp_pair() -> tuple[socket.socket, socket.socket]:
+    """Both ends of a TCP connection on loopback."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+    near.setblocking(False)
+    far.setblocking(False)
+    return near, far
+
+
+@contextlib.asynccontextmanager
+async def carried(streams: Streams, target: Target = ROBOT) -> AsyncIterator[Ends]:
+    """A connection that a stream carries: what a program holds that went through a door."""
+    mine, theirs = await tcp_pair()
+    task = asyncio.ensure_future(streams.carry(target, theirs))
+    reader, writer = await asyncio.open_connection(sock=mine)
     try:
-        for one, other in (both, both[::-1]):
-            one.trust(other)
-            one.add(other)
-            await one.master.start()
-        for one, other in (both, both[::-1]):
-            tell(one, other)
-        for each in both:
-            await each.start()
-        yield both
+        yield reader, writer
     finally:
-        for each in both:
-            await each.stop()
-            with contextlib.suppress(AttributeError):
-                await each.master.stop()
-
-
-def tell(here: RelayedSite, there: RelayedSite) -> None:
-    """The master here has the newest word of the one there on its revocations."""
-    revocations, timestamp = there.master.server.state.trust.current(there.site.now())
-    chain = there.site.enroll("/master").credentials().chain
-    here.master.server.effects.take_foreign(there.domain, revocations, timestamp, list(chain))
+        writer.close()
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)

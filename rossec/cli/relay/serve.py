@@ -34,9 +34,7 @@ AGAIN_AFTER: Final = 2.0  # seconds until routers that are out of reach are trie
 _log = logging.getLogger("rossec.overlay")
 
 
-def run(
-    environment: Environment, doors: str, seat_file: Path | None, *, as_json: bool
-) -> None:
+def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
     Args:

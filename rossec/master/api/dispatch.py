@@ -26,6 +26,7 @@ from rossec.master.api.methods import (
     StopMaster,
 )
 from rossec.master.api.parameter_calls import ParameterCalls
+from rossec.master.api.relay_calls import RelayCalls
 from rossec.master.api.site_calls import SiteCalls
 from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
@@ -35,6 +36,7 @@ from rossec.master.rights.caller import AddressTaken, Caller, Peer, Refused
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.recent_denials import RecentDenials
 from rossec.master.rights.statements import TrustState
+from rossec.master.state.doors import Doors
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
@@ -75,6 +77,7 @@ class MasterApi:
         denials: RecentDenials | None = None,
         connected: Callable[[], Iterable[Peer]] = tuple,
         imports: Imports | None = None,
+        doors: Doors | None = None,
     ) -> None:
         self._uri = uri
         self._pid = pid
@@ -84,6 +87,7 @@ class MasterApi:
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
         self.site_calls = SiteCalls(registry, instance, statements.list_digests)
         tree = Parameters() if parameters is None else parameters
+        doors = Doors() if doors is None else doors
         deposits = Deposits() if deposits is None else deposits
         denials = RecentDenials() if denials is None else denials
         self.parameters = ParameterCalls(
@@ -96,6 +100,7 @@ class MasterApi:
             **self.site_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),
             **DomainCalls(statements).methods(),
+            **RelayCalls(doors, registry, statements, name, uri).methods(),
             **DepositCalls(statements, deposits).methods(),
             **AuthorityCalls(statements, denials, connected).methods(),
             **self._own_methods(),

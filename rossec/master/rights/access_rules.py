@@ -14,6 +14,7 @@ from typing import Final
 from ca.certificates import Identity
 from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
+from ca.names import is_relay_name
 from grants.model import Right
 from rossec.master.rights.caller import AddressTaken, Caller, Refused
 from rossec.master.state.addresses import endpoint, is_loopback_host, is_reachable_from_here
@@ -43,6 +44,7 @@ class Scope(Enum):
     MASTER = "the master itself"
     AUTHORITY = "the authority's own node alone"
     MEMBER = "nodes of the own domain; no right is needed"
+    RELAY = "relays of the own domain; no right is needed"
     OPEN = "no right is needed"
 
 
@@ -111,6 +113,8 @@ RULES: Final[Mapping[str, AccessRule]] = {
     names.UPDATE_DOMAINS: AccessRule(Scope.MEMBER),  # signed by the authority
     names.FOREIGN_REVOCATIONS: AccessRule(Scope.MEMBER),
     names.FOREIGN_PROOFS: AccessRule(Scope.MEMBER),  # the caller must know an entry to query it
+    names.RELAY_DOORS: AccessRule(Scope.RELAY),
+    names.RELAY_TARGET: AccessRule(Scope.RELAY),  # of what is exported to the domain it asks for
 }
 
 
@@ -180,6 +184,8 @@ class AccessControl:
             raise Refused(f"only the authority's own node {AUTHORITY} may call this")
         if rule.scope is Scope.MEMBER and caller.is_foreign:
             raise Refused("only nodes of the own domain may call this")
+        if rule.scope is Scope.RELAY and not _is_own_relay(caller):
+            raise Refused("only relays of the own domain may call this")
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
         if rule.service is not None and caller.is_foreign:
@@ -218,6 +224,11 @@ def is_authority(peer: Identity) -> bool:
     Whoever holds an intermediate can certify any name below it.
     """
     return peer.name == AUTHORITY and not peer.wildcard and len(peer.keys) == 1
+
+
+def _is_own_relay(caller: Caller) -> bool:
+    """Whether the certified name itself is a relay's: the name of a visitor is an alias."""
+    return is_relay_name(caller.name) and not caller.certified and not caller.wildcard
 
 
 def require(caller: Caller, right: Right, name: str) -> None:

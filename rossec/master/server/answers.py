@@ -15,6 +15,7 @@ from rossec.master.api.deposit_calls import WATCH_GRANTS, is_empty
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
+from rossec.master.api.relay_calls import is_idle
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED
 from rossec.master.api.turns import CallOutcome, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
@@ -23,6 +24,7 @@ from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
 from rossec.master.server.site_answers import ASKING, SiteAnswers
 from rossec.master.state.registry import NodeRef
+from rossec.ros.names import RELAY_DOORS
 from rossec.ros.xmlrpc import Fault
 
 
@@ -50,6 +52,7 @@ class CallAnswers:
         self._effects = effects
         self._turns = turns
         self._site_answers = SiteAnswers(state.imports)
+        self._polls = {WATCH_GRANTS: self._watch_grants, RELAY_DOORS: self._relay_doors}
 
     def dispatch(
         self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
@@ -64,8 +67,8 @@ class CallAnswers:
             multicall = Multicall(params)
             self._step(call, multicall)
             return multicall.answer if multicall.done else self._multicall(call, multicall)
-        if method == WATCH_GRANTS:
-            return self._watch_grants(call)
+        if method in self._polls:
+            return self._polls[method](call)
         imports = self._state.imports
         wanted = imports.demand.version
         begun = self._begin(call)
@@ -115,6 +118,17 @@ class CallAnswers:
             await self._state.grant_changes.wait(call.peer.thumbprint)
             answer = await self._finish(call, self._begin(call))
         return answer
+
+    async def _relay_doors(self, call: PendingCall) -> object:
+        polls, relay = self._state.relay_polls, call.peer.thumbprint
+        polls.supersede(relay)
+        answer = await self._finish(call, self._begin(call))
+        if not is_idle(answer):
+            return answer
+        await polls.wait(relay, WATCH_WAIT)
+        caller_id, instance, seen, _, ways = call.params
+        again = call._replace(params=(caller_id, instance, seen, [], ways))  # doors are taken
+        return await self._finish(again, self._begin(again))
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:
         """Probe `owner`, whose address another node registers, and answer again."""

@@ -9,6 +9,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from typing import Final
 
@@ -43,6 +44,7 @@ from rossec.master.server.graph_changes import GraphChanges
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.site_polls import SitePolls
 from rossec.master.server.updates import Updates
+from rossec.master.state.doors import Doors
 from rossec.master.state.import_events import TypeContradicted
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
@@ -73,6 +75,8 @@ class MasterState:
         imports: what other masters have registered.
         site_polls: followers that wait for changes of the registrations.
         demand_changes: notified when local nodes want more of other masters.
+        doors: of the own relays.
+        relay_polls: relays that wait for what is wanted.
     """
 
     name: str
@@ -87,11 +91,14 @@ class MasterState:
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
     site_polls: SitePolls = field(default_factory=SitePolls)
     demand_changes: GraphChanges = field(default_factory=GraphChanges)
+    doors: Doors = field(default_factory=Doors)
+    relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
 
     def __post_init__(self) -> None:
         self.imports = Imports(self.registry)
         self.imports.intake.rules = self.trust.domains.imported
+        self.doors.on_wanted = self.relay_polls.notify
 
     def now(self) -> int:
         """The time, in whole seconds."""

@@ -189,6 +189,7 @@ class MasterServer:
             denials=state.recent_denials,
             connected=lambda: [stream.peer for stream in state.streams],
             imports=state.imports,
+            doors=state.doors,
         )
         self._parameters = api.parameters
         self._answers = CallAnswers(api, state, self._effects, self._turns)

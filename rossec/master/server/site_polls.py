@@ -12,9 +12,14 @@ from rossec.master.server.graph_changes import BATCH_DELAY
 
 
 class SitePolls:
-    """The waiting calls, one for each key."""
+    """The waiting calls, one for each key.
 
-    def __init__(self) -> None:
+    Args:
+        delay: seconds from a change to the answer, which has what changes meanwhile too.
+    """
+
+    def __init__(self, delay: float = BATCH_DELAY) -> None:
+        self._delay = delay
         self._waiting: dict[bytes, asyncio.Event] = {}
         self._version = -1
 
@@ -44,7 +49,7 @@ class SitePolls:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(longest):
                     await changed.wait()
-                    await asyncio.sleep(BATCH_DELAY)
+                    await asyncio.sleep(self._delay)
         finally:
             if self._waiting.get(follower) is changed:
                 del self._waiting[follower]

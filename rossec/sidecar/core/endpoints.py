@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from ca.errors import HintedError
 from rossec.channel.opening import WireProtocol
-from rossec.ros.settings import parse_uri
+from rossec.ros.settings import DOOR_PATH, is_door, parse_uri
 
 
 class Loopback(NamedTuple):
@@ -31,18 +31,21 @@ class Endpoint:
 
     Attributes:
         via_slave_api: `port` is the slave API's; the topic port is requested from it.
+        door: a slave API behind a relay, which leads TCPROS connections to the same node.
     """
 
     protocol: WireProtocol
     host: str
     port: int
     via_slave_api: bool = False
+    door: bool = False
 
     @property
     def uri(self) -> str:
-        """As in ROS: `http://host:port/` or `rosrpc://host:port`."""
+        """As in ROS: `http://host:port/` or `rosrpc://host:port`; a door's is `http://host:port/via`."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         end = "/" if self.protocol is WireProtocol.HTTP else ""
+        end = DOOR_PATH if self.door else end
         return f"{_SCHEMES[self.protocol]}://{host}:{self.port}{end}"
 
 
@@ -62,9 +65,10 @@ def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
     if not isinstance(uri, str) or not uri.startswith(head):
         return None
     try:
-        return Endpoint(protocol, *parse_uri("http://" + uri.removeprefix(head)))
+        address = parse_uri("http://" + uri.removeprefix(head))
     except HintedError:
         return None
+    return Endpoint(protocol, *address, door=protocol is WireProtocol.HTTP and is_door(uri))
 
 
 class EndpointMap:

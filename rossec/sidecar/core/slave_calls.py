@@ -2,7 +2,8 @@
 
 Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A
 peer is authorized before the program is called. `requestTopic` is answered here, with the same port
-for every topic: the program is asked once an authorized peer connects to it (N5, `tcpros`).
+for every topic: the program is asked once an authorized peer connects to it (N5, `tcpros`). From a
+peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
 Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
 positive code for success, and stock parsers accept what ours refuses; a program would connect in
 plaintext to an address that the sidecar did not see. Only the answer of `getBusStats` is forwarded
@@ -22,10 +23,12 @@ from rossec.participant.slave_api import (
     TCPROS,
     alias_asked,
     offers_tcpros,
+    ports_answer,
+    refusal,
     without_caller,
 )
 from rossec.participant.slave_rights import MASTER_ONLY, OPEN, SLAVE_CALLS, check_slave_call
-from rossec.ros.names import PRESENT_GRANTS
+from rossec.ros.names import PORTS, PRESENT_GRANTS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
 from rossec.sidecar.core.commands import CallPeer, CallProgram, Probe, Suspend
@@ -63,8 +66,8 @@ def handle_peer_call(
     answer = _answer_at_once(peer, method, params)
     if answer is not None:
         return answer
-    if method == REQUEST_TOPIC:
-        return (yield from _answer_request_topic(agent, local, params))
+    if method in (REQUEST_TOPIC, PORTS):
+        return (yield from _answer_with_port(agent, local, method))
     named = (caller_here(peer, str(params[0])), *params[1:])
     changed = yield from _params_for_program(agent, local, method, named)
     event = yield CallProgram(local, method, changed, parse=method not in _UNPARSED)
@@ -83,21 +86,22 @@ def handle_peer_call(
 
 def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
     """The answer that needs no program; None: it needs one."""
+    if method == PORTS:
+        return refusal(method, params, peer)
     refused = without_caller(params, RULES[method].default)
+    if refused is None and method == REQUEST_TOPIC:
+        return _invalid_request_topic(params) or alias_asked(method, params)
     if refused is None and method in _UNPARSED and peer.is_foreign:
         return [1, "", answer_for(peer, method, None)]
     return refused
 
 
-def _answer_request_topic(
-    agent: AgentState, local: Endpoint, params: tuple[object, ...]
-) -> Layer[object]:
-    """The answer to `requestTopic`, the same for every topic; a dead program does not answer."""
-    refused = _invalid_request_topic(params) or alias_asked(REQUEST_TOPIC, params)
-    if refused is not None:
-        return refused
+def _answer_with_port(agent: AgentState, local: Endpoint, method: str) -> Layer[object]:
+    """Where its topics are, the same for every topic; a dead program does not answer."""
     yield from _require_alive(agent, local, (yield Probe(local)))
     ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
+    if method == PORTS:
+        return ports_answer(ingress.port)
     return [1, "ready", [TCPROS, ingress.host, ingress.port]]
 
 
@@ -223,8 +227,8 @@ def _answer_for_program(
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
-        ) and not _leads_back(agent, remote, Endpoint(WireProtocol.TCPROS, host, port)):
-            uri = yield from agent.egress_uri(Endpoint(WireProtocol.TCPROS, host, port))
+        ) and not _leads_back(agent, remote, _topics_of(remote, host, port)):
+            uri = yield from agent.egress_uri(_topics_of(remote, host, port))
             egress = parse_endpoint(uri, WireProtocol.TCPROS)
             return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
         case "requestTopic", _:
@@ -237,6 +241,13 @@ def _answer_for_program(
             return [1, status, (yield from _peer_bus_info(agent, entries))]
         case _:
             return [1, status, value]
+
+
+def _topics_of(remote: Endpoint, host: str, port: int) -> Endpoint:
+    """Where the topics of the peer at `remote` are, which names this host and port."""
+    if remote.door:
+        return Endpoint(WireProtocol.TCPROS, remote.host, remote.port)
+    return Endpoint(WireProtocol.TCPROS, host, port)
 
 
 def _leads_back(agent: AgentState, remote: Endpoint, endpoint: Endpoint) -> bool:

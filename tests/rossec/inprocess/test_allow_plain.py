@@ -12,10 +12,14 @@ from rossec.errors import ConfigurationError
 from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.background import PEER_CONNECTIONS
 from rossec.net.halfopen import HalfOpen
+from rossec.net.host.relayed import source_for
 from rossec.ros import header
+from rossec.ros.names import MASTER
+from rossec.ros.settings import parse_uri
 from tests.support import stock
 from tests.support.attacker import call, credentials
-from tests.support.fleet import entitle, environment, program
+from tests.support.doors import Door, door
+from tests.support.fleet import Program, entitle, environment, program
 from tests.support.site import Site
 
 HERE = "127.0.0.1"
@@ -32,6 +36,7 @@ def test_only_named_entries_are_allowed() -> None:
     assert not plain.allows("/far", "192.168.1.8")
     assert not plain.allows("/opening", "10.0.0.1")
     assert not plain.allows("/open/door", "10.0.0.1")
+    assert not plain.allows("/open", source_for("/remote/hospital/relay"))
 
 
 @pytest.mark.parametrize("entry", ["", "*", "/**", "open", "/a@", "/a@robot", "/a@10.0.0.0/8"])
@@ -94,6 +99,22 @@ async def register_plain(site: Site, api: str, port: int) -> None:
         assert answer[0] == 1, answer
 
 
+async def offer_doors(site: Site, robot: Program, own: str, api: str, port: int) -> None:
+    """Behind a relay nothing is plain: not the node, and not what its relay leads to instead."""
+
+    async def named(door: Door, said: str) -> None:
+        answer = await call(own, boss, "publisherUpdate", MASTER, "/plain/words", [door.uri])
+        assert isinstance(answer, list)
+        assert answer[0] == 1
+        await robot.read_until(said)
+
+    boss, plain_api = credentials(site, MASTER), parse_uri(api)[1]
+    async with site.node("/honest") as honest:
+        with door(plain_api, port) as plain, door(parse_uri(honest.uri)[1], port) as lying:
+            await named(plain, f"cannot call {plain.uri}: the peer is a plain")
+            await named(lying, "cannot subscribe /plain/words: the peer behind a relay is a plain")
+
+
 async def exhaust(api: str, port: int) -> None:
     """N8: silent and aborted connections do not count for long; the others are limited."""
     port_of_api = int(api.rstrip("/").rpartition(":")[2])
@@ -153,7 +174,9 @@ async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
                 assert answer == [-1, REFUSAL, 0]
                 assert await asyncio.to_thread(robot_api.getPid, "/x") == [-1, REFUSAL, 0]
             await exhaust(own, int(own_port))
+            await offer_doors(site, robot, own, api, int(port))
             said = robot.said
+    assert said.count("HEARD in clear") == 1
     assert "HEARD closed" not in said
     assert "HEARD secret" not in plain.said
     assert "rossec: PLAIN: allow_plain leaves /plain/words open to every peer" in said

@@ -16,6 +16,7 @@ from rossec.net.aio import connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import FIELD
 from rossec.ros import header
+from rossec.ros.names import MASTER, PORTS
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import HOST, call, credentials, dial, fields_for, send_header
@@ -161,6 +162,17 @@ async def test_what_only_the_master_may_call_is_refused_to_others(victim: Victim
     await client.close()
     assert isinstance(answer, list)
     assert answer[0] == -1
+    await victim.goes_on()
+
+
+async def test_only_a_relay_is_told_the_port_of_topics(victim: Victim) -> None:
+    for name, answer in (
+        ("/relay", [1, "", [victim.port]]),
+        ("/relay/kitchen", [1, "", [victim.port]]),
+        (GUEST, [-1, f"rossec: {PORTS} is for a relay alone", []]),
+        (MASTER, [-1, f"rossec: {PORTS} is for a relay alone", []]),
+    ):
+        assert await call(victim.uri, credentials(victim.site, name), PORTS, name) == answer
     await victim.goes_on()
 
 

@@ -19,6 +19,7 @@ from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.participant.dialer import Dialer
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.ros.xmlrpc import Fault
+from tests.support.doors import door
 from tests.support.site import Site
 
 HOST, TOPIC = "127.0.0.1", "/scan"
@@ -166,6 +167,28 @@ async def test_a_node_is_not_sent_back_to_itself(site: Site, talker: Talker) -> 
     misled.add_ports(HOST, talker.topics.port)
     with pytest.raises(ConnectionHeaderRefused, match="sends this node to itself"):
         await Dialer("/viewer", viewer, lambda *_: None, misled).topic(talker.uri, TOPIC)
+
+
+async def test_behind_a_relays_door_the_topic_is_at_the_door(
+    talker: Talker, dialer: Dialer, checked: Checked
+) -> None:
+    talker.answer = [1, "", ["TCPROS", "192.0.2.1", 9]]  # an address of its own network
+    with door(talker.api.port, talker.topics.port) as found:
+        stream = await dialer.topic(found.uri, TOPIC)
+        assert stream.peer.name == "/talker"
+        await stream.close()
+    assert found.opened == [WireProtocol.HTTP, WireProtocol.TCPROS]
+    assert checked.asked == ["/talker", "/talker"]
+
+
+async def test_a_node_behind_a_door_that_offers_no_connection_is_refused(
+    talker: Talker, dialer: Dialer
+) -> None:
+    talker.answer = [1, "", ["UDPROS", HOST, 1]]
+    no_connection = pytest.raises(ConnectionHeaderRefused, match="offers no connection")
+    with door(talker.api.port, talker.topics.port) as found, no_connection:
+        await dialer.topic(found.uri, TOPIC)
+    assert found.opened == [WireProtocol.HTTP]
 
 
 async def test_a_topic_of_another_origin_is_requested_by_its_name_there(

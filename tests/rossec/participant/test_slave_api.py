@@ -131,6 +131,39 @@ async def test_the_master_is_who_the_node_calls_so(node: Node, identity: Identit
         assert answer == [-1, "rossec: shutdown is for the master alone", 0]
 
 
+async def test_a_relay_of_the_own_domain_learns_the_tcpros_port(
+    node: Node, identity: Identity
+) -> None:
+    for name in ("/relay", "/relay/kitchen"):
+        relay = replace(identity, name=name)
+        assert await call(node, relay, "rossec.ports", name) == [1, "", [40000]]
+    refused = [-1, "rossec: rossec.ports is for a relay alone", []]
+    for name in ("/viewer", "/master", "/relay/a/b", "/relays"):
+        other = replace(identity, name=name)
+        assert await call(node, other, "rossec.ports", name) == refused
+        authorized = await SlaveApi(node)("rossec.ports", (name,), other, authorized=True)
+        assert authorized == refused
+    foreign = replace(identity, name="/remote/hospital/relay", certified="/relay")
+    assert await call(node, foreign, "rossec.ports", "/relay") == refused
+
+
+@pytest.mark.parametrize(
+    ("params", "said"),
+    [
+        ((), "missing required caller_id"),
+        (("/viewer",), "caller_id is not /relay"),
+        (("/relay", 1), "bad call arity"),
+    ],
+    ids=["nobody", "another", "more"],
+)
+async def test_a_relay_asks_in_its_own_name_alone(
+    node: Node, identity: Identity, params: Call, said: str
+) -> None:
+    answer = await call(node, replace(identity, name="/relay"), "rossec.ports", *params)
+    assert isinstance(answer, list)
+    assert (answer[0], said in str(answer[1]), answer[2]) == (-1, True, [])
+
+
 async def test_any_node_may_call_request_topic(node: Node, identity: Identity) -> None:
     asked = "requestTopic", "/viewer", "/whatever"
     assert await call(node, identity, *asked, [["TCPROS"]]) == [

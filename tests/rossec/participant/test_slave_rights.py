@@ -1,5 +1,6 @@
 """Who may call what, decided before any handler runs (attacks N1-N5, L1)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,13 @@ from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import CallRefused
 from rossec.participant.access import Access
-from rossec.participant.slave_rights import MASTER_ONLY, SLAVE_CALLS, check_slave_call
-from rossec.ros.names import MASTER
+from rossec.participant.slave_rights import (
+    MASTER_ONLY,
+    SLAVE_CALLS,
+    check_slave_call,
+    is_relay,
+)
+from rossec.ros.names import MASTER, PORTS
 from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
 
@@ -47,6 +53,18 @@ def test_an_unknown_method_is_refused_for_the_master_too(site: Site) -> None:
     for peer in (MASTER, VIEWER):
         with pytest.raises(CallRefused, match="no such method"):
             check(site, "registerSubscriber", peer)
+
+
+def test_only_a_relay_learns_the_ports(site: Site) -> None:
+    for relay in ("/relay", "/relay/kitchen"):
+        check(site, PORTS, relay)
+    granted = site.grant(VIEWER, Right.GRAPH, NODE)
+    for peer in (VIEWER, MASTER):
+        with pytest.raises(CallRefused, match=f"{PORTS} is for a relay alone"):
+            check(site, PORTS, peer, granted)
+    own = site.identity("/relay")
+    assert is_relay(own)
+    assert not is_relay(replace(own, name="/remote/hospital/relay", certified="/relay"))
 
 
 def test_an_operator_needs_the_right_on_this_node(site: Site) -> None:

@@ -53,7 +53,15 @@ def test_cards_are_exchanged(empty: Shell, site: Site, tmp_path: Path) -> None:
     assert (own["domain"], own["relay"]) == ("home", "/relay")
     assert own["mailbox"].startswith("rossec/1/home/")
     assert "here, its card: rossec relay add office FILE" in said.err
-    assert empty("relay", "list").out.split() == ["office", "its", "card", "is", "not", "here", "yet"]
+    assert empty("relay", "list").out.split() == [
+        "office",
+        "its",
+        "card",
+        "is",
+        "not",
+        "here",
+        "yet",
+    ]
     assert take(empty, tmp_path).out == "office is office:/relay\n"
     assert empty("relay", "list").out.split() == ["office", "office:/relay"]
     assert json.loads(empty("relay", "list", "--json").out) == {

@@ -16,6 +16,16 @@ PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
             WireProtocol.TCPROS,
             Endpoint(WireProtocol.TCPROS, "fd99::2", 6000),
         ),
+        (
+            "http://10.0.0.7:6000/via",
+            WireProtocol.HTTP,
+            Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000, door=True),
+        ),
+        (
+            "rosrpc://10.0.0.7:6000/via",
+            WireProtocol.TCPROS,
+            Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000),
+        ),
         ("rosrpc://10.0.0.7:6000", WireProtocol.HTTP, None),
         ("http://10.0.0.7/", WireProtocol.HTTP, None),
         ("http://:6000/", WireProtocol.HTTP, None),
@@ -30,6 +40,20 @@ def test_uris_are_parsed(uri: object, protocol: WireProtocol, found: Endpoint | 
 def test_endpoints_are_written_as_in_ros() -> None:
     assert SLAVE.uri == "http://127.0.0.1:5000/"
     assert Endpoint(WireProtocol.TCPROS, "fd99::2", 6000).uri == "rosrpc://[fd99::2]:6000"
+
+
+@pytest.mark.parametrize("uri", ["http://10.0.0.7:6000/via", "http://[fd99::2]:6000/via"])
+def test_a_door_stays_one(uri: str) -> None:
+    """`rosnode cleanup` sends the master what `lookupNode` answered."""
+    found = parse_endpoint(uri, WireProtocol.HTTP)
+    assert found is not None
+    assert found.uri == uri
+    endpoints = EndpointMap(found.host)
+    local = endpoints.add_egress(found, 8000)
+    assert local == local_endpoint(WireProtocol.HTTP, 8000)
+    assert endpoints.peer_at(local) == found
+    endpoints.add_ingress(SLAVE, found.port)
+    assert endpoints.program_at(found) is None  # a door is no program of this host
 
 
 def test_endpoints_are_mapped_both_ways() -> None:

@@ -1,0 +1,263 @@
+"""Unreliable messages between mailboxes, through the routers: the one module that knows Zenoh.
+
+Whoever puts is not told whether anybody received: a link acknowledges by itself. Zenoh calls back
+in its own threads; here everything that arrived meanwhile wakes the loop once. What waits is
+bounded for each subscription, since anybody with a seat may put to a mailbox that it knows.
+"""
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from json import dumps
+from threading import Lock
+from typing import TYPE_CHECKING, Final, Self
+
+from rossec.errors import OverlayUnavailable
+from rossec.overlay.outbox import Outbox
+from rossec.overlay.routers import Routers
+from rossec.overlay.zenoh_settings import client_settings
+
+if TYPE_CHECKING:  # 32 MB of library: loaded when a session is opened
+    import zenoh
+
+_log = logging.getLogger("rossec.overlay.carrier")
+_MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
+_OVERHEAD: Final = 256  # bytes that a message costs beside its own
+_REOPEN_AFTER: Final = 1.0  # seconds between attempts
+_PER_TURN: Final = 64  # messages, then other work of the loop has its turn
+
+
+def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
+    """A session with these settings (`rossec.overlay.zenoh_settings`); blocks until it is open.
+
+    Raises:
+        OverlayUnavailable: zenoh is not installed, or refuses.
+    """
+    try:
+        import zenoh  # noqa: PLC0415 - as above
+    except ImportError as error:
+        raise OverlayUnavailable(
+            "eclipse-zenoh is not installed", "pip install rossec[overlay]"
+        ) from error
+    config = zenoh.Config()
+    for path, value in settings.items():
+        config.insert_json5(path, dumps(value))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        # Behind it is a path of the machine that built the library.
+        reason = str(error).partition(" at /")[0].rstrip("!. ")
+        raise OverlayUnavailable(f"Zenoh cannot begin: {reason}") from error
+
+
+class Subscription:
+    """A mailbox that is read; made by `Carrier.subscribe`."""
+
+    __slots__ = ("_callback", "_carrier", "key", "subscriber", "waiting")
+
+    def __init__(self, carrier: "Carrier", key: str, callback: Callable[[bytes], None]) -> None:
+        self._carrier = carrier
+        self._callback: Callable[[bytes], None] | None = callback
+        self.key = key
+        self.waiting = 0
+        """Bytes that arrived and were not delivered; written by the carrier, under its lock."""
+        self.subscriber: zenoh.Subscriber[None] | None = None
+        """What the present session has of it."""
+
+    def deliver(self, data: bytes) -> None:
+        """Hand over one message, unless the subscription was closed meanwhile."""
+        if self._callback is None:
+            return
+        try:
+            self._callback(data)
+        except Exception:  # noqa: BLE001 - the others of this turn are delivered all the same
+            _log.exception("a message of the overlay was not handled")
+
+    def close(self) -> None:
+        """Read this mailbox no more."""
+        if self._callback is not None:
+            self._callback = None
+            self._carrier.forget(self)
+
+
+class Carrier:
+    """The session of a relay with its routers; used on the loop that opened it."""
+
+    def __init__(self, routers: Routers, session: "zenoh.Session") -> None:
+        import zenoh  # noqa: PLC0415 - as in `open_session`
+
+        self.routers = routers
+        self._failure = zenoh.ZError
+        self._loop = asyncio.get_running_loop()
+        self._session = session
+        self._outbox = Outbox(self._put)
+        self._subscriptions: set[Subscription] = set()
+        self._arrived: deque[tuple[Subscription, bytes]] = deque()
+        self._lock = Lock()
+        self._woken = False
+        self._reopening: asyncio.Task[None] | None = None
+        self.closed = False
+
+    @classmethod
+    async def open(cls, routers: Routers) -> Self:
+        """Connect to one of the routers.
+
+        Raises:
+            OverlayUnavailable: zenoh is not installed, or no router takes this seat.
+        """
+        return cls(routers, await _open(routers))
+
+    @property
+    def router(self) -> str:
+        """The locator of the router in use; empty: none, it is looked for."""
+        with suppress(self._failure):  # a session that is being closed
+            for link in self._session.info.links():
+                return link.dst
+        return ""
+
+    # -- sending
+
+    def put(self, key: str, data: bytes) -> None:
+        """Send a message to this mailbox; nobody says whether it arrives.
+
+        Args:
+            key: of one mailbox: `rossec.overlay.mailboxes.is_mailbox`.
+            data: at most `rossec.overlay.link_frames.MAX_FRAME` octets.
+        """
+        self._outbox.put(key, data)
+
+    def _put(self, key: str, data: bytes) -> None:
+        """Waits up to 50 ms for room (`rossec.overlay.outbox`); Zenoh's default is to drop then."""
+        with suppress(self._failure):  # the session is being replaced: one more loss
+            self._session.put(key, data)
+
+    # -- receiving
+
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> Subscription:
+        """Call back on the loop with each message that arrives in this mailbox.
+
+        Raises:
+            OverlayUnavailable: the session does not take it.
+        """
+        subscription = Subscription(self, key, callback)
+        self._declare(subscription)
+        self._subscriptions.add(subscription)
+        return subscription
+
+    def _declare(self, subscription: Subscription) -> None:
+        receive = self._receiver(subscription)
+        try:
+            subscription.subscriber = self._session.declare_subscriber(subscription.key, receive)
+        except self._failure as error:
+            raise OverlayUnavailable("the session with the routers is closed") from error
+
+    def forget(self, subscription: Subscription) -> None:
+        """As of `Subscription.close`."""
+        self._subscriptions.discard(subscription)
+        subscriber, subscription.subscriber = subscription.subscriber, None
+        if subscriber is not None:
+            with suppress(self._failure):  # of a session that is gone
+                subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def _receiver(self, subscription: Subscription) -> "Callable[[zenoh.Sample], None]":
+        """What Zenoh calls, in its threads."""
+
+        def receive(sample: "zenoh.Sample") -> None:
+            data = sample.payload.to_bytes()
+            with self._lock:
+                if subscription.waiting > _MOST_WAITING:
+                    return
+                subscription.waiting += len(data) + _OVERHEAD
+                self._arrived.append((subscription, data))
+                wake, self._woken = not self._woken, True
+            if wake:
+                with suppress(RuntimeError):  # the loop is closed
+                    self._loop.call_soon_threadsafe(self._deliver)
+
+        return receive
+
+    def _deliver(self) -> None:
+        for subscription, data in self._take():
+            subscription.deliver(data)
+
+    def _take(self) -> list[tuple[Subscription, bytes]]:
+        """What arrived, as much as may be delivered in one turn of the loop."""
+        with self._lock:
+            count = min(len(self._arrived), _PER_TURN)
+            taken = [self._arrived.popleft() for _ in range(count)]
+            for subscription, data in taken:
+                subscription.waiting -= len(data) + _OVERHEAD
+            self._woken = bool(self._arrived)
+        if self._woken:
+            self._loop.call_soon(self._deliver)
+        return taken
+
+    # -- the session
+
+    def reopen(self) -> None:
+        """Replace the session: nothing arrives, though it should; links live on.
+
+        It goes on until a router takes the seat.
+        """
+        if self._reopening is None and not self.closed:
+            self._reopening = self._loop.create_task(self._reopen(), name="rossec overlay session")
+            self._reopening.add_done_callback(self._reopened)
+
+    def _reopened(self, task: asyncio.Task[None]) -> None:
+        self._reopening = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("the session with the routers was not replaced", exc_info=error)
+
+    async def _reopen(self) -> None:
+        session = await self._open_again()
+        old, self._session = self._session, session
+        for subscription in list(self._subscriptions):
+            subscription.subscriber = None
+            self._declare(subscription)
+        _log.warning("nothing came through the routers: the session was replaced")
+        await asyncio.to_thread(old.close)
+
+    async def _open_again(self) -> "zenoh.Session":
+        while True:
+            try:
+                return await _open(self.routers)
+            except OverlayUnavailable as error:
+                _log.warning("%s; trying again", error)
+                await asyncio.sleep(_REOPEN_AFTER)
+
+    async def close(self) -> None:
+        """Close the session and every subscription."""
+        self.closed = True
+        if self._reopening is not None:
+            self._reopening.cancel()
+            await asyncio.wait([self._reopening])
+        for subscription in list(self._subscriptions):
+            subscription.close()
+        self._outbox.close()
+        await asyncio.to_thread(self._session.close)
+
+
+async def _open(routers: Routers) -> "zenoh.Session":
+    """A session, opened in a thread; if nobody waits for it any more, it is closed again."""
+    settings = client_settings(routers)
+    opening = asyncio.get_running_loop().run_in_executor(None, open_session, settings)
+    try:
+        return await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_discard)
+        raise
+    except OverlayUnavailable as error:
+        if isinstance(error.__cause__, ImportError):
+            raise
+        raise OverlayUnavailable(
+            f"no router takes the seat {routers.seat}: {', '.join(routers.locators)}",
+            "does a router run there, can this host reach it, and is the seat file the newest of"
+            " its operator?",
+        ) from error
+
+
+def _discard(opening: "asyncio.Future[zenoh.Session]") -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()  # type: ignore[no-untyped-call]

@@ -1,0 +1,142 @@
+"""Publishers that only a door reaches, as behind a relay: of every form, followed by every form.
+
+The publishers register and answer an address of their own network, where nothing of theirs is.
+"""
+
+import asyncio
+import contextlib
+import itertools
+import sys
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import pytest
+import pytest_asyncio
+
+from grants.model import Right
+from rossec.channel.opening import WireProtocol
+from rossec.ros.names import MASTER, PORTS
+from rossec.ros.settings import parse_uri
+from tests.integration.sidecarworld import ROSSEC, Running
+from tests.support.attacker import call, credentials
+from tests.support.doors import HOST, Door, door
+from tests.support.fleet import SECURE, environment
+from tests.support.kinds import KINDS, SPEAKERS, command
+from tests.support.site import Site
+from tests.support.witness import until
+
+pytestmark = [
+    pytest.mark.ros, pytest.mark.timeout(120), pytest.mark.asyncio(loop_scope="module"),
+]  # fmt: skip
+ELSEWHERE: Final = "192.0.2.1"  # TEST-NET-1 (RFC 5737)
+PAIRS: Final = tuple(itertools.product(KINDS, KINDS))
+_ROSPY: Final = """
+import sys, rospy
+from std_msgs.msg import String
+rospy.init_node(f"{sys.argv[1]}_listener")
+def say(message):
+    sys.stdout.write(f"HEARD {message.data}\\n")  # at once: several threads speak
+    sys.stdout.flush()
+for topic in sys.argv[2:]:
+    rospy.Subscriber(topic, String, say)
+print("READY", flush=True)
+rospy.spin()
+"""
+_BUILTIN: Final = """
+import asyncio, sys
+from rossec.node import Node
+async def say(subscriber):
+    async for message in subscriber:
+        print("HEARD", message.data, flush=True)
+async def main(kind, *topics):
+    async with Node(f"/{kind}_listener") as node, asyncio.TaskGroup() as group:
+        for topic in topics:
+            group.create_task(say(await node.subscriber(topic, "std_msgs/String")))
+        print("READY", flush=True)
+asyncio.run(main(*sys.argv[1:]))
+"""
+LISTENERS: Final[Mapping[str, str]] = {
+    "inprocess": SECURE + _ROSPY, "builtin": _BUILTIN, "sidecar": _ROSPY,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cast:
+    """The doors of the publishers, the ports each told a relay, and who listens."""
+
+    site: Site
+    doors: Mapping[str, Door]
+    listeners: Mapping[str, Running]
+
+
+def api_of(site: Site, name: str) -> str | None:
+    """What a node has registered as its slave API."""
+    assert site.master is not None
+    nodes = site.master.state.registry.nodes()
+    return next((node.uri for node in nodes if node.name == name), None)
+
+
+async def registered(site: Site, name: str) -> str:
+    await until(lambda: api_of(site, name) is not None, within=30)
+    return str(api_of(site, name))
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def cast(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Cast]:
+    directory: Path = tmp_path_factory.mktemp("doors")
+    site = Site(directory / "site")
+    for kind in KINDS:
+        site.publish(f"/{kind}_speaker", f"/{kind}/*")
+        site.grant(f"/{kind}_speaker", Right.PROVIDE, f"/{kind}/*")
+        site.subscribe(f"/{kind}_listener", "/*/latched")
+    relay, master = credentials(site, "/relay"), credentials(site, MASTER)
+    async with site.running(), contextlib.AsyncExitStack() as stack:
+
+        def start(kind: str, source: str, *more: str, **env: str) -> Running:
+            line = tuple(command(kind, sys.executable, ROSSEC, source, *more))
+            running = Running(line, environment(site, directory, **env))
+            stack.push_async_callback(asyncio.to_thread, running.close)
+            return running
+
+        topics = [f"/{kind}/latched" for kind in KINDS]
+        for kind in KINDS:
+            start(kind, SPEAKERS[kind], ROS_IP=ELSEWHERE)
+        listeners = {kind: start(kind, LISTENERS[kind], *topics) for kind in KINDS}
+        doors = {}
+        for kind in KINDS:
+            uri = await registered(site, f"/{kind}_speaker")
+            assert parse_uri(uri)[0] == ELSEWHERE
+            answer = await call(uri, relay, PORTS, "/relay")
+            assert isinstance(answer, list)
+            assert answer[0] == 1, answer
+            doors[kind] = stack.enter_context(door(parse_uri(uri)[1], *answer[2]))
+        for kind in KINDS:
+            uri = await registered(site, f"/{kind}_listener")
+            await asyncio.to_thread(listeners[kind].wait_for, "READY")
+            for source, topic in zip(KINDS, topics, strict=True):
+                named = [doors[source].uri]
+                answer = await call(uri, master, "publisherUpdate", MASTER, topic, named)
+                assert isinstance(answer, list)
+                assert answer[0] == 1, answer
+        yield Cast(site, doors, listeners)
+
+
+@pytest.mark.parametrize(
+    ("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS]
+)
+async def test_a_topic_is_followed_at_the_door(cast: Cast, source: str, sink: str) -> None:
+    listener = cast.listeners[sink]
+    await until(lambda: f"HEARD {source} kept\n" in listener.said, within=30)
+    opened = cast.doors[source].opened
+    assert {WireProtocol.HTTP, WireProtocol.TCPROS} == set(opened)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+async def test_only_a_relay_is_told_the_ports(cast: Cast, kind: str) -> None:
+    uri = await registered(cast.site, f"/{kind}_speaker")
+    for name in ("/eve", MASTER):
+        answer = await call(uri, credentials(cast.site, name), PORTS, name)
+        assert answer == [-1, f"rossec: {PORTS} is for a relay alone", answer[2]]  # type: ignore[index]
+    assert HOST not in uri

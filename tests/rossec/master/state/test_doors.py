@@ -1,0 +1,191 @@
+"""Doors of relays: wanted by followers, opened by the relay that serves a peer."""
+
+from collections.abc import Mapping
+
+import pytest
+
+from rossec.master.state.addresses import endpoint
+from rossec.master.state.doors import AT_ONCE, SILENCE, Door, Doors, News, Report, Target, Way
+
+MASTER = Target("office", "master", "/master")
+ROBOT = Target("office", "node", "/robot")
+CLOCK = Target("office", "service", "/clock")
+AT = Door("127.0.0.1", 7001)
+WAY = Way("idle", 0.0, 0, "tls/router:7447", 0)
+
+
+class Site:
+    """A relay of each name that polls as it should, and what the doors have called."""
+
+    def __init__(self, limit: int = 100) -> None:
+        self.doors = Doors(limit)
+        self.seen: dict[str, int] = {}
+        self.told = self.changed = 0
+        self.doors.on_wanted = self._tell
+        self.doors.listen("office", self._change)
+
+    def _tell(self) -> None:
+        self.told += 1
+
+    def _change(self) -> None:
+        self.changed += 1
+
+    def poll(
+        self,
+        relay: str = "/relay",
+        opened: Mapping[Target, Door] | None = None,
+        *,
+        instance: str = "one",
+        peers: tuple[str, ...] = ("office",),
+        now: int = 0,
+    ) -> News:
+        report = Report(instance, self.seen.get(relay, 0), opened or {}, dict.fromkeys(peers, WAY))
+        news = self.doors.hear(relay, report, now)
+        self.seen[relay] = news.version
+        return news
+
+
+def test_what_a_follower_wants_is_told_once_and_masters_first() -> None:
+    site = Site()
+    assert site.doors.want("office", [ROBOT, CLOCK, MASTER]) == 0
+    assert site.told == 1
+    assert site.poll().wanted == (MASTER, ROBOT, CLOCK)
+    assert site.poll() == News(site.seen["/relay"], (), ())
+    site.doors.want("office", [ROBOT, CLOCK, MASTER])
+    assert site.poll().wanted == ()
+
+
+def test_a_door_that_was_opened_is_found() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.poll()
+    assert site.doors.door(ROBOT) is None
+    before = site.changed
+    site.poll(opened={ROBOT: AT})
+    assert site.doors.door(ROBOT) == AT
+    assert site.changed == before + 1
+    assert site.doors.is_door(endpoint("http://127.0.0.1:7001/anything"))
+    assert not site.doors.is_door(endpoint("http://127.0.0.1:7002/"))
+    site.poll(opened={ROBOT: AT})
+    assert site.changed == before + 1
+
+
+def test_what_nobody_wants_is_no_door() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.poll(opened={CLOCK: AT})
+    assert site.doors.door(CLOCK) is None
+
+
+def test_a_target_is_wanted_until_its_last_site_wants_it_no_longer() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.doors.want("other", [ROBOT])
+    site.poll(opened={ROBOT: AT})
+    site.poll(opened={ROBOT: AT})
+    site.doors.want("other", [])
+    assert site.poll().unwanted == ()
+    site.doors.forget("office")
+    assert site.poll().unwanted == (ROBOT,)
+    assert site.doors.door(ROBOT) is None
+    assert not site.doors.is_door(AT.endpoint)
+    site.doors.want("office", [ROBOT])
+    assert site.poll() == News(site.seen["/relay"], (ROBOT,), ())
+
+
+def test_a_place_is_the_door_of_one_target() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT, CLOCK])
+    site.poll(opened={ROBOT: AT})
+    site.poll(opened={CLOCK: Door("127.0.0.1", 7001)})
+    assert site.doors.door(ROBOT) is None
+    assert site.doors.door(CLOCK) == AT
+    site.poll(opened={CLOCK: Door("127.0.0.1", 7002)})
+    assert not site.doors.is_door(AT.endpoint)
+
+
+def test_a_relay_that_was_started_again_is_told_of_everything() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.poll()
+    site.poll(opened={ROBOT: AT})
+    assert site.poll(instance="two").wanted == (ROBOT,)
+    assert site.doors.door(ROBOT) is None
+
+
+def test_a_relay_that_has_seen_more_than_this_run_of_the_master_is_told_of_everything() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.seen["/relay"] = 1000
+    assert site.poll().wanted == (ROBOT,)
+
+
+def test_a_silent_relay_is_forgotten_and_another_serves_its_peers() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.poll("/relay", now=0)
+    site.poll("/relay", {ROBOT: AT}, now=0)
+    assert site.poll("/relay/spare", now=10).wanted == ()
+    assert site.doors.expire(SILENCE) == ()
+    assert site.doors.expire(SILENCE + 1) == ("/relay",)
+    assert site.doors.door(ROBOT) is None
+    assert site.doors.way("office") == ("/relay/spare", WAY)
+    assert site.poll("/relay/spare", now=20).wanted == (ROBOT,)
+    site.poll("/relay/spare", {ROBOT: AT}, now=20)
+    assert site.doors.door(ROBOT) == AT
+    assert site.poll("/relay", now=30).wanted == ()  # the other serves it, while it is there
+
+
+def test_a_relay_without_the_peer_has_no_door_there() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    assert site.poll(peers=("ward",)).wanted == ()
+    assert site.doors.way("office") is None
+    assert site.poll(peers=("office", "ward")).wanted == (ROBOT,)
+    site.poll(opened={ROBOT: AT})
+    site.poll(peers=())
+    assert site.doors.door(ROBOT) is None
+    assert not site.doors.is_door(AT.endpoint)
+
+
+def test_many_targets_are_told_in_parts() -> None:
+    site = Site(limit=3 * AT_ONCE)
+    many = {Target("office", "node", f"/n{number}") for number in range(2 * AT_ONCE + 10)}
+    site.doors.want("office", many)
+    parts = [site.poll().wanted for _ in range(4)]
+    assert [len(part) for part in parts] == [AT_ONCE, AT_ONCE, 10, 0]
+    assert {target for part in parts for target in part} == many
+
+
+def test_more_than_a_relay_has_doors_is_not_wanted() -> None:
+    site = Site(limit=2)
+    assert site.doors.want("office", [ROBOT, CLOCK, MASTER]) == 1
+    assert MASTER in site.poll().wanted
+    site.doors.want("office", [MASTER])
+    assert site.doors.want("office", [MASTER, CLOCK]) == 0
+    assert site.poll().wanted == (CLOCK,)
+
+
+def test_what_was_wanted_is_forgotten_within_limits() -> None:
+    site = Site(limit=2)
+    for number in range(9):
+        site.doors.want("office", [Target("office", "node", f"/n{number}")])
+    assert len(site.poll().unwanted) == 2
+
+
+@pytest.mark.parametrize("count", [63, 64])
+def test_there_are_at_most_so_many_relays(count: int) -> None:
+    site = Site()
+    for number in range(count):
+        site.poll(f"/relay/r{number}")
+    assert site.doors.has_room_for("/relay/r0")
+    assert site.doors.has_room_for("/relay/new") is (count < 64)
+
+
+def test_nobody_is_told_after_it_is_followed_no_longer() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.doors.forget("office")
+    before = site.changed
+    site.poll()
+    assert site.changed == before

@@ -1,0 +1,69 @@
+"""A door without a relay: connections led to the two ports of a node, told apart as relays do."""
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from typing import Final
+
+from rossec.channel.opening import WireProtocol, first_bytes
+from rossec.ros.settings import build_door
+
+HOST: Final = "127.0.0.1"
+_OPENING: Final = first_bytes(WireProtocol.TCPROS)
+
+
+class Door:
+    """Listens on loopback for the node whose API and topics are at these ports.
+
+    Attributes:
+        opened: the protocol of each connection so far.
+    """
+
+    def __init__(self, api: int, topics: int) -> None:
+        self._ports = {WireProtocol.HTTP: api, WireProtocol.TCPROS: topics}
+        self._server = socket.create_server((HOST, 0))
+        self.port: int = self._server.getsockname()[1]
+        self.uri = build_door(HOST, self.port)
+        self.opened: list[WireProtocol] = []
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):  # how the end appears
+            while True:
+                threading.Thread(target=self._lead, args=self._server.accept()[:1]).start()
+
+    def _lead(self, caller: socket.socket) -> None:
+        with caller, contextlib.suppress(OSError):
+            data = caller.recv(len(_OPENING), socket.MSG_WAITALL)
+            protocol = WireProtocol.TCPROS if data == _OPENING else WireProtocol.HTTP
+            self.opened.append(protocol)
+            with socket.create_connection((HOST, self._ports[protocol])) as node:
+                node.sendall(data)
+                back = threading.Thread(target=_pump, args=(node, caller))
+                back.start()
+                _pump(caller, node)
+                back.join()
+
+    def close(self) -> None:
+        """Admit nobody any more."""
+        self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+
+
+@contextlib.contextmanager
+def door(api: int, topics: int) -> Iterator[Door]:
+    """A door while the block runs."""
+    made = Door(api, topics)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def _pump(source: socket.socket, sink: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        while data := source.recv(1 << 16):
+            sink.sendall(data)
+    with contextlib.suppress(OSError):
+        sink.shutdown(socket.SHUT_WR)
