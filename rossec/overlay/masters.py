@@ -7,7 +7,6 @@ registered at it are.
 import asyncio
 from collections.abc import Mapping
 from functools import partial
-from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError

@@ -34,11 +34,18 @@ class RouterNetwork:
         return await dial_link(self._carrier, mailbox, self.seat, self._context)
 
     def listen(
-        self, mailbox: str, serve: Callable[[SecureStream[Identity]], Awaitable[None]]
+        self,
+        mailbox: str,
+        serve: Callable[[SecureStream[Identity]], Awaitable[None]],
+        label: str,
     ) -> LinkListener[Identity]:
         """Call `serve` with each authenticated link that arrives in this mailbox.
+
+        Unfinished handshakes are limited for each `label`, that of the peer it was told to.
 
         Raises:
             OverlayUnavailable: the session with the routers is closed.
         """
-        return LinkListener(self._carrier, mailbox, self._context, serve)
+        return LinkListener(
+            self._carrier, mailbox, self._context, serve, address=f"a link from {label}"
+        )

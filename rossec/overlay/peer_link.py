@@ -9,6 +9,7 @@ import logging
 import socket
 import time
 from collections.abc import Awaitable, Callable
+from copy import copy
 from enum import Enum
 from typing import Final, TypeAlias
 
@@ -63,7 +64,7 @@ class PeerLink:
         self._stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
         self._carrying: asyncio.Task[None] | None = None
-        self._dialling: asyncio.Task[Streams] | None = None
+        self._dialling: asyncio.Task[Streams | RelayRefused] | None = None
         self._pause = 0.0
         self._not_before = 0.0
 
@@ -107,9 +108,6 @@ class PeerLink:
 
     async def close(self) -> None:
         """End the link, and what it carries."""
-        if self._dialling is not None:
-            self._dialling.cancel()
-            await asyncio.wait([self._dialling])
         await self._tasks.close()
 
     # -- making one
@@ -120,19 +118,23 @@ class PeerLink:
         if self._dialling is None:
             if self._clock() < self._not_before:
                 raise RelayRefused(self.error, self.hint)
-            self._dialling = asyncio.create_task(self._make(), name=f"link to {self.peer.label}")
+            self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
             self._dialling.add_done_callback(self._dialled)
-        return await asyncio.shield(self._dialling)
+        found = await asyncio.shield(self._dialling)
+        if isinstance(found, RelayRefused):
+            raise copy(found)  # others wait for it too
+        return found
 
-    async def _make(self) -> Streams:
+    async def _make(self) -> Streams | RelayRefused:
+        """The streams of a new link; or why there is none, for all who wait."""
         try:
             stream = await self._dial(self.peer)
-        except TimeoutError as error:
-            raise self._failed(f"{self.peer.label} does not answer", _SILENT) from error
+        except TimeoutError:
+            return self._failed(f"{self.peer.label} does not answer", _SILENT)
         except HintedError as error:
-            raise self._failed(str(error), error.hint) from error
+            return self._failed(str(error), error.hint)
         except OSError as error:
-            raise self._failed(f"no link to {self.peer.label}: {error}", _SILENT) from error
+            return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
         self.error = self.hint = ""
         self._pause = self._not_before = 0.0
         streams = Streams(stream, Role.CALLER, self.peer.label)
@@ -141,10 +143,8 @@ class PeerLink:
         _log.info("link to %s", self.peer.label)
         return streams
 
-    def _dialled(self, task: asyncio.Task[Streams]) -> None:
+    def _dialled(self, _: object) -> None:
         self._dialling = None
-        if not task.cancelled():
-            task.exception()  # those who wait for it get it
 
     def _failed(self, text: str, hint: str) -> RelayRefused:
         self._pause = min(max(2 * self._pause, _FIRST_PAUSE), _LONGEST_PAUSE)

@@ -65,8 +65,8 @@ class Network(Protocol):
     async def dial(self, mailbox: str) -> SecureStream[Identity]:
         """A link to whoever reads this mailbox. Raises a `RossecError` or `TimeoutError`."""
 
-    def listen(self, mailbox: str, serve: _Serve) -> Closable:
-        """Call `serve` with each authenticated link that arrives in this mailbox."""
+    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable:
+        """Call `serve` with each authenticated link that arrives in the mailbox of a peer."""
 
 
 class Relay:
@@ -160,7 +160,8 @@ class Relay:
     def _add(self, peer: Peer) -> None:
         key = mailbox(self._network.seat, bytes.fromhex(peer.box))
         try:
-            self._mailboxes[peer.label] = self._network.listen(key, partial(self._serve, peer))
+            serve = partial(self._serve, peer)
+            self._mailboxes[peer.label] = self._network.listen(key, serve, peer.label)
         except OverlayUnavailable as error:  # tried again in a second
             _log.warning("%s: %s", peer.label, error)
             return

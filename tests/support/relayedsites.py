@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import hashlib
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
@@ -9,9 +10,9 @@ from pathlib import Path
 
 from ca.certificates import Identity
 from ca.domains.lists import ForeignDomain
+from rossec.errors import LinkEnded
 from rossec.master.state.doors import Door, Target
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
-from rossec.errors import LinkEnded
 from rossec.overlay.doors import OpenDoors
 from rossec.overlay.mailboxes import mailbox
 from rossec.overlay.member import RelayMember
@@ -47,7 +48,7 @@ class WireNetwork:
         port = self._wires.ports[mailbox]
         return await connect("127.0.0.1", port, self._context, WireProtocol.HTTP)
 
-    def listen(self, mailbox: str, serve_one: Serve) -> SecureServer[Identity]:
+    def listen(self, mailbox: str, serve_one: Serve, _label: str) -> SecureServer[Identity]:
         server = serve(serve_one, "127.0.0.1", 0, self._context, WireProtocol.HTTP)
         self._wires.ports[mailbox] = server.port
         return server
@@ -68,30 +69,38 @@ class RelayedSite:
         self.relay: Relay
         self.member: RelayMember
         self.network: WireNetwork
-        self._running: asyncio.Task[None] | None = None
+        self.running: asyncio.Task[None] | None = None
 
-    def trust(self, *others: "RelayedSite", admitted: tuple[str, ...] = ("/**",)) -> bytes:
+    def trust(
+        self,
+        *others: "RelayedSite",
+        admitted: tuple[str, ...] = ("/**",),
+        exported: tuple[tuple[str, int], ...] | None = None,
+    ) -> bytes:
         """The newest list of domains: these, and no others."""
         self.listed += 1
         until_then = int(time.time()) + DAY
         entries = [
             ForeignDomain(
-                each.domain, each.label, each.site.anchor.certificate, admitted, 3600, until_then
+                each.domain, each.label, each.site.anchor.certificate, admitted, 3600, until_then,
+                exported,
             )
             for each in others
         ]  # fmt: skip
-        self.master.domains = domain_list(
-            self.site, "/master", foreign=entries, seq=self.listed
-        )
+        self.master.domains = domain_list(self.site, "/master", foreign=entries, seq=self.listed)
         return self.master.domains
 
     def box(self, other: "RelayedSite") -> str:
         """Of the mailbox that is told to `other`."""
-        return f"{sum(map(ord, self.domain + other.domain)):032x}"
+        return hashlib.sha256(f"{self.domain} {other.domain}".encode()).hexdigest()[:32]
+
+    def relay_mailbox(self, other: "RelayedSite") -> str:
+        """Where `other` sends to."""
+        return mailbox(self.label, bytes.fromhex(self.box(other)))
 
     def add(self, other: "RelayedSite") -> None:
         """Cards were exchanged with `other`."""
-        key = mailbox(other.label, bytes.fromhex(other.box(self)))
+        key = other.relay_mailbox(self)
         peer = Peer(other.label, self.box(other), other.label, "/relay", key)
         self.files.change(lambda peers: peers.update({other.label: peer}))
 
@@ -107,13 +116,13 @@ class RelayedSite:
         self.member = RelayMember("/relay", environ)
         self.network = WireNetwork(self.wires, self.label, self.member.link_context)
         self.relay = Relay(self.member, self.network, OpenDoors("127.0.0.1"), self.files.peers)
-        self._running = asyncio.ensure_future(self.relay.run())
+        self.running = asyncio.ensure_future(self.relay.run())
 
     async def stop(self) -> None:
         """End the relay."""
-        if self._running is not None:
-            self._running.cancel()
-            await asyncio.gather(self._running, return_exceptions=True)
+        if self.running is not None:
+            self.running.cancel()
+            await asyncio.gather(self.running, return_exceptions=True)
 
     async def door(self, peer: str, kind: str, name: str) -> Door:
         """The door that the master gets for a target."""
@@ -134,24 +143,33 @@ class RelayedSite:
 
 
 @contextlib.asynccontextmanager
-async def two_sites(root: Path) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
-    """A home and an office that trust each other, whose relays have each other's cards."""
+async def two_sites(
+    root: Path, *, told: bool = True
+) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
+    """A home and an office that trust each other, whose relays have each other's cards.
+
+    `told`: the masters have heard of each other's revocations.
+    """
     wires = Wires()
-    home, office = (RelayedSite(root / each, f"{each}.example", wires) for each in ("home", "office"))
+    home, office = (
+        RelayedSite(root / each, f"{each}.example", wires) for each in ("home", "office")
+    )
     both = home, office
     try:
         for one, other in (both, both[::-1]):
             one.trust(other)
             one.add(other)
             await one.master.start()
-        for one, other in (both, both[::-1]):
+        for one, other in (both, both[::-1]) if told else ():
             tell(one, other)
         for each in both:
             await each.start()
+        await until(lambda: all(each.member.is_connected for each in both))
         yield both
     finally:
         for each in both:
             await each.stop()
+        for each in both:
             with contextlib.suppress(AttributeError):
                 await each.master.stop()
 

@@ -1,8 +1,8 @@
 """The administrator's local port of a master or a relay: a Unix socket.
 
 A shell. The socket is in its own directory (0600), and the kernel reports the user of the peer:
-only the user who runs it, and root, are admitted. A master's is off unless enabled. A connection is one request and one
-answer, each a line of JSON. No command changes a right.
+only the user who runs it, and root, are admitted. A master's is off unless enabled. A connection is
+one request and one answer, each a line of JSON. No command changes a right.
 """
 
 import asyncio
