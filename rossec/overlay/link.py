@@ -376,6 +376,11 @@ class Link:
     # -- measured
 
     @property
+    def silent_since(self) -> float | None:
+        """Since when an answer is missing; None: none is."""
+        return self._silent_since
+
+    @property
     def stats(self) -> LinkStats:
         """What was measured so far."""
         sender = self._sender
