@@ -51,7 +51,7 @@ class Closable(Protocol):
         """Read it no more."""
 
 
-class Network(Protocol):
+class LinkNetwork(Protocol):
     """The routers, as a relay uses them: see `rossec.overlay.network`."""
 
     @property
@@ -82,7 +82,7 @@ class Relay:
     def __init__(
         self,
         member: RelayMember,
-        network: Network,
+        network: LinkNetwork,
         admission: Admission,
         read_peers: Callable[[], Peers],
     ) -> None:

@@ -47,7 +47,6 @@ def test_the_seat_is_kept_for_the_user_alone(store: RelayFiles) -> None:
     assert "rossec relay seat FILE" in caught.value.hint
     assert store.keep_seat(ROUTERS.write()) == ROUTERS
     assert store.routers() == ROUTERS
-    assert store.has_seat
     assert (store.home.path / SEAT).stat().st_mode & 0o777 == 0o600
     with pytest.raises(ConfigurationError):
         store.keep_seat(b"{}")
