@@ -316,10 +316,9 @@ class Link:
                 return
             if self._end_at is None:
                 self._end_at = now + LINGER
-        if not sender.in_flight:
-            self._silent_since = None
-        elif progress:
-            self._silent_since = now
+        if sender.in_flight and not progress:
+            return
+        self._silent_since = now if sender.in_flight else None
         asks = sender.waiting or (self._opener and not self._validated)
         self._probe_at = now + (sender.round_trip.wait if asks else KEEPALIVE)
 
@@ -361,6 +360,7 @@ class Link:
         """Ask how far the peer is; before it ever answered, with the OPEN itself."""
         if self._silent_since is None:
             self._silent_since = now
+        self._sender.asked()
         silence = now - self._silent_since
         self._probe_at = now + self._sender.round_trip.again(silence)
         if self.state is State.OPENING:
