@@ -3,8 +3,10 @@
 import pytest
 
 from rossec.errors import LinkEnded
-from rossec.overlay.link import KEEPALIVE, SILENCE, Link, State
+from rossec.overlay.link import Link
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind
+from rossec.overlay.link_states import LinkState
+from rossec.overlay.link_timing import KEEPALIVE, SILENCE
 from tests.support.linknet import ID, REPLY, Network, opened
 
 
@@ -26,13 +28,13 @@ def test_a_link_that_is_not_written_to_sends_nothing() -> None:
     assert link.frames_to_send(0.0) == []
     assert link.deadline() is None
     link.tick(1000.0)
-    assert link.state is State.IDLE
+    assert link.state is LinkState.IDLE
 
 
 def test_a_link_that_nobody_used_ends_at_once() -> None:
     link = Link.open(ID, REPLY, 0.0)
     link.finish(0.0)
-    assert link.state is State.DONE
+    assert link.state is LinkState.DONE
 
 
 def test_an_identifier_of_another_length_is_refused() -> None:
@@ -57,7 +59,7 @@ def test_the_first_frame_is_a_padded_open_that_is_repeated_until_it_is_answered(
     assert called.receive(first, 1.1) == []
     (answer,) = called.frames_to_send(1.1)
     link.receive(answer, 1.2)
-    assert link.state is State.RUNNING
+    assert link.state is LinkState.RUNNING
     (second,) = link.frames_to_send(1.2)
     assert second[HEAD:] == b" second"
 
@@ -129,7 +131,7 @@ def test_a_link_without_progress_is_over() -> None:
         network.pass_time(SILENCE + 10)
     assert refused.value.hint
     assert network.now - begin == pytest.approx(SILENCE, abs=0.5)
-    assert network.caller.at().state is State.RESET
+    assert network.caller.at().state is LinkState.RESET
     assert network.caller.at().deadline() is None
     network.caller.at().tick(network.now)
     (last,) = network.caller.at().frames_to_send(network.now)
@@ -162,7 +164,7 @@ def test_a_slow_application_closes_the_window_and_opens_it_again() -> None:
     network.write(network.caller, bytes(6_000_000))
     network.pass_time(100)
     assert len(network.called.received) <= 4 * 1024 * 1024 + 5
-    assert caller.state is State.RUNNING, "it is slow, not gone"
+    assert caller.state is LinkState.RUNNING, "it is slow, not gone"
     assert (caller.writable, caller.backlog > 1_000_000) == (False, True)
     network.called.slow = False
     network.take(network.called)

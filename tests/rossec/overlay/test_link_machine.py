@@ -8,7 +8,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from rossec.overlay.link import AMPLIFICATION, State
+from rossec.overlay.link import AMPLIFICATION
+from rossec.overlay.link_states import LinkState
 from tests.support.linknet import End, Network
 
 SIDES = st.sampled_from(["caller", "called"])
@@ -46,7 +47,7 @@ class LossyLink(RuleBasedStateMachine):
 
     def end(self, name: str) -> End | None:
         end = self.network.caller if name == "caller" else self.network.called
-        return end if end.link is not None and end.link.state is not State.DRAINING else None
+        return end if end.link is not None and end.link.state is not LinkState.DRAINING else None
 
     @rule(name=SIDES, size=SIZES)
     def write(self, name: str, size: int) -> None:
@@ -112,7 +113,8 @@ class LossyLink(RuleBasedStateMachine):
         for end in network.ends:
             end.at().finish(network.now)
             network.flush(end)
-        network.run(lambda: all(end.at().state is State.DONE for end in network.ends), within=20)
+        done = LinkState.DONE
+        network.run(lambda: all(end.at().state is done for end in network.ends), within=20)
         assert network.agreed()
 
 

@@ -6,8 +6,9 @@ import pytest
 
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
-from rossec.overlay.link import AMPLIFICATION, KEEPALIVE, SILENCE, Link, refusal
-from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind
+from rossec.overlay.link import AMPLIFICATION, Link
+from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind, refusal
+from rossec.overlay.link_timing import KEEPALIVE, SILENCE
 from tests.support.linknet import REPLY, Network, frame, opened
 
 
