@@ -185,8 +185,8 @@ class Relay:
     def _way(self, link: PeerLink) -> Way:
         called = self._called.get(link.peer.label, [])
         streams = [link.stream, *(stream for stream, _ in reversed(called))]
-        measured = [_measured(stream) for stream in streams if stream is not None]
-        rtt, repeated = measured[0] if measured else (0.0, 0)
+        found = next((stream for stream in streams if stream is not None), None)
+        rtt, repeated = (0.0, 0) if found is None else measured(found)
         carried = link.carried + sum(len(each) for _, each in called)
         return Way(link.state.value, rtt, repeated, self._network.router, carried)
 
@@ -285,7 +285,7 @@ class Relay:
         }  # fmt: skip
 
 
-def _measured(stream: SecureStream[Identity]) -> tuple[float, int]:
+def measured(stream: SecureStream[Identity]) -> tuple[float, int]:
     """Round trip in milliseconds, and retransmissions of a link."""
     link = getattr(stream.transport, "link", None)
     if link is None:  # it has ended, or is none of the overlay

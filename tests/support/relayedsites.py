@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ca.certificates import Identity
+from ca.domains.anchors import Anchors
 from ca.domains.lists import ForeignDomain
 from rossec.errors import LinkEnded
 from rossec.master.state.doors import Door, Target
@@ -138,7 +139,9 @@ class RelayedSite:
     ) -> SecureStream[Identity]:
         """A connection of a node of this site through a door."""
         home = self.site.enroll(caller)
-        context = SecureContext(home.credentials(), self.member.standing.anchors.verify)
+        anchors = Anchors(self.site.anchor)
+        anchors.update(self.master.domains)
+        context = SecureContext(home.credentials(), anchors.verify)
         return await connect(door.host, door.port, context, protocol)
 
 

@@ -3,7 +3,9 @@
 import asyncio
 import logging
 import os
+import socket
 from contextlib import ExitStack
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -118,7 +120,15 @@ def _admission(doors: str) -> Admission:
     """
     if not doors:
         return Callers({os.geteuid()}, loopback=find_loopback())
-    return OpenDoors(doors)
+    try:
+        address = str(ip_address(doors))
+        with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
+            sock.bind((address, 0))
+    except (ValueError, OSError) as error:
+        raise ConfigurationError(
+            f"{doors[:80]} is not an address of this host", "--doors 192.168.1.5, as ROS_IP is"
+        ) from error
+    return OpenDoors(address)
 
 
 def _say_ready(store: RelayFiles, carrier: Carrier, *, as_json: bool) -> None:
