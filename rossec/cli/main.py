@@ -50,6 +50,7 @@ _TABLE: Final = {
         "policy.group:privacy",
         "Show every field of every topic: which node sees it, how, why and until when.",
     ),
+    "router": ("router.group:router", "Run a router, through which sites reach each other."),
     "run": (
         "node.run:run",
         "Run COMMAND, a ROS program in any language, behind a sidecar of its own.",
