@@ -8,7 +8,7 @@ finer levels it would name mailboxes.
 
 import asyncio
 import logging
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final, Protocol
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
 from rossec.overlay.router_home import RouterHome
@@ -16,13 +16,23 @@ from rossec.overlay.router_settings import RouterSettings, zenoh_settings
 from rossec.overlay.seats import Seats
 from rossec.overlay.zenoh_carrier import open_session
 
-if TYPE_CHECKING:
-    import zenoh
-
 _log = logging.getLogger("rossec.overlay.router")
 _PERIOD: Final = 0.5  # seconds between two looks
 _CERTIFICATE_PERIOD: Final = 24 * 3600.0  # seconds
 _CLOSING: Final = 5.0  # seconds
+
+
+class Session(Protocol):
+    """What is used here of `zenoh.Session`."""
+
+    @property
+    def info(self) -> Any:
+        """Whom it is connected with."""
+        ...
+
+    def close(self) -> Any:
+        """End it; blocks."""
+        ...
 
 
 class Router:
@@ -40,7 +50,7 @@ class Router:
         self._is_open = is_open
         self._seats_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
-        self._session: zenoh.Session | None = None
+        self._session: Session | None = None
         self._joined = 0
 
     async def start(self) -> None:
