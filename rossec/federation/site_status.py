@@ -1,12 +1,14 @@
 """What people and programs are told of a site. Pure but for the clock that is passed."""
 
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, Final
 
 from rossec.federation.settings import SiteSettings
 from rossec.federation.states import SiteState
 from rossec.master.state.imports import Imports
 
-MAX_TOPICS: Final = 1024  # that are named
+NAMED: Final = 8 * 1024  # characters of all topics that are named; an answer is one line of a MiB
 
 
 def site_status(
@@ -29,6 +31,11 @@ def site_status(
         "facts": 0 if held is None else held.facts,
         "lost_s": None if lost is None else round(clock - lost, 1),
         "parameters": list(settings.parameters),
-        "topics": topics[:MAX_TOPICS],
+        "topics": _bounded(topics),
         "topics_count": len(topics),
     }
+
+
+def _bounded(topics: Sequence[str]) -> list[str]:
+    ends = accumulate(len(topic) for topic in topics)
+    return [topic for topic, end in zip(topics, ends, strict=True) if end <= NAMED]
