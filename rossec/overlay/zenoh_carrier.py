@@ -99,6 +99,8 @@ class Carrier:
         self._woken = False
         self._reopening: asyncio.Task[None] | None = None
         self.closed = False
+        self.heard_at = self._loop.time()
+        """When a message arrived last, whichever it was, or a session was opened."""
 
     @classmethod
     async def open(cls, routers: Routers) -> Self:
@@ -179,6 +181,7 @@ class Carrier:
         return receive
 
     def _deliver(self) -> None:
+        self.heard_at = self._loop.time()
         for subscription, data in self._take():
             subscription.deliver(data)
 
@@ -213,6 +216,7 @@ class Carrier:
     async def _reopen(self) -> None:
         session = await self._open_again()
         old, self._session = self._session, session
+        self.heard_at = self._loop.time()
         for subscription in list(self._subscriptions):
             subscription.subscriber = None
             self._declare(subscription)

@@ -11,11 +11,11 @@ import contextlib
 import logging
 import socket
 from collections.abc import Awaitable, Callable
-from typing import Final, TypeVar
+from functools import partial
+from typing import Final, Protocol, TypeVar
 
 from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.net.aio.tasks import TaskSet
-from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
 from rossec.sidecar.plain_stream import PlainStream
 
@@ -35,12 +35,32 @@ Handler = Callable[[PlainStream], Awaitable[None]]
 Bound = TypeVar("Bound")
 
 
-class LoopbackPort:
-    """One port; suspended until `open`."""
+class Admission(Protocol):
+    """Where a port is, and who may connect: `Callers`, for programs of this host."""
 
-    def __init__(self, callers: Callers, handler: Handler, port: int = 0) -> None:
+    @property
+    def loopback(self) -> Loopback:
+        """The address of the port."""
+
+    async def check(self, sock: socket.socket) -> None:
+        """Return if the program at the other end may connect.
+
+        Raises:
+            PeerUserRefused: it may not.
+        """
+
+
+class LocalPort:
+    """One port; suspended until `open`. `attend` serves an admitted connection and owns it."""
+
+    def __init__(
+        self,
+        callers: Admission,
+        attend: Callable[[socket.socket], Awaitable[None]],
+        port: int = 0,
+    ) -> None:
         self._callers = callers
-        self._handler = handler
+        self._attend = attend
         self._socket = bind_loopback(port, callers.loopback)
         self._loop = asyncio.get_running_loop()
         self._tasks = TaskSet()
@@ -91,7 +111,7 @@ class LoopbackPort:
             self._loop.call_later(PAUSE, self._start_accepting)
             return
         if len(self._tasks) >= CONNECTIONS:
-            _log.warning("too many connections at loopback port %d", self.port)
+            _log.warning("too many connections at port %d", self.port)
             sock.close()
             return
         self._tasks.spawn(self._serve(sock), f"loopback port {self.port}")
@@ -107,11 +127,22 @@ class LoopbackPort:
         except BaseException:
             sock.close()
             raise
-        stream = PlainStream(sock)
-        try:
-            await self._handler(stream)
-        finally:
-            stream.abort()
+        await self._attend(sock)
+
+
+class LoopbackPort(LocalPort):
+    """A port whose handler gets a stream; it is closed when the handler returns."""
+
+    def __init__(self, callers: Admission, handler: Handler, port: int = 0) -> None:
+        super().__init__(callers, partial(_attend_stream, handler), port)
+
+
+async def _attend_stream(handler: Handler, sock: socket.socket) -> None:
+    stream = PlainStream(sock)
+    try:
+        await handler(stream)
+    finally:
+        stream.abort()
 
 
 def find_loopback() -> Loopback:

@@ -165,6 +165,11 @@ class BaseStream:
         """Whether the peer does: further writes would be buffered here."""
         return not self.transport.writable
 
+    @property
+    def backlog(self) -> int:
+        """Bytes that were written and not sent yet."""
+        return self.transport.backlog
+
     async def drain(self) -> None:
         """Wait until the peer caught up.
 

@@ -7,12 +7,14 @@ straight into the owner's buffer.
 
 import asyncio
 import socket
+import struct
 from collections import deque
 from contextlib import suppress
 from typing import Final, Protocol
 
 from rossec.channel.records import Bytes
 
+_RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
 _HIGH_WATER: Final = 64 * 1024  # bytes buffered here, above which a writer should wait
 
 
@@ -20,15 +22,19 @@ class TransportOwner(Protocol):
     """Receives the events of the socket; names as in `asyncio.BufferedProtocol`."""
 
     def get_buffer(self) -> memoryview:
-        """The buffer for the next bytes."""
+        """The buffer for the next bytes.
+
+        Raises:
+            BlockingIOError: there is no room; the owner has paused reading.
+        """
         ...
 
     def buffer_updated(self, count: int) -> None:
         """So many bytes were written there."""
         ...
 
-    def eof_received(self) -> None:
-        """The peer sends nothing more."""
+    def eof_received(self) -> bool | None:
+        """The peer sends nothing more; true: this side does, the socket stays open."""
         ...
 
     def resume_writing(self) -> None:
@@ -160,6 +166,11 @@ class Transport:
             self._reading = False
             self._loop.remove_reader(self._fd)
 
+    def read_now(self) -> None:
+        """Read what has arrived, once, in the caller's turn and not in the loop's."""
+        if not (self._closing or self.closed):
+            self._read()
+
     def _readable(self) -> None:
         if self._read() and self._eof_due and not self.closed:
             self._read()  # the peer's answer and its FIN mostly arrive together
@@ -181,8 +192,9 @@ class Transport:
             return True
         self.pause_reading()
         self._closing = True
-        self._owner.eof_received()
-        if not self._pending:
+        if self._owner.eof_received():
+            self._closing = False
+        elif not self._pending:
             self.abort()
         return False
 
@@ -249,6 +261,13 @@ class Transport:
     def _shut(self) -> None:
         with suppress(OSError):  # the peer may have reset the connection already
             self._socket.shutdown(socket.SHUT_WR)
+
+    def reset(self) -> None:
+        """Abort, so that the peer sees a broken connection and no end."""
+        if not self.closed:
+            with suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE)
+            self.abort()
 
     def abort(self) -> None:
         """Close the socket now; what was not sent is dropped."""

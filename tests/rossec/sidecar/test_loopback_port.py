@@ -149,7 +149,7 @@ async def test_connections_above_the_limit_are_closed(
     assert await stream.receive() == b"hello"
     with pytest.raises(ChannelClosed):
         await exchange_hello(listener.port)
-    assert f"too many connections at loopback port {listener.port}" in caplog.text
+    assert f"too many connections at port {listener.port}" in caplog.text
     await stream.close()
     await listener.close()
 

@@ -3,6 +3,8 @@
 import asyncio
 import socket
 
+import pytest
+
 from rossec.net.aio.transport import Transport
 
 
@@ -23,8 +25,9 @@ class Recorder:
     def buffer_updated(self, count: int) -> None:
         self.got += self.buffer[:count]
 
-    def eof_received(self) -> None:
+    def eof_received(self) -> bool | None:
         self._note("eof")
+        return None
 
     def resume_writing(self) -> None:
         self._note("drained")
@@ -33,11 +36,11 @@ class Recorder:
         self._note("lost")
 
 
-def pair() -> tuple[Transport, Recorder, socket.socket]:
+def pair(recorder: Recorder | None = None) -> tuple[Transport, Recorder, socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         other = socket.create_connection(server.getsockname())
         mine, _ = server.accept()
-    recorder = Recorder()
+    recorder = recorder or Recorder()
     transport = Transport(mine, recorder)
     transport.resume_reading()
     return transport, recorder, other
@@ -128,5 +131,64 @@ async def test_the_local_address_is_the_sockets() -> None:
     assert transport.local_address == "127.0.0.1"
     transport.abort()
     assert transport.local_address == ""
+    await until(recorder, "lost")
+    other.close()
+
+
+class HalfOpen(Recorder):
+    """Goes on sending after the peer's end."""
+
+    def eof_received(self) -> bool:
+        self._note("eof")
+        return True
+
+
+async def test_an_owner_may_go_on_sending_after_the_peers_end() -> None:
+    transport, recorder, other = pair(HalfOpen())
+    other.shutdown(socket.SHUT_WR)
+    await until(recorder, "eof")
+    assert not transport.closed
+    transport.write(bytes(1_000_000))
+    transport.finish()
+    assert len(await swallow(other, 1_000_000)) == 1_000_000
+    await until(recorder, "lost")
+    other.close()
+
+
+async def test_a_reset_is_no_end() -> None:
+    transport, recorder, other = pair()
+    transport.reset()
+    transport.reset()
+    with other, pytest.raises(ConnectionResetError):
+        other.recv(1)
+    await until(recorder, "lost")
+
+
+class Full(Recorder):
+    """Has no room until it is told so."""
+
+    transport: Transport
+    full = True
+
+    def get_buffer(self) -> memoryview:
+        if self.full:
+            self.transport.pause_reading()
+            self._note("full")
+            raise BlockingIOError
+        return super().get_buffer()
+
+
+async def test_an_owner_without_room_reads_later_in_its_own_turn() -> None:
+    owner = Full()
+    transport, recorder, other = pair(owner)
+    owner.transport = transport
+    other.sendall(b"x")
+    await until(recorder, "full")
+    assert not transport.reading
+    owner.full = False
+    transport.read_now()
+    assert recorder.got == b"x"
+    transport.abort()
+    transport.read_now()
     await until(recorder, "lost")
     other.close()
