@@ -167,6 +167,8 @@ class Carrier:
         """What Zenoh calls, in its threads."""
 
         def receive(sample: "zenoh.Sample") -> None:
+            if str(sample.key_expr) != subscription.key:
+                return  # put to a pattern: whoever did does not know this mailbox
             data = sample.payload.to_bytes()
             with self._lock:
                 if subscription.waiting > _MOST_WAITING:
