@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -19,6 +19,7 @@ from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.inprocess.addresses import for_family
 from rossec.inprocess.allow_plain import PlainConnection, PlainPeers
 from rossec.inprocess.connector import CONNECT_TIMEOUT, Connector, Stream
 from rossec.inprocess.plain_stream import PlainStream, peek
@@ -33,6 +34,7 @@ _PUMP_EVERY: Final = 1.0  # seconds
 ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
 
 Received = TypeVar("Received")
+Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
 
 
 class SocketOwner(Protocol):
@@ -72,9 +74,7 @@ class RosSocket:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
-        self.connection: AuthorizedConnection[RosSocket, Guard | None] | PlainConnection | None = (
-            None
-        )
+        self.connection: Admitted | None = None
         self.aborted = False
         self.closed_locally = False
         self.service_filter: ServiceFilter | None = None
@@ -141,7 +141,7 @@ class RosSocket:
             OSError: no TCP connection. As `SocketOwner.connect_error`: the handshake failed.
         """
         self._socket.settimeout(CONNECT_TIMEOUT)
-        self._socket.connect(address)
+        self._socket.connect(for_family(self._socket.family, address))
         try:
             self._stream = self._owner.connector.initiate(
                 self._socket, WireProtocol.TCPROS, address

@@ -22,8 +22,8 @@ from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.transport import TransportOwner
 from rossec.net.context import SecureContext
 from rossec.overlay.carriers import FrameCarrier
-from rossec.overlay.link import Link, refusal
-from rossec.overlay.link_frames import LINK_ID, Kind, kind_of, link_of
+from rossec.overlay.link import Link
+from rossec.overlay.link_frames import LINK_ID, Kind, kind_of, link_of, refusal
 from rossec.overlay.link_transport import LinkTransport
 from rossec.overlay.mailboxes import BOX, mailbox
 
