@@ -1,5 +1,8 @@
 """Frames of a link: what is written is read, and nothing else is."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from rossec.errors import LinkEnded
@@ -146,3 +149,18 @@ def test_a_frame_is_joined_of_pieces() -> None:
         frames.joined(b"head", [b"one", bytearray(b"two"), memoryview(b"three")])
         == b"headonetwothree"
     )
+
+
+SPECIFICATION = Path(__file__).parents[3] / "docs" / "spec" / "overlay.md"
+ROW = re.compile(r"^\| (\d) \| ([A-Z]+) \|.*\| (\d+)(?: \.\. (\d+))?[^|]*\|$", re.MULTILINE)
+
+
+def test_the_specification_has_these_kinds_and_lengths() -> None:
+    found = ROW.findall(SPECIFICATION.read_text())
+    assert {name: int(number) for number, name, _, _ in found} == dict(Kind.__members__)
+    for _, name, shortest, longest in found:
+        for size in {int(shortest), int(longest or shortest)}:
+            assert len(frames.read(written(Kind[name], bytes(size))).body) == size
+        for size in {int(shortest) - 1, int(longest or shortest) + 1} - {-1}:
+            with pytest.raises(LinkEnded):
+                frames.read(written(Kind[name], bytes(size)))
