@@ -33,6 +33,7 @@ class FarRelay:
         self.links: list[SecureStream[Any]] = []
         self.failure: Exception | None = None
         self.dialled = 0
+        self.writers: list[asyncio.StreamWriter] = []
 
     async def serve(self, stream: SecureStream[Any]) -> None:
         self.links.append(stream)
@@ -64,22 +65,28 @@ async def linked(
         await link.close()
         await server.close()
         await stack.aclose()
+        for writer in far.writers:
+            writer.transport.abort()
+        await asyncio.sleep(0)
 
 
-async def used(link: PeerLink) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, Any]:
+async def used(
+    link: PeerLink, far: FarRelay
+) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, Any]:
     """A connection that the link carries."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        near = socket.create_connection(listener.getsockname())
-        far, _ = listener.accept()
-    carrying = asyncio.ensure_future(link.carry(ROBOT, far))
-    reader, writer = await asyncio.open_connection(sock=near)
+        program_end = socket.create_connection(listener.getsockname())
+        door_end, _ = listener.accept()
+    carrying = asyncio.ensure_future(link.carry(ROBOT, door_end))
+    reader, writer = await asyncio.open_connection(sock=program_end)
+    far.writers.append(writer)
     return reader, writer, carrying
 
 
 async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() -> None:
     async with linked() as (link, far):
         assert (link.state, link.stream, link.carried, far.dialled) == (LinkState.IDLE, None, 0, 0)
-        ends = [await used(link) for _ in range(3)]
+        ends = [await used(link, far) for _ in range(3)]
         for reader, writer, _ in ends:
             writer.write(b"ping")
             assert await reader.readexactly(4) == b"ping"
@@ -107,7 +114,7 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
     async with linked(lambda: now[0]) as (link, far):
         far.failure = failure
         for _ in range(3):
-            waiting = [(await used(link))[2] for _ in range(2)]
+            waiting = [(await used(link, far))[2] for _ in range(2)]
             for each in waiting:
                 with pytest.raises(RelayRefused, match=error):
                     await each
@@ -116,11 +123,11 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
         assert link.hint
         now[0] += 0.5
         with pytest.raises(RelayRefused):
-            await (await used(link))[2]
+            await (await used(link, far))[2]
         assert far.dialled == 2
         far.failure = None
         now[0] += 5
-        reader, writer, _ = await used(link)
+        reader, writer, _ = await used(link, far)
         writer.write(b"x")
         assert await reader.readexactly(1) == b"x"
         assert (link.state, link.error, link.hint) == (LinkState.LINKED, "", "")
@@ -129,7 +136,7 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
 async def test_the_connection_is_closed_when_there_is_no_link() -> None:
     async with linked() as (link, far):
         far.failure = TimeoutError()
-        reader, _, carrying = await used(link)
+        reader, _, carrying = await used(link, far)
         with pytest.raises(RelayRefused):
             await carrying
         assert await reader.read() == b""
@@ -137,14 +144,14 @@ async def test_the_connection_is_closed_when_there_is_no_link() -> None:
 
 async def test_a_link_that_breaks_is_made_anew_for_the_next_connection() -> None:
     async with linked() as (link, far):
-        reader, writer, carrying = await used(link)
+        reader, writer, carrying = await used(link, far)
         writer.write(b"x")
         await reader.readexactly(1)
         far.links[0].abort("broken")
         await carrying
         await until(lambda: link.state is LinkState.FAILED)
         assert link.stream is None
-        reader, writer, _ = await used(link)
+        reader, writer, _ = await used(link, far)
         writer.write(b"y")
         assert await reader.readexactly(1) == b"y"
         assert (far.dialled, link.error) == (2, "")
@@ -152,8 +159,8 @@ async def test_a_link_that_breaks_is_made_anew_for_the_next_connection() -> None
 
 async def test_a_link_that_is_not_used_is_closed_after_a_while() -> None:
     now = [0.0]
-    async with linked(lambda: now[0]) as (link, _):
-        reader, writer, carrying = await used(link)
+    async with linked(lambda: now[0]) as (link, far):
+        reader, writer, carrying = await used(link, far)
         writer.write(b"x")
         await reader.readexactly(1)
         now[0] += asyncio.get_running_loop().time() + 2 * IDLE_FOR
