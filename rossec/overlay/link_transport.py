@@ -16,10 +16,10 @@ from rossec.errors import LinkEnded
 from rossec.net.aio.base import BaseStream
 from rossec.net.aio.transport import TransportOwner
 from rossec.overlay.carriers import FrameCarrier
-from rossec.overlay.link import Link, LinkStats, State
+from rossec.overlay.link import Link
+from rossec.overlay.link_states import ENDED, LinkStats
 
 STALLED: Final = 15.0  # seconds: half of what a link endures
-_ENDED: Final = frozenset({State.DONE, State.RESET})
 
 
 class LinkTransport:
@@ -115,7 +115,7 @@ class LinkTransport:
             self._reading = False
             self._owner.eof_received()
             self.finish()
-        elif link.state in _ENDED:
+        elif link.state in ENDED:
             self._close()
 
     # -- reading
@@ -197,7 +197,7 @@ class LinkTransport:
         """End the link now; what was not sent is dropped, and the peer is told."""
         if self.closed:
             return
-        if self.link.state not in _ENDED:
+        if self.link.state not in ENDED:
             self._carrier.put(self._key, self.link.reset())
         self._close()
 
