@@ -6,11 +6,13 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.router_settings import zenoh_settings
 from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.seats import Seats
 from rossec.overlay.zenoh_carrier import open_session
 from tests.support.ports import free_port
 
@@ -26,8 +28,12 @@ def home_with(
     home.prepare()
     home.tell(listen=(f"{protocol}/{HOST}:{free_port()}",), join=join)
     for seat in seats:
-        home.change_seats(lambda found, seat=seat: found.add(seat, PASSWORD + seat))
+        home.change_seats(partial(_with, seat))
     return home
+
+
+def _with(seat: str, seats: Seats) -> Seats:
+    return seats.add(seat, PASSWORD + seat)
 
 
 @contextmanager
