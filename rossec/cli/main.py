@@ -54,6 +54,10 @@ _TABLE: Final = {
         "relay.group:relay",
         "Run the relay of this site, which links it with others through routers.",
     ),
+    "router": (
+        "router.group:router",
+        "Run a router, through which relays of several sites reach each other.",
+    ),
     "run": (
         "node.run:run",
         "Run COMMAND, a ROS program in any language, behind a sidecar of its own.",
