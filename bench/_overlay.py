@@ -8,6 +8,7 @@ import asyncio
 import multiprocessing
 import os
 import signal
+import socket
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -21,9 +22,14 @@ from bench import _site
 from ca.certificates import Identity
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, serve
-from rossec.overlay.endpoint import LinkListener
+from rossec.net.aio.dial import dial
+from rossec.overlay.endpoint import LinkListener, dial_link
 from rossec.overlay.mailboxes import mailbox
+from rossec.overlay.mux import Role
+from rossec.overlay.mux_units import NODE, Target
+from rossec.overlay.pump import Pump
 from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.streams import Streams
 from rossec.overlay.zenoh_carrier import Carrier, open_session
 from rossec.overlay.zenoh_settings import COMMON, client_settings
 from tests.support.contexts import unlimited
@@ -34,6 +40,7 @@ SINK: Final = b"S"
 HEAD: Final = 9
 ONE_ROUTER: Final = mailbox(OPEN_SEAT, bytes(16))
 TWO_ROUTERS: Final = mailbox(OPEN_SEAT, bytes([1]) * 16)
+RELAY: Final = mailbox(OPEN_SEAT, bytes([4]) * 16)
 RAW: Final = mailbox(OPEN_SEAT, bytes([2]) * 16)
 RAW_BACK: Final = mailbox(OPEN_SEAT, bytes([3]) * 16)
 
@@ -158,6 +165,46 @@ def _router_process(locator: str, joined: Sequence[str], ready: Connection) -> N
     session.close()  # type: ignore[no-untyped-call]
 
 
+def _called_relay_process(folder: Path, router: str, port: int, ready: Connection) -> None:
+    """A relay that leads every stream to `port`, instead of asking a master."""
+
+    async def dial_node(_target: Target, _pump: Pump) -> socket.socket:
+        return await dial("127.0.0.1", port, 10)
+
+    async def serve_streams(stream: SecureStream[Identity]) -> None:
+        with suppress(ChannelError):
+            await Streams(stream, Role.CALLED, "near", dial_node).run()
+
+    async def main() -> None:
+        carrier = await Carrier.open(Routers((router,), OPEN_SEAT))
+        async with LinkListener(carrier, RELAY, context(folder, "server"), serve_streams):
+            ready.send(0)
+            await asyncio.Event().wait()
+
+    asyncio.run(main())
+
+
+def _calling_relay_process(folder: Path, router: str, ready: Connection) -> None:
+    """A relay with one door, whose port it says."""
+
+    async def main() -> None:
+        carrier = await Carrier.open(Routers((router,), OPEN_SEAT))
+        link = await dial_link(carrier, RELAY, OPEN_SEAT, context(folder, "client"))
+        streams = Streams(link, Role.CALLER, "far")
+        running = asyncio.ensure_future(streams.run())
+        loop = asyncio.get_running_loop()
+        with socket.create_server(("127.0.0.1", 0)) as door:
+            door.setblocking(False)
+            ready.send(door.getsockname()[1])
+            carried = []
+            while not running.done():
+                connection, _ = await loop.sock_accept(door)
+                carrying = streams.carry(Target(NODE, "/far"), connection)
+                carried.append(asyncio.ensure_future(carrying))
+
+    asyncio.run(main())
+
+
 def _splice_process(port: int, ready: Connection) -> None:
     async def copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(ConnectionError):
@@ -211,6 +258,11 @@ class Programs:
     def far(self, near_router: str = "", far_router: str = "", *triangle: str) -> int:
         """The far side; its port for connections without an overlay."""
         return self._start(_far_process, Far(self.folder, near_router, far_router, triangle))[0]
+
+    def relays(self, router: str, port: int) -> int:
+        """Two relays, and a router between, on the way to `port`; the door's port."""
+        self._start(_called_relay_process, self.folder, router, port)
+        return self._start(_calling_relay_process, self.folder, router)[0]
 
     def splice(self, port: int) -> int:
         """A program that passes bytes on to `port`; its own port."""

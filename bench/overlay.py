@@ -1,11 +1,12 @@
 """Bytes between two sites through routers of the overlay, each program a process, on loopback.
 
 `direct` is a `SecureStream` over TCP; `router1` and `router2` are one over a link through one and
-two routers; `raw_router1` is Zenoh alone, without seals and acknowledgements; `splice1` is `direct`
-through a program that copies bytes. Latency is half of an echo, in microseconds; throughput is
-of a loop of sends until the far side has all. `sealed_vs_raw` is the ratio of latencies of
-`router1`. Gaps: 200 echoes a second through a triangle of routers, of which the one in use is
-killed or stopped. Ways take turns. Wanted: `sealed_vs_raw` 2.5, gaps 1,000 and 5,000 ms.
+two routers; `relay1` is `direct` by a door of a relay, a router between and another relay, as nodes
+of two sites have it. `raw_router1` is Zenoh alone, without seals and acknowledgements; `splice1` is
+`direct` through a program that copies bytes. Latency is half of an echo, in microseconds;
+throughput is of a loop of sends until the far side has all. `sealed_vs_raw` is the ratio of
+latencies of `router1`. Gaps: 200 echoes a second through a triangle of routers, of which the one in
+use is killed or stopped. Ways take turns. Wanted: `sealed_vs_raw` 2.5, gaps 1,000 and 5,000 ms.
 """
 
 import asyncio
@@ -123,7 +124,7 @@ async def compare(seconds: float) -> dict[str, Any]:
         near = programs.router()
         far = programs.router(near)
         port = programs.far(near, far)
-        spliced = programs.splice(port)
+        spliced, door = programs.splice(port), programs.relays(near, port)
         own = _overlay.context(programs.folder, "client")
         carrier = await Carrier.open(Routers((near,), OPEN_SEAT))
         stack.push_async_callback(carrier.close)
@@ -131,6 +132,7 @@ async def compare(seconds: float) -> dict[str, Any]:
             "direct": lambda: connect("127.0.0.1", port, own),
             "router1": lambda: dial_link(carrier, ONE_ROUTER, OPEN_SEAT, own),
             "router2": lambda: dial_link(carrier, TWO_ROUTERS, OPEN_SEAT, own),
+            "relay1": lambda: connect("127.0.0.1", door, own),
             "splice1": lambda: connect("127.0.0.1", spliced, own),
         }
         pipes: dict[str, Pipe] = {
