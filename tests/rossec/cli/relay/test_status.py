@@ -31,7 +31,7 @@ def shell(short_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
     return made
 
 
-class Answering:
+class SpeakingRelay:
     """A relay's administrator's port, in a thread."""
 
     def __init__(self, path: Path, answer: Mapping[str, Any]) -> None:
@@ -58,8 +58,8 @@ class Answering:
 
 
 @pytest.fixture
-def relay(shell: Shell) -> Iterator[Answering]:
-    answering = Answering(shell.node("/relay") / ADMIN_SOCKET, BASE)
+def relay(shell: Shell) -> Iterator[SpeakingRelay]:
+    answering = SpeakingRelay(shell.node("/relay") / ADMIN_SOCKET, BASE)
     yield answering
     answering.close()
 
@@ -77,7 +77,7 @@ def test_the_links_are_shown(shell: Shell) -> None:
     assert json.loads(shell("relay", "status", "--json").out) == BASE
 
 
-def test_what_is_wrong_is_shown_with_its_hint(shell: Shell, relay: Answering) -> None:
+def test_what_is_wrong_is_shown_with_its_hint(shell: Shell, relay: SpeakingRelay) -> None:
     failed = PEER | {"state": "failed", "rtt_ms": 0, "called": 0, "streams": 0,
                      "error": "nobody answers", "hint": "does its relay run?"}  # fmt: skip
     relay.answer = BASE | {
@@ -93,13 +93,13 @@ def test_what_is_wrong_is_shown_with_its_hint(shell: Shell, relay: Answering) ->
     ]
 
 
-def test_a_relay_without_peers(shell: Shell, relay: Answering) -> None:
+def test_a_relay_without_peers(shell: Shell, relay: SpeakingRelay) -> None:
     relay.answer = BASE | {"peers": []}
     assert "no relay of another site is known" in shell("relay", "status").err
 
 
 def test_watching_shows_what_changes(
-    shell: Shell, relay: Answering, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, relay: SpeakingRelay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter([BASE, BASE | {"doors": 5}])
 
