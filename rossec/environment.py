@@ -1,14 +1,15 @@
-"""From the environment: ROSSEC_HOME, the directory of all files of rossec, and ROSSEC_MASTER."""
+"""From the environment: ROSSEC_HOME, the directory of all files, ROSSEC_MASTER, ROSSEC_RELAY."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from ca.keys import ownership
-from ca.names import MASTER, is_master_name
+from ca.names import MASTER, RELAY, is_master_name, is_relay_name
 from rossec.errors import ConfigurationError
 
 OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
+OWN_RELAY: Final = "ROSSEC_RELAY"  # the name of the relay of this host
 
 
 def rossec_home(environ: Mapping[str, str]) -> Path:
@@ -52,5 +53,20 @@ def own_master(environ: Mapping[str, str]) -> str:
         raise ConfigurationError(
             f"{name!r} is not the name of a master",
             f"{OWN_MASTER} and --name take {MASTER}, or {MASTER}/kitchen with a word of one's own",
+        )
+    return name
+
+
+def own_relay(environ: Mapping[str, str]) -> str:
+    """ROSSEC_RELAY, the certified name of the relay of this host; by default `/relay`.
+
+    Raises:
+        ConfigurationError: not the name of a relay.
+    """
+    name = environ.get(OWN_RELAY) or RELAY
+    if not is_relay_name(name):
+        raise ConfigurationError(
+            f"{name!r} is not the name of a relay",
+            f"{OWN_RELAY} and --name take {RELAY}, or {RELAY}/attic with a word of one's own",
         )
     return name

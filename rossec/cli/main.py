@@ -50,6 +50,14 @@ _TABLE: Final = {
         "policy.group:privacy",
         "Show every field of every topic: which node sees it, how, why and until when.",
     ),
+    "relay": (
+        "relay.group:relay",
+        "Run the relay of this site, which links it with others through routers.",
+    ),
+    "router": (
+        "router.group:router",
+        "Run a router, through which relays of several sites reach each other.",
+    ),
     "run": (
         "node.run:run",
         "Run COMMAND, a ROS program in any language, behind a sidecar of its own.",

@@ -5,6 +5,7 @@ federation:
   sites:
     kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
     hospital: {uri: http://hospital.example:11311, domain: hospital}
+    office: {via: office, master: /master/office}
 """
 
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteSettings, checked_sites
 
 _KEYS: Final = ("follow_announced", "sites")
-_SITE_KEYS: Final = ("uri", "master", "domain", "parameters")
+_SITE_KEYS: Final = ("uri", "master", "domain", "parameters", "via")
 _EXAMPLE: Final = "for example  kitchen: {uri: http://kitchen:11311, master: /master/kitchen}"
 
 
@@ -59,10 +60,10 @@ def _site(label: str, part: Any, where: str, name: str) -> SiteSettings:
     values: dict[str, Any] = {}
     for key, line, value in _entries(part, name, f"site {label[:40]}", _SITE_KEYS):
         values[key] = _patterns(value, line) if key == "parameters" else _text(key, value, line)
-    if "uri" not in values:
-        raise ConfigurationError(f"{where}: site {label[:40]!a} has no uri", _EXAMPLE)
+    if not {"uri", "via"} & values.keys():
+        raise ConfigurationError(f"{where}: site {label[:40]!a} has no uri and no via", _EXAMPLE)
     try:
-        return SiteSettings(label, **values)
+        return SiteSettings(label, **{"uri": "", **values})
     except ConfigurationError as error:
         raise ConfigurationError(f"{where}: {error}", error.hint) from error
 

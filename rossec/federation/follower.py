@@ -10,14 +10,13 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from functools import partial
 from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown, split_alias
-from ca.errors import CAError, HintedError, RevocationsStale
+from ca.errors import HintedError
 from rossec.errors import (
     AnswerRefused,
     GraphHidden,
@@ -32,9 +31,11 @@ from rossec.federation.foreign import LONGEST_FOREIGN, ForeignLists
 from rossec.federation.mirroring import Mirroring
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings
+from rossec.federation.site_connection import SiteConnections
+from rossec.federation.site_status import site_status
 from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
+from rossec.federation.via import SiteDoors
 from rossec.master.state.import_events import ImportEvent
-from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
@@ -60,6 +61,7 @@ class FollowedSite:
         state: where it is.
         error: why it is not followed now; empty: it is.
         hint: what may be done about it, or empty.
+        connections: with the site.
     """
 
     def __init__(
@@ -79,6 +81,9 @@ class FollowedSite:
         self._woken = asyncio.Event()
         self._lists_changed = asyncio.Event()
         self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
+        doors = SiteDoors(own.state.doors, settings, self.wake) if settings.via else None
+        self._doors = doors
+        self.connections: Final = SiteConnections(settings, own, doors)
 
     async def run(self) -> None:
         """Follow until cancelled; a failure is tried again."""
@@ -109,6 +114,8 @@ class FollowedSite:
     def remove(self) -> None:
         """It is followed no longer; `run` has been cancelled."""
         self._take(Event.REMOVED)
+        if self._doors is not None:
+            self._doors.close()
 
     async def send_lists(self) -> None:
         """The own lists have changed: judge the site again, and send it the newer list at once.
@@ -120,49 +127,25 @@ class FollowedSite:
         if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
-            async with self.connection() as (client, peer):
+            async with self.connections.open() as (client, peer):
                 await exchange.settle(client, self._own, peer)
-
-    @contextlib.asynccontextmanager
-    async def connection(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
-        """A connection with the site, whose identity is checked.
-
-        Raises:
-            SiteRefused: another identity, or one that is revoked.
-            RossecError, OSError, TimeoutError: no connection.
-        """
-        async with asyncio.timeout(_DIAL):
-            stream = await connect(*self.settings.address, self._own.context, WireProtocol.HTTP)
-        try:
-            self._check(stream)
-            yield RpcClient(stream, deadline=SILENCE), stream.peer
-        finally:
-            await stream.close()
 
     def status(self) -> dict[str, Any]:
         """The site for people and programs."""
-        imports, settings, state = self._own.state.imports, self.settings, self.state
-        held = next((each for each in imports.sites if each.site.label == settings.label), None)
-        lost = state.lost_since
+        found = site_status(self.settings, self.state, self._own.state.imports, time.monotonic())
         return {
-            "label": settings.label,
-            "uri": settings.uri,
-            "master": settings.master,
-            "domain": settings.domain,
-            "state": state.phase.value,
-            "facts": 0 if held is None else held.facts,
+            **found,
             "version": self._cursor.version,
-            "lost_s": None if lost is None else round(time.monotonic() - lost, 1),
             "error": self.error,
             "hint": self.hint,
-            "parameters": list(settings.parameters),
             "mirrored": self._mirroring.mirrored,
+            "way": {} if self._doors is None else self._doors.status(),
         }
 
     async def _follow(self) -> None:
         """Follow on one connection, until it is to be asked for more."""
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
-        async with self.connection() as (client, peer):
+        async with self.connections.open() as (client, peer):
             self._take(Event.CONNECTED)
             if not was_followed:
                 await self._greet(client, peer)
@@ -172,7 +155,7 @@ class FollowedSite:
                 if self._foreign is None or self._foreign.may_see(peer.certified_name):
                     raise SiteRefused(str(error), error.hint) from error  # tried again
                 self._report(Event.HIDDEN, error)
-                check = partial(self._check_trust, peer)
+                check = partial(self.connections.check_trust, peer)
                 await self._foreign.listen(client, peer, self._lists_changed, check)
 
     async def _poll(self, client: RpcClient, peer: Identity) -> None:
@@ -211,10 +194,12 @@ class FollowedSite:
                 return False
             if self._lists_changed.is_set():
                 self._lists_changed.clear()
-                self._check_trust(peer)
+                self.connections.check_trust(peer)
+            if self._doors is not None and self._doors.changed.is_set():
+                await self._apply(self._doors.refreshed())
             others: list[asyncio.Future[Any]] = [
                 asyncio.ensure_future(changes.wait(SILENCE)),
-                asyncio.ensure_future(self._lists_changed.wait()),
+                *(asyncio.ensure_future(event.wait()) for event in self._events),
             ]
             try:
                 await asyncio.wait([asking, *others], return_when=asyncio.FIRST_COMPLETED)
@@ -222,28 +207,6 @@ class FollowedSite:
                 for each in others:
                     each.cancel()
         return True
-
-    def _check(self, stream: SecureStream[Identity]) -> None:
-        """The peer is the master that is followed, and not revoked."""
-        peer, expected = stream.peer, self.settings
-        alias = split_alias(peer.name) if peer.is_foreign else None
-        label, name = ("", peer.name) if alias is None else alias
-        if (label, name) != (expected.domain, expected.master):
-            stream.abort("not the master that is followed")
-            raise SiteRefused(
-                f"{shown(peer.name)} answers at {expected.uri}, not {expected.master}"
-                + (f" of {expected.domain}" if expected.domain else ""),
-                "check the address: rossec federation list",
-            )
-        self._check_trust(peer)
-
-    def _check_trust(self, peer: Identity) -> None:
-        try:
-            self._own.state.trust.caller(peer, self._own.state.now())
-        except RevocationsStale:  # of its domain: it is asked for them
-            return
-        except CAError as error:
-            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
 
     async def _mirror(self, client: RpcClient) -> None:
         try:
@@ -279,7 +242,24 @@ class FollowedSite:
             if change is not None:
                 return change
 
+    @property
+    def _events(self) -> list[asyncio.Event]:
+        """What ends waiting for an answer, beside it and what local nodes want."""
+        return [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
+
     async def _take_over(self, change: SiteChange) -> None:
+        try:
+            change = change if self._doors is None else await self._doors.take(change)
+        except ImportRefused as error:
+            raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
+        await self._apply(change)
+        if self.state.phase is not Phase.FOLLOWING:
+            _audit.info("site %s is followed", self.settings.label)
+        self._take(Event.ANSWERED)
+        self.error = self.hint = ""
+
+    async def _apply(self, change: SiteChange) -> None:
+        """Let the import layer take a change over."""
         steps = self._own.state.imports.apply_in_steps(
             self.settings.site, change.added, change.removed, whole=change.whole
         )
@@ -288,10 +268,6 @@ class FollowedSite:
         except HintedError as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
-        if self.state.phase is not Phase.FOLLOWING:
-            _audit.info("site %s is followed", self.settings.label)
-        self._take(Event.ANSWERED)
-        self.error = self.hint = ""
 
     def _report(self, event: Event, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
@@ -316,13 +292,19 @@ class FollowedSite:
             case Effect.MARK:
                 self._own.state.imports.lose(label)
             case Effect.EXPIRE:
-                self._cursor = SiteCursor()
+                self._begin_again()
                 self._own.state.imports.expire(label)
                 self._own.state.notify()
             case Effect.DROP:
-                self._cursor = SiteCursor()
+                self._begin_again()
                 self._deliver(self._own.state.imports.drop(label))
                 self._mirroring.drop()
+
+    def _begin_again(self) -> None:
+        """The next answer has all facts."""
+        self._cursor = SiteCursor()
+        if self._doors is not None:
+            self._doors.drop()
 
     def _deliver(self, events: Iterable[Any]) -> None:
         for event in events:

@@ -16,6 +16,7 @@ from rossec.federation.announced import AnnouncedMasters
 from rossec.federation.follower import FollowedSite
 from rossec.federation.own import OwnMaster
 from rossec.federation.settings import SiteSettings, checked_sites
+from rossec.master.state.addresses import is_connectable
 from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
@@ -52,6 +53,7 @@ class Mesh:
         self._followers: dict[str, tuple[FollowedSite, asyncio.Task[Any]]] = {}
         self._tasks = TaskSet()
         own.state.trust.domains.own_sites = self._own_labels
+        own.state.doors.masters = self._direct_masters
 
     async def run(self) -> None:
         """Follow until cancelled."""
@@ -82,6 +84,8 @@ class Mesh:
     def _step(self) -> None:
         self._update()
         returned = set() if self._announced is None else self._announced.take_returned()
+        for relay in self._own.state.doors.expire(self._own.state.now()):
+            _audit.warning("relay %s is silent", relay)
         for follower, _ in self._followers.values():
             follower.tick()
             if not follower.settings.domain and follower.settings.master in returned:
@@ -145,6 +149,15 @@ class Mesh:
         """The labels of other masters of the own domain, whose nodes have aliases here."""
         found = [follower.settings for follower, _ in self._followers.values()]
         return [each.label for each in found if not each.domain]
+
+    def _direct_masters(self) -> dict[str, str]:
+        """The masters of the own domain that a relay of this site can reach itself."""
+        found = [follower.settings for follower, _ in self._followers.values()]
+        return {
+            each.master: each.uri
+            for each in found
+            if not each.domain and is_connectable(each.uri, "http")
+        }
 
     def _source_of(self, label: str) -> str:
         return next(

@@ -29,10 +29,11 @@ class SiteSettings:
 
     Args:
         label: what it is called here.
-        uri: where it listens.
+        uri: where it listens; empty: it is reached by a relay.
         master: the name it is certified for.
         domain: the label of its foreign domain; empty: it is of the own domain.
         parameters: patterns of the parameters to mirror, with the names they have there.
+        via: the label that the relay of this site has for the peer behind which the master is.
 
     Raises:
         ConfigurationError: one of them is not in form.
@@ -43,12 +44,13 @@ class SiteSettings:
     master: str = MASTER
     domain: str = ""
     parameters: tuple[str, ...] = ()
+    via: str = ""
 
     def __post_init__(self) -> None:
         try:
             check_label(self.label)
-            if self.domain:
-                check_label(self.domain)
+            for label in filter(None, (self.domain, self.via)):
+                check_label(label)
             for pattern in self.parameters:
                 check_pattern(pattern)
         except NameRefused as error:
@@ -59,17 +61,27 @@ class SiteSettings:
             )
         if len(self.parameters) > MAX_PARAMETERS:
             raise ConfigurationError(f"at most {MAX_PARAMETERS} patterns of parameters for a site")
-        parse_uri(self.uri, "the master's URI")
+        if bool(self.via) == bool(self.uri):
+            raise ConfigurationError(
+                f"site {self.label} has a URI or a relay's peer, one of them", _WAYS
+            )
+        if self.uri:
+            parse_uri(self.uri, "the master's URI")
 
     @property
     def site(self) -> Site:
-        """The site for the import layer."""
-        return Site(self.label, self.domain, is_loopback(self.address[0]))
+        """The site for the import layer; a relay's doors may be on this host."""
+        return Site(self.label, self.domain, bool(self.via) or is_loopback(self.address[0]))
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port."""
+        """Host and port; of a site without a relay."""
         return parse_uri(self.uri, "the master's URI")
+
+    @property
+    def place(self) -> str:
+        """Where it is, for people."""
+        return f"via {self.via}" if self.via else f"at {self.uri}"
 
 
 def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
@@ -122,10 +134,14 @@ def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
 
 def write_sites(sites: Mapping[str, SiteSettings]) -> bytes:
     """The content of the file."""
-    rows = [
-        {**asdict(each), "parameters": list(each.parameters)} for _, each in sorted(sites.items())
-    ]
+    rows = [_row(each) for _, each in sorted(sites.items())]
     return json.dumps({"rossec-federation": _FORM, "sites": rows}, indent=1).encode() + b"\n"
+
+
+def _row(site: SiteSettings) -> dict[str, object]:
+    """A site without a relay is written as it was before there were relays."""
+    row = {**asdict(site), "parameters": list(site.parameters)}
+    return row if site.via else {key: value for key, value in row.items() if key != "via"}
 
 
 def _site(row: object, name: str) -> SiteSettings:
@@ -133,11 +149,12 @@ def _site(row: object, name: str) -> SiteSettings:
         case {
             "label": str() as label, "uri": str() as uri, "master": str() as master,
             "domain": str() as domain, "parameters": list() as patterns, **rest,
-        } if not rest:  # fmt: skip
+        } if rest.keys() <= {"via"} and isinstance(via := rest.get("via", ""), str):  # fmt: skip
             texts = tuple(each for each in patterns if isinstance(each, str))
             if len(texts) == len(patterns):
-                return SiteSettings(label, uri, master, domain, texts)
+                return SiteSettings(label, uri, master, domain, texts, via)
     raise ConfigurationError(f"{name} has a site that is not in form", _HINT)
 
 
+_WAYS: Final = "uri: http://kitchen:11311, or via: office, a peer of: rossec relay list"
 _HINT: Final = "it is written by rossec federation add, remove and param: use these"

@@ -1,5 +1,7 @@
-"""URIs with IPv6 literals, which stock rospy writes without brackets and cannot read. Pure."""
+"""Addresses as stock rospy has them: IPv6 without brackets, sockets of one family. Pure."""
 
+import ipaddress
+import socket
 from typing import Final
 
 from rossec.errors import ConfigurationError
@@ -30,3 +32,16 @@ def parse_rosrpc(uri: str) -> tuple[str, int]:
             f"{uri!r} is not the URI of a service", "it has the form rosrpc://host:port"
         )
     return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def for_family(family: int, address: tuple[str, int]) -> tuple[str, int]:
+    """`address` as a socket of this family takes it: an IPv4 literal for IPv6 is mapped.
+
+    With ROS_IPV6=on all sockets of rospy are of IPv6; a relay's doors are at 127.0.0.1.
+    """
+    host, port = address
+    try:
+        mapped = family == socket.AF_INET6 and ipaddress.ip_address(host).version == 4
+    except ValueError:  # a name
+        return address
+    return (f"::ffff:{host}", port) if mapped else address

@@ -6,8 +6,6 @@ called sends at most three times what it received until `validated` (a forged re
 amplify), and routers, who see the identifier of a link, can end it, as they could by dropping.
 """
 
-from dataclasses import dataclass
-from enum import Enum, auto
 from typing import Final, Self
 
 from rossec.channel.records import Bytes
@@ -16,63 +14,22 @@ from rossec.overlay import link_frames as frames
 from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
 from rossec.overlay.link_receiver import Receiver
 from rossec.overlay.link_sender import Sender
-from rossec.overlay.link_timing import FIRST_WINDOW
+from rossec.overlay.link_states import ENDED, NEXT, OPEN, LinkState, LinkStats
+from rossec.overlay.link_timing import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE
 
-SILENCE: Final = 30.0  # seconds without progress, after which a link is over
-KEEPALIVE: Final = 5.0  # seconds without a frame of the peer, after which it is asked for one
-LINGER: Final = 5.0  # seconds for the last acknowledgements of both ends
 AMPLIFICATION: Final = 3
 _HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
 
 
-class State(Enum):
-    """Where a link is."""
-
-    IDLE = auto()  # called from here, and nothing written yet
-    OPENING = auto()  # OPEN was sent
-    RUNNING = auto()
-    DRAINING = auto()  # `finish` was called
-    DONE = auto()  # both sides ended
-    RESET = auto()
-
-
-_ENDED: Final = frozenset({State.DONE, State.RESET})
-_OPEN: Final = frozenset({State.RUNNING, State.DRAINING})
-_NEXT: Final = {
-    (State.IDLE, "write"): State.OPENING,
-    (State.IDLE, "finish"): State.DONE,
-    (State.OPENING, "answer"): State.RUNNING,
-    (State.RUNNING, "finish"): State.DRAINING,
-    (State.DRAINING, "drained"): State.DONE,
-}
-"""What changes a state; a reset ends every one, and the rest changes none."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinkStats:
-    """What a link measured: the smoothed round trip (0: none yet) and octets of its streams."""
-
-    srtt_s: float
-    retransmissions: int
-    sent: int
-    received: int
-
-
 class Link:
     """A link of this side. `reply_key`: the mailbox of the side that opened it."""
-
-    __slots__ = (
-        "_began", "_end_at", "_end_offset", "_octets_in", "_octets_out", "_opener", "_out",
-        "_probe_at", "_receiver", "_sender", "_silent_since", "_validated", "link_id",
-        "reply_key", "state",
-    )  # fmt: skip
 
     def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
         if len(link_id) != frames.LINK_ID:
             raise ValueError(f"a link identifier has {frames.LINK_ID} bytes")
         self.link_id = link_id
         self.reply_key = reply_key
-        self.state = State.IDLE if opener else State.RUNNING
+        self.state = LinkState.IDLE if opener else LinkState.RUNNING
         self._opener = opener
         self._validated = False
         self._octets_in = self._octets_out = 0
@@ -117,7 +74,7 @@ class Link:
         Raises:
             LinkEnded: the peer reset the link, or sent what is malformed; the link is over.
         """
-        if self.state in _ENDED:
+        if self.state in ENDED:
             return []
         try:
             read = frames.read(frame)
@@ -135,9 +92,9 @@ class Link:
             raise LinkEnded("a frame of another link")
         if kind == Kind.RESET:
             raise LinkEnded("the other side reset the link")
-        if self.state is State.IDLE:
+        if self.state is LinkState.IDLE:
             raise LinkEnded("an answer to a link that was not opened")
-        if self.state is State.OPENING:
+        if self.state is LinkState.OPENING:
             self._move("answer")
         progress = self._sender.received(frame.received, frame.limit, now)
         found: list[Bytes] = []
@@ -163,7 +120,7 @@ class Link:
 
     def consumed(self, count: int, now: float) -> None:
         """The application took `count` bytes of what `receive` returned: the peer may send more."""
-        if self.state not in _ENDED:
+        if self.state not in ENDED:
             self._receiver.consumed(count, now)
 
     @property
@@ -178,14 +135,14 @@ class Link:
         size = len(data)
         if size == 0:
             return
-        if self.state is State.IDLE:
+        if self.state is LinkState.IDLE:
             self._send_open(data, now)
-        elif self.state is State.RUNNING:
+        elif self.state is LinkState.RUNNING:
             if self._sender.fits(size) and HEAD + size <= self._allowance():
                 self._transmit(Kind.DATA, [data], size, now)
             else:
                 self._sender.queue(data)
-        elif self.state is State.OPENING:
+        elif self.state is LinkState.OPENING:
             self._sender.queue(data)
 
     def _send_open(self, data: Bytes, now: float) -> None:
@@ -199,12 +156,13 @@ class Link:
 
     def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
         """Send a frame that is kept until it is acknowledged."""
-        frame = frames.joined(self._head(kind, self._sender.next), pieces)
-        self._sender.sent(frame, size, now)
+        sender = self._sender
+        frame = frames.joined(self._head(kind, sender.next), pieces)
+        sender.sent(frame, size, now)
         self._put(frame)
         if self._silent_since is None:
             self._silent_since = now
-            self._probe_at = now + self._sender.round_trip.wait
+            self._probe_at = now + sender.round_trip.wait
 
     def _head(self, kind: Kind, offset: int) -> bytes:
         receiver = self._receiver
@@ -233,7 +191,7 @@ class Link:
 
     def frames_to_send(self, now: float) -> list[bytes]:
         """The frames that may leave now, in order: all of them for the peer's mailbox."""
-        if self.state not in _ENDED:
+        if self.state not in ENDED:
             self._pump(now)
             self._acknowledge(now)
         out, self._out = self._out, []
@@ -243,14 +201,15 @@ class Link:
         sender = self._sender
         while (frame := sender.resend(self._allowance(), now)) is not None:
             self._put(frame)
-        if self.state not in _OPEN:
+        if self.state not in OPEN:
             return
         while sender.backlog:
             pieces = sender.cut(self._allowance() - HEAD)
             if not pieces:
                 return
             self._transmit(Kind.DATA, pieces, sum(map(len, pieces)), now)
-        if self.state is State.DRAINING and self._end_offset is None and self._allowance() >= HEAD:
+        draining = self.state is LinkState.DRAINING and self._end_offset is None
+        if draining and self._allowance() >= HEAD:
             self._end_offset = sender.next
             self._transmit(Kind.END, [], 1, now)
 
@@ -271,33 +230,33 @@ class Link:
 
         Both sides call it; a side that never does is over after `SILENCE`.
         """
-        if not self._validated and self.state not in _ENDED:
+        if not self._validated and self.state not in ENDED:
             self._validated = True
             self._receiver.widen(self._began)
 
     def finish(self, now: float) -> None:
         """End this side's stream after what was written; done when the peer ended its own too."""
-        if self.state is State.OPENING:
+        if self.state is LinkState.OPENING:
             self._out = [self.reset()]  # nobody answered: nothing is to be drained
-        elif (self.state, "finish") in _NEXT:
+        elif (self.state, "finish") in NEXT:
             self._move("finish")
             self._pump(now)
 
     def reset(self) -> bytes:
         """End the link at once; returns the frame that says so."""
         frame = frames.head(Kind.RESET, self.link_id, 0, self._receiver.expected, 0)
-        self._over(State.RESET)
+        self._over(LinkState.RESET)
         self._out = []
         return frame
 
     def _move(self, event: str) -> None:
-        state = _NEXT[self.state, event]
-        if state in _ENDED:
+        state = NEXT[self.state, event]
+        if state in ENDED:
             self._over(state)
         else:
             self.state = state
 
-    def _over(self, state: State) -> None:
+    def _over(self, state: LinkState) -> None:
         """Keep nothing but frames that may still leave."""
         self.state = state
         self._sender.forget()
@@ -316,26 +275,24 @@ class Link:
                 return
             if self._end_at is None:
                 self._end_at = now + LINGER
-        if not sender.in_flight:
-            self._silent_since = None
-        elif progress:
-            self._silent_since = now
+        if sender.in_flight and not progress:
+            return
+        self._silent_since = now if sender.in_flight else None
         asks = sender.waiting or (self._opener and not self._validated)
         self._probe_at = now + (sender.round_trip.wait if asks else KEEPALIVE)
 
     def deadline(self) -> float | None:
         """When to call `tick` at the latest; None: never."""
-        if self.state in _ENDED:
+        if self.state in ENDED:
             return None
-        over = self._over_at()
-        times = (over, self._probe_at, self._receiver.ack_at, self._end_at)
+        times = (self._over_at(), self._probe_at, self._receiver.ack_at, self._end_at)
         return min((at for at in times if at is not None), default=None)
 
     def _over_at(self) -> float | None:
         since = self._silent_since
         if not self._validated and (since is None or self._began < since):
             since = self._began
-        return None if since is None or self.state is State.IDLE else since + SILENCE
+        return None if since is None or self.state is LinkState.IDLE else since + SILENCE
 
     def tick(self, now: float) -> None:
         """Let time pass: ask for what is overdue, give up what is over.
@@ -343,7 +300,7 @@ class Link:
         Raises:
             LinkEnded: no progress for `SILENCE`, or not validated so long.
         """
-        if self.state in _ENDED:
+        if self.state in ENDED:
             return
         over = self._over_at()
         if over is not None and now >= over:
@@ -361,9 +318,10 @@ class Link:
         """Ask how far the peer is; before it ever answered, with the OPEN itself."""
         if self._silent_since is None:
             self._silent_since = now
+        self._sender.asked()
         silence = now - self._silent_since
         self._probe_at = now + self._sender.round_trip.again(silence)
-        if self.state is State.OPENING:
+        if self.state is LinkState.OPENING:
             self._put(self._sender.repeat_first(now))
             return
         body = b""
@@ -376,25 +334,14 @@ class Link:
     # -- measured
 
     @property
+    def silent_since(self) -> float | None:
+        """Since when an answer is missing; None: none is."""
+        return self._silent_since
+
+    @property
     def stats(self) -> LinkStats:
         """What was measured so far."""
         sender = self._sender
         return LinkStats(
             sender.round_trip.srtt_s, sender.retransmissions, sender.next, self._receiver.expected
         )
-
-
-def refusal(frame: bytes) -> tuple[str, bytes] | None:
-    """What to put where, when a PROBE arrives of a link that is not known here: a RESET.
-
-    So a relay that was started again ends at once what it knows nothing of. None: nothing, as for
-    every other frame of an unknown link.
-    """
-    if frames.kind_of(frame) != Kind.PROBE:
-        return None
-    try:
-        probe = frames.read(frame)
-        reply_key, _ = frames.split_return_address(probe.body)
-    except LinkEnded:
-        return None
-    return reply_key, frames.head(Kind.RESET, probe.link, 0, 0, 0)

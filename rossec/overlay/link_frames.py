@@ -148,3 +148,19 @@ def read_ranges(frame: Frame) -> list[tuple[int, int]]:
 def joined(head_: bytes, pieces: list[Bytes]) -> bytes:
     """A frame of its head and the pieces of its body: the one copy that is made of them."""
     return b"".join((head_, *pieces))
+
+
+def refusal(frame: bytes) -> tuple[str, bytes] | None:
+    """What to put where, when a PROBE arrives of a link that is not known here: a RESET.
+
+    So a relay that was started again ends at once what it knows nothing of. None: nothing, as for
+    every other frame of an unknown link.
+    """
+    if kind_of(frame) != Kind.PROBE:
+        return None
+    try:
+        probe = read(frame)
+        reply_key, _ = split_return_address(probe.body)
+    except LinkEnded:
+        return None
+    return reply_key, head(Kind.RESET, probe.link, 0, 0, 0)

@@ -35,8 +35,8 @@ class Sender:
     """Bytes to send, in order."""
 
     __slots__ = (
-        "_flight", "_losses", "_on_the_way", "_waiting", "backlog", "base", "limit", "next",
-        "retransmissions", "round_trip", "window",
+        "_flight", "_losses", "_on_the_way", "_untimed", "_waiting", "backlog", "base", "limit",
+        "next", "retransmissions", "round_trip", "window",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -44,6 +44,7 @@ class Sender:
         self._flight: deque[Sent] = deque()
         self._losses: deque[Sent] = deque()
         self._on_the_way = 0  # bytes, without those that are lost or arrived beyond a gap
+        self._untimed = 0  # what was sent before that offset measures no round trip
         self.backlog = 0  # bytes that were written and not sent yet
         self.base = self.next = 0
         self.limit = FIRST_WINDOW
@@ -104,6 +105,10 @@ class Sender:
         self.next = end
         self._on_the_way += size
 
+    def asked(self) -> None:
+        """The peer is asked: its answer may be the second one, the first may be lost."""
+        self._untimed = self.next
+
     def repeat_first(self, now: float) -> bytes:
         """The first frame on the way once more, whatever became of it."""
         first = self._flight[0]
@@ -151,7 +156,7 @@ class Sender:
             newest = flight.popleft()
             if not (newest.lost or newest.arrived):
                 self._on_the_way -= newest.end - newest.offset
-        if newest is not None and not newest.again:
+        if newest is not None and not newest.again and newest.offset >= self._untimed:
             self.round_trip.sample(max(0.0, now - newest.at))
         self.window.acknowledged(received - self.base, before)
         self.base = received

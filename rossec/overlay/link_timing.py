@@ -10,8 +10,11 @@ FIRST_WINDOW: Final = 64 * 1024
 LEAST_WINDOW: Final = 16 * 1024
 MOST_WINDOW: Final = 4 * 1024 * 1024
 STEP: Final = 64 * 1024
+SILENCE: Final = 30.0  # seconds without progress, after which a link is over
+KEEPALIVE: Final = 5.0  # seconds without a frame of the peer, after which it is asked for one
+LINGER: Final = 5.0  # seconds for the last acknowledgements of both ends
 LEAST_WAIT: Final = 0.2  # seconds
-MOST_WAIT: Final = 5.0
+MOST_WAIT: Final = 2.0
 _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
 
 
@@ -29,8 +32,11 @@ class RoundTrip:
 
     @property
     def wait(self) -> float:
-        """How long an acknowledgement may take before it is asked for."""
-        return max(LEAST_WAIT, 4 * self.srtt_s)
+        """How long an acknowledgement may take before it is asked for.
+
+        Asking early costs a small frame, and nothing is sent again for it: it follows the others.
+        """
+        return max(LEAST_WAIT, min(MOST_WAIT, 4 * self.srtt_s))
 
     @property
     def repeat(self) -> float:
@@ -42,7 +48,7 @@ class RoundTrip:
 
         Doubling would sleep for seconds after a router's successor took over.
         """
-        return max(LEAST_WAIT, 2 * self.srtt_s, min(MOST_WAIT, silence / _SILENCE_PART))
+        return max(LEAST_WAIT, min(MOST_WAIT, max(2 * self.srtt_s, silence / _SILENCE_PART)))
 
 
 class CongestionWindow:
@@ -59,8 +65,9 @@ class CongestionWindow:
         """So many bytes arrived, of so many that were on the way."""
         if on_the_way < self.size // 2:  # the writer is slower than the window
             return
-        grown = count if self.size < self._threshold else max(1, STEP * count // self.size)
-        self.size = min(MOST_WINDOW, self.size + grown)
+        if self.size >= self._threshold:
+            count = min(count, STEP * count // self.size)
+        self.size = min(MOST_WINDOW, self.size + count)
 
     def lost(self, offset: int, sent: int) -> None:
         """The frame at `offset` was lost; frames were sent up to `sent`."""

@@ -22,13 +22,14 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rossec.errors import ConfigurationError
+from rossec.overlay.seats import ROUTER_NAME
 
 DAY: Final = 86400
 LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority means new files for all
 LEAF_LIFETIME: Final = 365 * DAY
 BACKDATE: Final = 3600  # seconds; clocks of hosts differ
 _ROOT: Final = "rossec routers"
-_LEAF: Final = "rossec router"
+_LEAF: Final = ROUTER_NAME
 _SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
 
@@ -99,14 +100,18 @@ class RouterAuthority:
         )
         return builder.sign(self.key, hashes.SHA256()).public_bytes(Encoding.PEM)
 
-    def is_current(self, certificate: bytes, hosts: tuple[str, ...], *, now: int) -> bool:
-        """Whether a router's certificate (PEM) is of this authority, for `hosts` and not old.
+    def is_current(
+        self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int
+    ) -> bool:
+        """Whether a router's certificate (PEM) is of this authority, for this key and `hosts`.
 
-        Old is what has less than a third of its time left.
+        One that has less than a third of its time left is not.
         """
         try:
             (leaf,) = x509.load_pem_x509_certificates(certificate)
             leaf.verify_directly_issued_by(self.certificate)
+            if leaf.public_key() != load_key(key).public_key():
+                return False
             names = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         except Exception:  # noqa: BLE001 - whatever is wrong with it, it is made anew
             return False

@@ -15,13 +15,12 @@ from cryptography import x509
 
 from rossec.errors import ConfigurationError
 from rossec.overlay.documents import is_texts, read_document, write_document
+from rossec.overlay.mailboxes import is_seat
 
 MAX_FILE: Final = 16 * 1024
 MAX_LOCATORS: Final = 16
 OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
-PREFIX: Final = "rossec/1"  # of every key
 PROTOCOLS: Final = ("quic", "tls", "tcp")
-_SEAT: Final = re.compile(r"[a-z0-9]{1,32}", re.ASCII)
 _PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
 _LOCATOR: Final = re.compile(
     r"(?P<protocol>quic|tls|tcp)/"
@@ -39,7 +38,7 @@ class Routers:
 
     Attributes:
         locators: where they listen: `tls/router.example.org:7447`; any of them will do.
-        seat: name of the customer, the part of its keys after `PREFIX`.
+        seat: name of the customer, a part of its keys (`rossec.overlay.mailboxes`).
         password: of the seat; empty at a router that is open to all.
         root_certificate: PEM, of the authority that certified the routers; empty without TLS.
     """
@@ -80,18 +79,13 @@ class Routers:
         return write_document(_FORM, asdict(self))
 
 
-def mailbox_key(seat: str, box: str) -> str:
-    """The key of a mailbox; `box` is 32 hex digits."""
-    return f"{PREFIX}/{seat}/{box}"
-
-
 def check_seat(seat: str) -> str:
     """`seat`, if it is the name of one.
 
     Raises:
         ConfigurationError: it is not.
     """
-    if not _SEAT.fullmatch(seat):
+    if not is_seat(seat):
         raise ConfigurationError(
             f"{seat[:40]!a} is not the name of a seat", "at most 32 of the characters a-z and 0-9"
         )

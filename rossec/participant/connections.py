@@ -22,7 +22,7 @@ from grants.decision import Decision
 from rossec import clock
 from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.net.aio import SecureStream
-from rossec.net.aio.server import Handler
+from rossec.net.aio.accepted import Handler
 from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all

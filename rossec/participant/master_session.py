@@ -132,14 +132,22 @@ class MasterSession:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
                 await self._wait_for_heartbeat()
-                await self._heartbeat()
-                if self._follow is not None:
-                    await self._follow(self.call)
+                await self.refresh()
                 retry.succeeded()
             except (HintedError, OSError, Fault) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)
                 await self._disconnect()
                 await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
+
+    async def refresh(self) -> None:
+        """Send a heartbeat now: what the master holds that is new is taken.
+
+        Raises:
+            HintedError, OSError, Fault: no answer, or what it has is refused.
+        """
+        await self._heartbeat()
+        if self._follow is not None:
+            await self._follow(self.call)
 
     async def close(self) -> None:
         """Close the control connection; registrations at the master stay."""

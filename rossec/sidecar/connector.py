@@ -12,7 +12,8 @@ from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp
 from rossec.net.aio import SecureContext, SecureStream, connect
-from rossec.net.aio.server import Handler, SecureServer, serve
+from rossec.net.aio.accepted import Handler
+from rossec.net.aio.server import SecureServer, serve
 from rossec.net.bounds import ACCEPTED, PREAUTH_LIMIT
 from rossec.participant.access import Access
 from rossec.ros.header import MESSAGE_LIMIT

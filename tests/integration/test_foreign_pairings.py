@@ -1,92 +1,30 @@
 """Every form of a node reaches those of another domain, and stock tools behind a sidecar do.
 
 A hospital and a home trust each other; each has a master, and the home's follows the hospital's.
-The programs are those of `test_pairings`: what they subscribe to and call is below
-/remote/hospital.
 """
 
 import contextlib
-import itertools
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Final
 
 import pytest
 
-from grants.model import Right
-from tests.integration.sidecarworld import ROSSEC, Running, World, wait
+from tests.integration.foreignworld import (
+    LABEL,
+    TOOL,
+    Cast,
+    follow,
+    pairs,
+    prepare,
+    running_programs,
+    world,
+)
+from tests.integration.sidecarworld import ROSSEC, wait
 from tests.support.fleet import SECURE
-from tests.support.hosts import Host, Hosts
-from tests.support.kinds import KINDS, LISTENERS, SEEN, SPEAKERS, command
-from tests.support.site import Site, coarse
-from tests.support.trust import accept, carry, share
+from tests.support.kinds import KINDS, SEEN
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
-LABEL: Final = "remote/hospital"
-TOOL: Final = ("--as", "/rostopic")
-PAIRS: Final = tuple(itertools.product(KINDS, KINDS))
-pairs = pytest.mark.parametrize(
-    ("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS]
-)
-
-
-@dataclass(frozen=True)
-class Cast:
-    """Both sides, and the programs of the home that listen."""
-
-    home: World
-    hospital: World
-    listeners: Mapping[str, Running]
-
-    def tool(self, *words: str) -> str:
-        """The output of a stock tool of the home."""
-        return self.home.tool(*words, options=TOOL)
-
-
-def world(directory: Path, domain: str) -> World:
-    loopback = Host((), "127.0.0.1", "::1")
-    logs = directory / f"{domain}.logs"
-    logs.mkdir()
-    return World(Hosts(loopback, loopback, real=False), Site(directory / domain, domain), logs)
-
-
-def prepare(home: World, hospital: World) -> None:
-    """Who may do what; lists of domains are in every home."""
-    accept(home.site, hospital.site, "hospital")
-    accept(hospital.site, home.site, "home")
-    for kind in KINDS:
-        hospital.enroll(f"/{kind}_speaker", publish=f"/{kind}/*", provide=f"/{kind}/*")
-        listener = f"/{kind}_listener"
-        home.enroll(listener)
-        for right, pattern in (
-            (Right.SUBSCRIBE, "/*/words"), (Right.SUBSCRIBE, "/*/latched"),
-            (Right.CALL, "/*/switch"),
-        ):  # fmt: skip
-            share(hospital.site, home.site, listener, right, pattern)
-        share(hospital.site, home.site, listener, Right.SUBSCRIBE, "/*/pose", coarse())
-    for name in ("/tool", "/rostopic"):  # one name, and any: rostopic makes one up
-        home.enroll(
-            name, wildcard=name == "/rostopic",
-            graph="/**", publish="/**", param_set="/**", provide="/**",
-        )  # fmt: skip
-        for right in (Right.SUBSCRIBE, Right.CALL, Right.GRAPH):
-            share(hospital.site, home.site, name, right, "/**")
-    share(hospital.site, home.site, "/master", Right.GRAPH, "/**")
-    share(home.site, hospital.site, "/master", Right.GRAPH, "/master")
-    for side in (home, hospital):
-        carry(side.site)
-
-
-def follow(other: World) -> tuple[str, ...]:
-    """Options of a master that follows that of the other domain."""
-    label, config = other.site.anchor.domain, other.directory / "followed.yaml"
-    config.write_text(
-        "federation:\n  sites:\n"
-        f"    {label}: {{uri: 'http://127.0.0.1:{other.port}', domain: {label}}}\n"
-    )
-    return "--config", str(config)
 
 
 @pytest.fixture(scope="module")
@@ -95,22 +33,10 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
     home, hospital = world(directory, "home"), world(directory, "hospital")
     prepare(home, hospital)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(hospital.master(*follow(home)))
-        stack.enter_context(home.master(*follow(hospital)))
-
-        def start(side: World, kind: str, source: str, *more: str) -> Running:
-            line = command(kind, sys.executable, ROSSEC, source, *more)
-            return stack.enter_context(side.started(side.hosts.near, *line))
-
-        speakers = [start(hospital, kind, SPEAKERS[kind]) for kind in KINDS]
-        for speaker in speakers:
-            speaker.wait_for("READY")
-        for kind in KINDS:  # until then they refuse a foreigner, and `wait_for_service` ends
-            known = hospital.site.root / "nodes" / f"{kind}_speaker" / "foreign" / "home.cose"
-            wait(known.exists)
-        told = " ".join(f"{LABEL}/{kind}" for kind in KINDS), str(directory / "never")
-        listeners = {kind: start(home, kind, LISTENERS[kind], *told) for kind in KINDS}
-        yield Cast(home, hospital, listeners)
+        for side, other in ((hospital, home), (home, hospital)):
+            way = f"uri: 'http://127.0.0.1:{other.port}'"
+            stack.enter_context(side.master(*follow(other, way)))
+        yield stack.enter_context(running_programs(home, hospital, directory / "never"))
 
 
 @pairs

@@ -72,11 +72,13 @@ async def test_the_wan_records_what_routers_see_and_nothing_else(tmp_path: Path)
     assert not recording.holds(b"inside the site")
 
 
-def test_the_wan_delays_and_loses() -> None:
+def test_the_wan_delays_cuts_and_loses() -> None:
     """A call needs two round trips: 80 ms; with one packet of three lost it still comes."""
     with wan_of({"home": ("home",)}, ("router",), delay_ms=20) as wan, served(wan["router"]):
         begin = time.monotonic()
         assert call(wan["home"], wan["router"].ipv4)
         assert time.monotonic() - begin >= 0.08
+        with wan.without("home"):
+            assert call(wan["home"], wan["router"].ipv4, within=0.5) == ""
         with wan.lossy(one_of=5):
             assert all(call(wan["home"], wan["router"].ipv4) for _ in range(3))

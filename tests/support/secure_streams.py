@@ -1,5 +1,8 @@
 """Secure streams over loopback: a server that echoes, its clients, lasting certificates."""
 
+import asyncio
+import contextlib
+
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureServer, SecureStream, connect
 from tests.support.contexts import context
@@ -23,3 +26,14 @@ async def still_works(server: SecureServer[FakeIdentity]) -> None:
     async with await call(server) as stream:
         await stream.send(b"ping")
         assert await stream.receive() == b"ping"
+
+
+async def raw(server: SecureServer[FakeIdentity], data: bytes) -> bytes:
+    """What a caller without rossec reads until the end."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    writer.write(data)
+    answer = await reader.read()
+    writer.close()
+    with contextlib.suppress(OSError):
+        await writer.wait_closed()
+    return answer

@@ -23,6 +23,8 @@ _BLOCK: Final = re.compile(r"<!-- (\w+)[^>]*-->\n```\w*\n(.*?)```", re.DOTALL)
 _READY: Final = {
     "rossec ca serve": "until rossec ca status >/dev/null 2>&1; do sleep 0.1; done",
     "rossec master": "until (: >/dev/tcp/$ROS_IP/11311) 2>/dev/null; do sleep 0.1; done",
+    "rossec relay": "until rossec relay status >/dev/null 2>&1; do sleep 0.1; done",
+    "rossec router": "until (: >/dev/tcp/127.0.0.1/7447) 2>/dev/null; do sleep 0.1; done",
 }
 _BACKGROUND: Final = re.compile(rf"(?m)^({'|'.join(_READY)})\b[^\n]*&[^\n]*$")
 _ENDED: Final = "shell ended early"

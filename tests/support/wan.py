@@ -46,6 +46,7 @@ class Wan:
     hosts: Mapping[str, Host]
     _open: tuple[str, ...] = ()
     _gateways: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    _ports: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Host:
         return self.hosts[name]
@@ -60,6 +61,15 @@ class Wan:
         finally:
             for gateway in self._gateways.values():
                 _nft(gateway, "flush chain ip gateway lossy")
+
+    @contextlib.contextmanager
+    def without(self, site: str) -> Iterator[None]:
+        """Meanwhile no packet passes between a site and the open, and nobody is told."""
+        _run(self._open, "bridge", "link", "set", "dev", self._ports[site], "state", "0")
+        try:
+            yield
+        finally:
+            _run(self._open, "bridge", "link", "set", "dev", self._ports[site], "state", "3")
 
     @contextlib.asynccontextmanager
     async def recorded(self, file: Path) -> AsyncIterator[list[Recording]]:
@@ -114,14 +124,15 @@ class _Builder:
             name: self._host(backbone, "routers", f"router{number}", f"{_OPEN}.{10 + number}")
             for number, name in enumerate(routers)
         }
-        gateways = {}
+        gateways, ports = {}, {}
         for number, (site, names) in enumerate(sites.items()):
-            gateway = gateways[site] = self._gateway(number)
+            ports[site] = f"site{number}"
+            gateway = gateways[site] = self._gateway(number, ports[site])
             for place, name in enumerate(names):
                 hosts[name] = self._host(
                     gateway, "lan", f"host{place}", f"{_PRIVATE}.{10 + place}", f"{_PRIVATE}.1"
                 )
-        return Wan(hosts, backbone, gateways)
+        return Wan(hosts, backbone, gateways, ports)
 
     def _join_bridges(self, delay_ms: float) -> None:
         backbone = self._first
@@ -144,9 +155,8 @@ class _Builder:
             "link set tap0 up", "link set tap1 up",
         ])  # fmt: skip
 
-    def _gateway(self, number: int) -> tuple[str, ...]:
+    def _gateway(self, number: int, port: str) -> tuple[str, ...]:
         pid, inside = self._namespace()
-        port = f"site{number}"
         _ip(self._first, [
             f"link add {port} type veth peer name wan netns {pid}",
             f"link set {port} master sites", f"link set {port} up",

@@ -7,7 +7,10 @@ import click
 from rossec.cli.shared.lazy import LazyGroup
 
 _FEDERATION: Final = {
-    "add": ("federation.sites:add", "Follow the master at URI, and call it LABEL."),
+    "add": (
+        "federation.sites:add",
+        "Follow the master at URI, or behind the relay's peer PEER, and call it LABEL.",
+    ),
     "list": (
         "federation.sites:list_",
         "List the masters to follow, as `rossec federation add` has them.",

@@ -18,7 +18,7 @@ from rossec.terminal import note, say, say_json
 
 
 @click.command()
-@click.argument("uri")
+@click.argument("uri", required=False, default="")
 @click.option("--as", "label", metavar="LABEL", required=True, help="what it is called here")
 @click.option(
     "--name", "master", metavar="NAME", default=MASTER, show_default=True,
@@ -28,16 +28,27 @@ from rossec.terminal import note, say, say_json
     "--domain", metavar="LABEL", default=None,
     help="the label of its foreign domain, if that is not the site's own label",
 )  # fmt: skip
+@click.option(
+    "--via", metavar="PEER", default="",
+    help="instead of a URI: the site that the relay of this site knows by this label",
+)  # fmt: skip
 @pass_environment
-def add(environment: Environment, uri: str, label: str, master: str, domain: str | None) -> None:
-    """Follow the master at URI, and call it LABEL.
+def add(
+    environment: Environment, uri: str, label: str, master: str, domain: str | None, via: str
+) -> None:
+    """Follow the master at URI, or behind the relay's peer PEER, and call it LABEL.
 
     A label that is that of a trusted domain means a master of that domain. A running master begins
     within a second.
     """
+    if bool(uri) == bool(via):
+        raise ConfigurationError(
+            "a master is followed at a URI or by a relay",
+            f"rossec federation add URI --as {label}, or: add --via PEER --as {label}",
+        )
     home = _home(environment)
     found = _foreign(home, label) if domain is None else domain
-    site = SiteSettings(label, uri, master, found)
+    site = SiteSettings(label, uri, master, found, via=via)
     if not found and master == home.name:
         raise ConfigurationError(
             f"{master} is the master of this host itself",
@@ -48,14 +59,14 @@ def add(environment: Environment, uri: str, label: str, master: str, domain: str
     def put(sites: dict[str, SiteSettings]) -> None:
         if label in sites:
             raise ConfigurationError(
-                f"there is a site {label} already: {sites[label].uri}",
+                f"there is a site {label} already: {sites[label].place}",
                 f"rossec federation remove {label}",
             )
         sites[label] = site
         checked_sites(sites.values())
 
     SiteFile(home.path).change(put)
-    say(f"{label} is followed: {display_name(found, master)} at {uri}")
+    say(f"{label} is followed: {display_name(found, master)} {site.place}")
 
 
 @click.command()
@@ -113,11 +124,12 @@ def list_(environment: Environment, *, as_json: bool) -> None:
         if as_json:
             say_json({
                 "label": each.label, "uri": each.uri, "master": each.master,
-                "domain": each.domain, "parameters": list(each.parameters),
+                "domain": each.domain, "parameters": list(each.parameters), "via": each.via,
             })  # fmt: skip
             continue
+        where = each.uri or each.place
         mirrored = f"  {' '.join(each.parameters)}" if each.parameters else ""
-        say(f"{each.label:<16} {display_name(each.domain, each.master)}  {each.uri}{mirrored}")
+        say(f"{each.label:<16} {display_name(each.domain, each.master)}  {where}{mirrored}")
     if not sites and not as_json:
         note("no master is followed: rossec federation add URI --as LABEL")
 

@@ -63,11 +63,11 @@ class RelayCalls:
                 raise Refused(_UNREACHABLE)
         if not self._doors.has_room_for(request.caller.name):
             raise Refused("this master has too many relays")
-        news = self._doors.hear(request.caller.name, report, request.now)
+        change = self._doors.hear(request.caller.name, report, request.now)
         answer = {
-            "version": news.version,
-            "wanted": [list(target) for target in news.wanted],
-            "unwanted": [list(target) for target in news.unwanted],
+            "version": change.version,
+            "wanted": [list(target) for target in change.wanted],
+            "unwanted": [list(target) for target in change.unwanted],
             "masters": dict(self._doors.masters()),
         }
         return Reply(answer, "doors")

@@ -1,8 +1,8 @@
-"""The administrator's local port: a Unix socket, off unless enabled.
+"""The administrator's local port of a master or a relay: a Unix socket.
 
-A shell. The socket is in the master's own directory (0600), and the kernel reports the user of the
-peer: only the user who runs the master, and root, are admitted. A connection is one request and one
-answer, each a line of JSON. No command changes a right.
+A shell. The socket is in its own directory (0600), and the kernel reports the user of the peer:
+only the user who runs it, and root, are admitted. A master's is off unless enabled. A connection is
+one request and one answer, each a line of JSON. No command changes a right.
 """
 
 import asyncio
@@ -22,6 +22,7 @@ from rossec.operation.unix_socket import listen_at, raw_socket
 
 DEADLINE: Final = 5.0
 _MAX_LINE: Final = 1024
+_HINTS: Final = {"master": "is it running, with --admin or `admin: true` in its configuration?"}
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -45,7 +46,7 @@ class AdminPort:
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
-                    raise ConfigurationError(f"another master listens at {self._path}")
+                    raise ConfigurationError(f"another program listens at {self._path}")
             self._path.unlink()
         sock = listen_at(self._path)
         self._server = await asyncio.start_unix_server(self._handle, sock=sock, limit=_MAX_LINE)
@@ -84,13 +85,13 @@ class AdminPort:
         await writer.drain()
 
 
-def send_command(path: Path, command: str) -> dict[str, Any]:
-    """Send a command to the master that listens at `path`.
+def send_command(path: Path, command: str, what: str = "master") -> dict[str, Any]:
+    """Send a command to the master, or relay, that listens at `path`.
 
     Raises:
-        ConfigurationError: no master answers, or it answers with an error.
+        ConfigurationError: nobody answers, or with an error.
     """
-    hint = "is it running, with --admin or `admin: true` in its configuration?"
+    hint = _HINTS.get(what, f"is it running? rossec {what}")
     try:
         with socket.socket(socket.AF_UNIX) as sock:
             sock.settimeout(DEADLINE)
@@ -99,7 +100,7 @@ def send_command(path: Path, command: str) -> dict[str, Any]:
             with sock.makefile("rb") as file:
                 answer = json.loads(file.readline(1 << 20) or b"null")
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"the master does not answer at {path}: {error}", hint) from error
+        raise ConfigurationError(f"the {what} does not answer at {path}: {error}", hint) from error
     if not isinstance(answer, dict) or "error" in answer:
-        raise ConfigurationError("the master refused", hint)
+        raise ConfigurationError(f"the {what} refused", hint)
     return answer

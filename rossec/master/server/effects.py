@@ -242,6 +242,7 @@ class Effects:
         self.close_revoked()  # also their pending updates
         self.drop_deposits()
         self.send_revocations()
+        self._state.relay_polls.notify()  # relays are told by no update: they ask after an answer
         self.list_changed.set()
 
     def enforcement(self) -> Iterator[None]:

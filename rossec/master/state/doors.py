@@ -72,7 +72,7 @@ class Report(NamedTuple):
     ways: Mapping[str, Way]
 
 
-class News(NamedTuple):
+class WantedChange(NamedTuple):
     """What a relay is told: targets wanted, and wanted no longer, up to `version`."""
 
     version: int
@@ -176,7 +176,7 @@ class Doors:
         """Whether one more relay is within the limits."""
         return relay in self._relays or len(self._relays) < MAX_RELAYS
 
-    def hear(self, relay: str, report: Report, now: int) -> News:
+    def hear(self, relay: str, report: Report, now: int) -> WantedChange:
         """Take over what a relay reports, and answer it."""
         held = self._relays.get(relay)
         if held is None or held.instance != report.instance:
@@ -190,7 +190,7 @@ class Doors:
                 changed |= held.put(target, door)
         if changed:
             self._notify()
-        return self._news(relay, report.seen)
+        return self._change_since(relay, report.seen)
 
     def expire(self, now: int) -> tuple[str, ...]:
         """Forget relays that are silent for too long; returns their names."""
@@ -202,7 +202,7 @@ class Doors:
             self._notify()
         return tuple(silent)
 
-    def _news(self, relay: str, seen: int) -> News:
+    def _change_since(self, relay: str, seen: int) -> WantedChange:
         since = seen if seen <= self._version else 0  # it polled an earlier run of this master
         wanted = [
             (version, target)
@@ -213,7 +213,8 @@ class Doors:
         told = sorted([*wanted, *gone])[:AT_ONCE]
         version = self._version if len(told) < AT_ONCE else told[-1][0]
         new = tuple(target for _, target in told if target in self._wanted)
-        return News(version, new, tuple(target for _, target in told if target in self._gone))
+        old = tuple(target for _, target in told if target in self._gone)
+        return WantedChange(version, new, old)
 
     def _begin(self, target: Target) -> None:
         if target not in self._wanted:

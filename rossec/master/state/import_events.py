@@ -1,6 +1,6 @@
 """What happens to the facts of other masters, for subscribers, the audit and people. Pure."""
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,11 +26,12 @@ ImportEvent = PublishersChanged | TypeContradicted
 
 @dataclass(frozen=True)
 class SiteStatus:
-    """One site, for people."""
+    """One site, for people; `topics` returns those with publishers or subscribers there."""
 
     site: Site
     facts: int
     is_lost: bool
+    topics: Callable[[], list[str]]
 
 
 class Contradictions:

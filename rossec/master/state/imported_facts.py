@@ -80,6 +80,11 @@ class SiteFacts:
         except NameRefused:
             return None
 
+    def topics(self) -> list[str]:
+        """The topics that its nodes publish or subscribe, by their local names."""
+        found = (each for registered in self.registered.values() for each in registered)
+        return sorted({each.key for each in found if each.kind is not Kind.SERVICE})
+
     def add(self, fact: Fact) -> Registered | None:
         """Take a fact that is not held; returns the registration it is about."""
         self.facts.add(fact)

@@ -169,8 +169,8 @@ class Imports:
     @property
     def sites(self) -> tuple[SiteStatus, ...]:
         """All sites, by label."""
-        held = (self._sites[label] for label in sorted(self._sites))
-        return tuple(SiteStatus(each.site, len(each.facts), each.is_lost) for each in held)
+        found = (self._sites[label] for label in sorted(self._sites))
+        return tuple(SiteStatus(it.site, len(it.facts), it.is_lost, it.topics) for it in found)
 
     def own_sites(self) -> Collection[str]:
         """The labels of the sites that are other masters of the own domain."""

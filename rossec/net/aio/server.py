@@ -1,24 +1,15 @@
-"""Listening for secure connections: sockets, half-open caps, one task per connection.
+"""Listening on a port for secure connections; what becomes of them is in `accepted`."""
 
-Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total
-are limited, each has one deadline. A handler ends with its connection: a crash is logged and closes
-that connection only.
-"""
-
-import asyncio
 import logging
 import socket
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from types import TracebackType
-from typing import Final, Generic, Self, TypeAlias
+from typing import Final, Self
 
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
-from rossec.errors import ChannelError, PlainPeer
-from rossec.net.aio.stream import SecureStream
-from rossec.net.aio.tasks import TaskSet
+from rossec.net.aio.accepted import AcceptedStreams, Handler
 from rossec.net.aio.transport import Transport
 from rossec.net.context import SecureContext
 from rossec.net.halfopen import HalfOpenSlot
@@ -27,12 +18,9 @@ _log = logging.getLogger("rossec.net.server")
 _BACKLOG: Final = 128
 _ACCEPTS_PER_TURN: Final = 16
 ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
-_REPORT_EVERY: Final = 10.0
-
-Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
 
 
-class SecureServer(Generic[PeerT]):
+class SecureServer(AcceptedStreams[PeerT]):
     """A listening port and its connections; made by `serve`."""
 
     def __init__(
@@ -41,28 +29,15 @@ class SecureServer(Generic[PeerT]):
         context: SecureContext[PeerT],
         protocol: WireProtocol,
     ) -> None:
-        self._handler = handler
-        self._context = context
-        self._protocol = protocol
-        self._streams: set[SecureStream[PeerT]] = set()
-        self._slots: dict[SecureStream[PeerT], HalfOpenSlot] = {}  # of the unauthenticated ones
-        self._tasks = TaskSet()
-        self._loop = asyncio.get_running_loop()
+        super().__init__(handler, context, protocol)
         self._listeners: list[socket.socket] = []
         self._suspended = False
-        self._refused = 0
-        self._report_again = 0.0
         self.addresses: list[tuple[str, int]] = []
 
     @property
     def port(self) -> int:
         """The port, the same on every address."""
         return self.addresses[0][1]
-
-    @property
-    def connections(self) -> int:
-        """How many connections are open or half open."""
-        return len(self._streams)
 
     def listen(self, host: str | None, port: int) -> None:
         """Bind and start to accept."""
@@ -92,80 +67,29 @@ class SecureServer(Generic[PeerT]):
             if slot is None:
                 sock.close()
             else:
-                self._begin(sock, where[0], slot)
+                self._begin_on(sock, where[0], slot)
 
-    def _admit(self, address: str) -> HalfOpenSlot | None:
-        """A slot for one more unfinished handshake, if the limits allow it."""
-        slot = self._context.half_open.admit(address)
-        if slot is not None:
-            return slot
-        self._refused += 1
-        if self._loop.time() >= self._report_again:  # at most one line in `_REPORT_EVERY` seconds
-            _log.warning(
-                "too many unfinished handshakes: refused %d, last %s", self._refused, address
-            )
-            self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
-        return None
-
-    def _begin(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
+    def _begin_on(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
         try:
-            core = self._context.responder(self._protocol)
-            carry = partial(Transport, sock)
-            stream = SecureStream(core, carry, address, self._on_authenticated, self._on_end)
+            self._begin(partial(Transport, sock), address, slot)
         except BaseException:
             sock.close()
-            slot.release()
             raise
-        self._streams.add(stream)
-        self._slots[stream] = slot
-        slot.close = partial(stream.abort, "evicted: too many unfinished handshakes")
-        stream.when_closed(partial(self._release_slot, stream))
-
-    def _release_slot(self, stream: SecureStream[PeerT]) -> None:
-        """The peer is authenticated, or the socket is closed."""
-        slot = self._slots.pop(stream, None)
-        if slot is not None:
-            slot.release()
-
-    def _on_authenticated(self, stream: SecureStream[PeerT]) -> None:
-        """Start the handler."""
-        self._release_slot(stream)
-        self._tasks.spawn(self._handle(stream), name=f"rossec connection from {stream.address}")
-
-    def _on_end(self, stream: SecureStream[PeerT], error: ChannelError) -> None:
-        """Forget the connection; log a failed handshake."""
-        if stream not in self._streams:
-            return
-        self._streams.discard(stream)
-        if not stream.authenticated:
-            if stream in self._slots:
-                self._slots[stream].linger()  # until it is closed
-            level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
-            _log.log(level, "connection from %s refused: %s", stream.address, error)
-
-    async def _handle(self, stream: SecureStream[PeerT]) -> None:
-        try:
-            await self._handler(stream)
-        except ChannelError as error:
-            _log.info("connection from %s ended: %s", stream.address, error)
-        except BaseException:
-            stream.abort("the handler did not finish")
-            raise  # a crash is logged by the task's owner
-        await stream.close()
 
     def suspend(self) -> None:
         """Refuse connections as if the port were closed, but keep it bound.
 
         Linux keeps only a port that was given to bind(), not one it chose itself.
         """
+        if self._suspended:  # shut down twice, what it accepts later would be at its end
+            return
         self._suspended = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.setsockopt(
                 socket.SOL_SOCKET, socket.SO_REUSEADDR, 0
             )  # no other socket may bind it
-            with suppress(OSError):  # suspended already
-                listener.shutdown(socket.SHUT_RDWR)
+            listener.shutdown(socket.SHUT_RDWR)
 
     def resume(self) -> None:
         """Listen again after `suspend`."""
@@ -183,9 +107,7 @@ class SecureServer(Generic[PeerT]):
             self._loop.remove_reader(listener.fileno())
             listener.close()
         self._listeners.clear()
-        await self._tasks.close()
-        for stream in [*self._streams, *self._slots]:
-            stream.abort("the server was closed")
+        await self._close_streams()
 
     async def __aenter__(self) -> Self:
         return self

@@ -33,7 +33,9 @@ def owner(local_identity: LocalIdentity, plain: PlainPeers | None = None) -> Own
     return Owner(local_identity, plain or PlainPeers(()))
 
 
-def connected(local_identity: LocalIdentity, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
+def connected(
+    local_identity: LocalIdentity, listening: RosSocket, family: int = socket.AF_INET
+) -> tuple[RosSocket, RosSocket]:
     accepted: list[RosSocket] = []
 
     def accept() -> None:
@@ -42,7 +44,7 @@ def connected(local_identity: LocalIdentity, listening: RosSocket) -> tuple[RosS
         accepted.append(sock)
 
     thread = background(accept)
-    sock = RosSocket(owner(local_identity), socket.socket())
+    sock = RosSocket(owner(local_identity), socket.socket(family))
     sock.connect(listening.getsockname())
     thread.join(30)
     return sock, accepted[0]

@@ -1,7 +1,9 @@
+import socket
+
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.addresses import bracketed, parse_rosrpc
+from rossec.inprocess.addresses import bracketed, for_family, parse_rosrpc
 
 
 @pytest.mark.parametrize(
@@ -38,3 +40,16 @@ def test_an_invalid_uri_of_a_service_is_refused(uri: str) -> None:
     with pytest.raises(ConfigurationError, match="not the URI of a service") as caught:
         parse_rosrpc(uri)
     assert "rosrpc://host:port" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("family", "host", "dialled"),
+    [
+        (socket.AF_INET6, "127.0.0.1", "::ffff:127.0.0.1"),
+        (socket.AF_INET6, "::1", "::1"),
+        (socket.AF_INET6, "robot.local", "robot.local"),
+        (socket.AF_INET, "127.0.0.1", "127.0.0.1"),
+    ],
+)
+def test_a_socket_of_ipv6_reaches_addresses_of_ipv4(family: int, host: str, dialled: str) -> None:
+    assert for_family(family, (host, 80)) == (dialled, 80)

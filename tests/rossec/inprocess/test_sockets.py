@@ -54,6 +54,16 @@ def test_a_socket_connects_sends_and_receives(
         sock.abort()
 
 
+def test_a_socket_of_ipv6_reaches_a_door_at_127_0_0_1(
+    local_identity: LocalIdentity, listening: RosSocket
+) -> None:
+    """As those of rospy are with ROS_IPV6=on."""
+    left, right = connected(local_identity, listening, socket.AF_INET6)
+    assert left.peer.name == "/viewer"
+    for sock in (left, right):
+        sock.close()
+
+
 def test_a_message_that_has_begun_must_make_progress(
     local_identity: LocalIdentity, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:

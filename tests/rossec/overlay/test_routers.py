@@ -11,7 +11,6 @@ from rossec.overlay.routers import (
     check_password,
     check_seat,
     is_encrypted,
-    mailbox_key,
 )
 from tests.support.pki import NOW
 
@@ -85,7 +84,3 @@ def test_a_locator_that_says_more_is_refused(locator: str) -> None:
 def test_a_seat_that_could_reach_further_is_no_name(seat: str) -> None:
     with pytest.raises(ConfigurationError, match="is not the name of a seat"):
         check_seat(seat)
-
-
-def test_the_key_of_a_mailbox() -> None:
-    assert mailbox_key("home", "0" * 32) == "rossec/1/home/" + "0" * 32

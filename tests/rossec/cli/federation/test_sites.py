@@ -32,7 +32,7 @@ def test_a_site_is_added_listed_and_removed(empty: Shell) -> None:
     ]  # fmt: skip
     assert json.loads(empty("federation", "list", "--json").out) == {
         "label": "kitchen", "uri": URI, "master": "/master/kitchen", "domain": "",
-        "parameters": ["/robot/**"],
+        "parameters": ["/robot/**"], "via": "",
     }  # fmt: skip
     assert empty("federation", "param", "kitchen", "/robot/**", "--remove").code == 0
     assert "/robot" not in empty("federation", "list").out
@@ -87,3 +87,23 @@ def test_the_label_of_a_trusted_domain_means_a_master_of_it(
 def test_the_masters_own_name_is_not_followed(empty: Shell) -> None:
     said = empty("federation", "add", URI, "--as", "hospital")
     refused(said, "/master is the master of this host itself", "rossec domain accept")
+
+
+@pytest.mark.usefixtures("site")
+def test_a_site_behind_a_relay(empty: Shell) -> None:
+    office = ("--via", "office", "--as", "office", "--name", "/master/office")
+    said = empty("federation", "add", *office)
+    assert said.out == "office is followed: /master/office via office\n"
+    assert empty("federation", "list").out.split() == ["office", "/master/office", "via", "office"]
+    assert json.loads(empty("federation", "list", "--json").out)["via"] == "office"
+    again = empty("federation", "add", *office)
+    refused(again, "there is a site office already: via office", "rossec federation remove office")
+    assert empty("federation", "remove", "office").code == 0
+
+
+@pytest.mark.usefixtures("site")
+def test_a_site_has_a_uri_or_a_relay(empty: Shell) -> None:
+    hint = "rossec federation add URI --as kitchen, or: add --via PEER --as kitchen"
+    refused(empty("federation", "add", *KITCHEN), "at a URI or by a relay", hint)
+    refused(empty("federation", "add", URI, "--via", "a", *KITCHEN), "at a URI or by a rel", hint)
+    refused(empty("federation", "add", "--via", "a b", *KITCHEN), "'a b' is not a label")

@@ -82,7 +82,7 @@ async def test_a_silent_connection_is_closed(path: Path, monkeypatch: pytest.Mon
 
 
 async def test_only_one_master_listens_and_a_stale_socket_is_replaced(path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="another master"):
+    with pytest.raises(ConfigurationError, match="another program"):
         await AdminPort(path, {}).start()
     left = path.with_name("left.sock")
     with socket.socket(socket.AF_UNIX) as dead:

@@ -5,7 +5,16 @@ from collections.abc import Mapping
 import pytest
 
 from rossec.master.state.addresses import endpoint
-from rossec.master.state.doors import AT_ONCE, SILENCE, Door, Doors, News, Report, Target, Way
+from rossec.master.state.doors import (
+    AT_ONCE,
+    SILENCE,
+    Door,
+    Doors,
+    Report,
+    Target,
+    WantedChange,
+    Way,
+)
 
 MASTER = Target("office", "master", "/master")
 ROBOT = Target("office", "node", "/robot")
@@ -38,11 +47,11 @@ class Site:
         instance: str = "one",
         peers: tuple[str, ...] = ("office",),
         now: int = 0,
-    ) -> News:
+    ) -> WantedChange:
         report = Report(instance, self.seen.get(relay, 0), opened or {}, dict.fromkeys(peers, WAY))
-        news = self.doors.hear(relay, report, now)
-        self.seen[relay] = news.version
-        return news
+        change = self.doors.hear(relay, report, now)
+        self.seen[relay] = change.version
+        return change
 
 
 def test_what_a_follower_wants_is_told_once_and_masters_first() -> None:
@@ -50,7 +59,7 @@ def test_what_a_follower_wants_is_told_once_and_masters_first() -> None:
     assert site.doors.want("office", [ROBOT, CLOCK, MASTER]) == 0
     assert site.told == 1
     assert site.poll().wanted == (MASTER, ROBOT, CLOCK)
-    assert site.poll() == News(site.seen["/relay"], (), ())
+    assert site.poll() == WantedChange(site.seen["/relay"], (), ())
     site.doors.want("office", [ROBOT, CLOCK, MASTER])
     assert site.poll().wanted == ()
 
@@ -90,7 +99,7 @@ def test_a_target_is_wanted_until_its_last_site_wants_it_no_longer() -> None:
     assert site.doors.door(ROBOT) is None
     assert not site.doors.is_door(AT.endpoint)
     site.doors.want("office", [ROBOT])
-    assert site.poll() == News(site.seen["/relay"], (ROBOT,), ())
+    assert site.poll() == WantedChange(site.seen["/relay"], (ROBOT,), ())
 
 
 def test_a_place_is_the_door_of_one_target() -> None:

@@ -1,28 +1,25 @@
-"""Listening: ports, caps of half-open connections, plain callers, handlers."""
+"""Listening: ports, plain callers, descriptors."""
 
 import asyncio
 import contextlib
 import errno
-import logging
 import socket
 
 import pytest
 
 from rossec.channel.opening import REFUSAL, WireProtocol
-from rossec.channel.records import ChannelLimits
 from rossec.errors import (
-    ChannelError,
     ConnectionTruncated,
-    HandshakeFailed,
     PeerUnreachable,
     PlainPeer,
 )
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import server as server_module
 from rossec.net.aio.server import bind
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, source_of
+from rossec.net.halfopen import source_of
 from tests.support.contexts import context
-from tests.support.secure_streams import Stream, call, echo, still_works
+from tests.support.ports import free_port
+from tests.support.secure_streams import call, echo, raw, still_works
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
 
@@ -33,26 +30,6 @@ async def test_both_families_on_one_port(host: str) -> None:
         await stream.send(b"x")
         assert await stream.receive() == b"x"
         await stream.close()
-
-
-async def test_a_crashing_handler_ends_only_its_connection(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    async def picky(stream: Stream) -> None:
-        unit = await stream.receive()
-        await stream.send(bytes([100 // unit[0]]))
-        await echo(stream)
-
-    async with serve(picky, "127.0.0.1", 0, context(BOB)) as server:
-        bad, good = await call(server), await call(server)
-        await bad.send(b"\x00")
-        with pytest.raises(ChannelError):
-            await bad.receive()
-        await good.send(b"\x0a")
-        assert await good.receive() == b"\x0a"
-        await good.close()
-    assert "crashed" in caplog.text
-    assert "ZeroDivisionError" in caplog.text
 
 
 async def test_closing_the_server_ends_everything() -> None:
@@ -67,16 +44,6 @@ async def test_closing_the_server_ends_everything() -> None:
     with pytest.raises(PeerUnreachable, match="cannot connect") as caught:
         await call(server)
     assert "ROS_HOSTNAME" in caught.value.hint
-
-
-async def raw(server: SecureServer[FakeIdentity], data: bytes) -> bytes:
-    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-    writer.write(data)
-    answer = await reader.read()
-    writer.close()
-    with contextlib.suppress(OSError):
-        await writer.wait_closed()
-    return answer
 
 
 async def test_a_plain_tcpros_client_reads_why(server: SecureServer[FakeIdentity]) -> None:
@@ -107,70 +74,10 @@ async def test_garbage_is_dropped(server: SecureServer[FakeIdentity], data: byte
     await still_works(server)
 
 
-async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    limits = ChannelLimits(handshake_seconds=1)
-    async with serve(echo, "127.0.0.1", 0, context(BOB, limits=limits)) as server:
-        stream = await call(server)
-        assert await raw(server, b"\x0c\0\0") == b""
-        assert "did not finish the handshake in time" in caplog.text
-        await stream.send(b"x")
-        assert await stream.receive() == b"x"
-        await stream.close()
-
-
-@pytest.mark.parametrize("caps", [HalfOpen(per_address=3), HalfOpen(total=3)])
-async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
-    async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(caps))) as server:
-        stream = await call(server)
-        idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
-        with contextlib.suppress(OSError):
-            assert await raw(server, b"") == b""
-        with pytest.raises(HandshakeFailed):
-            await call(server)
-        await stream.send(b"x")
-        assert await stream.receive() == b"x"
-        for _, writer in idle:
-            writer.close()
-        await asyncio.sleep(0.05)
-        await still_works(server)
-        await stream.close()
-
-
-async def test_the_ports_of_a_context_share_its_limit() -> None:
-    own = context(BOB, half_open=HalfOpenCount(HalfOpen(total=1)))
-    async with serve(echo, "127.0.0.1", 0, own) as one, serve(echo, "127.0.0.1", 0, own) as other:
-        _, idle = await asyncio.open_connection("127.0.0.1", one.port)
-        with pytest.raises(HandshakeFailed):
-            await call(other)
-        idle.close()
-        await asyncio.sleep(0.05)
-        await still_works(other)
-
-
 async def test_a_port_has_one_protocol() -> None:
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         with pytest.raises(PlainPeer):
             await call(server, WireProtocol.HTTP)
-        await still_works(server)
-
-
-async def test_a_caller_that_closes_at_once_releases_its_slot(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    only = HalfOpen(total=1)
-    async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(only))) as server:
-        gone: list[str] = []
-
-        def broken(*_: object) -> None:
-            gone.append("reset")
-            raise OSError(errno.EINVAL, "reset")
-
-        with monkeypatch.context() as patch:
-            patch.setattr(server_module, "SecureStream", broken)
-            with contextlib.suppress(OSError):
-                assert await raw(server, b"") == b""
-        assert gone
         await still_works(server)
 
 
@@ -235,3 +142,26 @@ async def test_accepting_goes_on_when_descriptors_come_back(
     closed = socket.socket()
     closed.close()
     server._add_reader(closed)  # nothing to watch, nothing happens
+
+
+async def test_a_suspended_port_refuses_and_is_kept() -> None:
+    async with serve(echo, "127.0.0.1", free_port(), context(BOB)) as server:
+        server.suspend()
+        server.suspend()
+        with pytest.raises(PeerUnreachable):
+            await call(server)
+        with pytest.raises(OSError, match="in use"):
+            bind("127.0.0.1", server.port)
+        server.resume()
+        server.resume()
+        await still_works(server)
+
+
+async def test_a_connection_that_cannot_begin_is_closed() -> None:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, suites=())) as server:
+        crashes: list[object] = []
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, told: crashes.append(told))
+        assert await raw(server, b"") == b""
+        assert server.connections == 0
+        assert crashes

@@ -1,0 +1,1 @@
+"""`rossec relay`: the links of a site with others, and whom it has them with."""

@@ -1,0 +1,57 @@
+"""`rossec relay status`: the links of the running relay."""
+
+import time
+from typing import Any, Final
+
+import click
+
+from rossec.cli.relay.home import ADMIN_SOCKET, relay_files
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.master.operation.admin import send_command
+from rossec.terminal import note, printable, say, say_json
+
+_PERIOD: Final = 1.0
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
+@pass_environment
+def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
+    """Show the links of the running relay: to whom, how fast, and what they carry."""
+    socket = relay_files(environment).home.path / ADMIN_SOCKET
+    shown: list[str] | None = None
+    while True:
+        answer = send_command(socket, "status", "relay")
+        lines = [] if as_json else _lines(answer)
+        if as_json:
+            say_json(answer)
+        elif lines != shown:
+            for line in lines:
+                say(printable(line))
+            if not answer["peers"]:
+                note("no relay of another site is known: rossec relay card LABEL")
+        shown = lines
+        if not watch:
+            return
+        time.sleep(_PERIOD)
+
+
+def _lines(answer: dict[str, Any]) -> list[str]:
+    router = answer["router"] or "no router is in reach"
+    head = f"{answer['relay']} of {answer['domain']}, seat {answer['seat']} at {router}"
+    masters = [f"{name}: {why or 'polled for doors'}" for name, why in answer["masters"].items()]
+    peers = [line for peer in answer["peers"] for line in _peer(peer)]
+    problem = [answer["problem"]] if answer["problem"] else []
+    return [f"{head}, {answer['doors']} doors", *masters, *peers, *problem]
+
+
+def _peer(peer: dict[str, Any]) -> list[str]:
+    speed = f"  {peer['rtt_ms']} ms, {peer['retransmissions']} retransmissions"
+    called = f", {peer['called']} links from it" if peer["called"] else ""
+    error = f"  {peer['error']}" if peer["error"] else ""
+    line = (
+        f"{peer['label']:<16} {peer['state']:<10} {peer['relay']}"
+        f"  {peer['streams']} connections{called}{speed if peer['rtt_ms'] else ''}{error}"
+    )
+    return [line, *([f"{'':<16} hint: {peer['hint']}"] if peer["hint"] else [])]

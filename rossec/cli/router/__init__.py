@@ -1,0 +1,1 @@
+"""`rossec router`: a router between sites, and the seats at it."""

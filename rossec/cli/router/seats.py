@@ -1,0 +1,88 @@
+"""`rossec router seats`: who may use the router."""
+
+import click
+
+from rossec.cli.router.home import pass_home
+from rossec.overlay.router_home import RouterHome, new_password
+from rossec.overlay.routers import check_seat
+from rossec.terminal import note, say, say_json
+
+
+@click.group()
+def seats() -> None:
+    """Say who may use the router, and make the files for relays.
+
+    A seat is for one site: its relay reads the mailboxes of its seat, and sends to any that it
+    knows. A router that runs takes changes over within a second.
+    """
+
+
+@seats.command()
+@click.argument("name")
+@click.option(
+    "--host", metavar="NAME", multiple=True,
+    help="name or address by which relays reach this router; may be repeated",
+)  # fmt: skip
+@pass_home
+def add(home: RouterHome, name: str, host: tuple[str, ...]) -> None:
+    """Make the seat NAME, and print its file for the relay of that site.
+
+    For example: rossec router seats add home > home.seat. The file holds a password: bring it to
+    the site as you would a key.
+    """
+    check_seat(name)
+    home.prepare()
+    _check_reached(home, host)
+    home.change_seats(lambda found: found.add(name, new_password()))
+    _print_file(home, name)
+
+
+@seats.command()
+@click.argument("name")
+@click.option("--host", metavar="NAME", multiple=True, help="as of add")
+@pass_home
+def show(home: RouterHome, name: str, host: tuple[str, ...]) -> None:
+    """Print the file of the seat NAME again, with the routers of now.
+
+    NAME is `open` for a router that was started with --open.
+    """
+    home.prepare()
+    _check_reached(home, host)
+    _print_file(home, name)
+
+
+@seats.command("list")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@pass_home
+def list_(home: RouterHome, *, as_json: bool) -> None:
+    """List the seats."""
+    names = home.seats().names
+    if as_json:
+        say_json({"seats": list(names)})
+        return
+    for name in names:
+        say(name)
+    if not names:
+        note("nobody has a seat: rossec router seats add NAME > NAME.seat")
+
+
+@seats.command()
+@click.argument("name")
+@pass_home
+def remove(home: RouterHome, name: str) -> None:
+    """Take the seat NAME away; a router that runs cuts its relay off within a second.
+
+    Do it at each router of the operator.
+    """
+    home.change_seats(lambda found: found.remove(name))
+    say(f"the seat {name} is no more")
+
+
+def _check_reached(home: RouterHome, host: tuple[str, ...]) -> None:
+    """Keep `host`, and find the locators before anything is made for them."""
+    home.tell(hosts=host)
+    home.settings().locators  # noqa: B018 - raises
+
+
+def _print_file(home: RouterHome, name: str) -> None:
+    say(home.seat_file(name).write().decode().rstrip())

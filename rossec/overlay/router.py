@@ -1,0 +1,140 @@
+"""A router as a process: Zenoh does the routing, this begins, watches and ends it. A shell.
+
+Zenoh reads its users, rules and certificate once. When seats were added or removed, and each day
+for the certificate, the session is closed and opened again, which takes less than a second: links
+of relays survive that, as they survive the end of a router. Zenoh's own log is never begun: at its
+finer levels it would name mailboxes.
+"""
+
+import asyncio
+import logging
+from typing import Any, Final, Protocol
+
+from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
+from rossec.overlay.router_home import RouterHome
+from rossec.overlay.router_settings import RouterSettings, zenoh_settings
+from rossec.overlay.seats import Seats
+from rossec.overlay.zenoh_carrier import open_session
+
+_log = logging.getLogger("rossec.overlay.router")
+_PERIOD: Final = 0.5  # seconds between two looks
+_CERTIFICATE_PERIOD: Final = 24 * 3600.0  # seconds
+_CLOSING: Final = 5.0  # seconds
+
+
+class Session(Protocol):
+    """What is used here of `zenoh.Session`."""
+
+    @property
+    def info(self) -> Any:
+        """Whom it is connected with."""
+        ...
+
+    def close(self) -> Any:
+        """End it; blocks."""
+        ...
+
+
+class Router:
+    """One router, of the directory `home`; used on one loop.
+
+    Args:
+        home: prepared.
+        settings: what it was told.
+        is_open: it has no seats, whoever reaches it may use it.
+    """
+
+    def __init__(self, home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
+        self._home = home
+        self._settings = settings
+        self._is_open = is_open
+        self._seats_version: tuple[int, ...] = ()
+        self._certificate_due = 0.0
+        self._session: Session | None = None
+        self._joined = 0
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises:
+            ConfigurationError: there are no seats, or there are though it is open; a file is
+                damaged.
+            OverlayUnavailable: zenoh is not installed, or cannot listen there.
+        """
+        self._seats_version = self._home.seats_version()
+        self._certificate_due = asyncio.get_running_loop().time() + _CERTIFICATE_PERIOD
+        seats = seats_of(self._home, is_open=self._is_open)
+        self._home.write_for_zenoh(self._settings, seats)
+        found = zenoh_settings(self._settings, seats, self._home.files)
+        try:
+            self._session = await asyncio.to_thread(open_session, found)
+        except OverlayUnavailable as error:
+            if error.hint:  # the library is not there
+                raise
+            where = ", ".join(self._settings.listen)
+            raise OverlayUnavailable(
+                f"the router cannot listen at {where}: {error}",
+                "does something else listen there? --listen tls/[::]:PORT",
+            ) from error
+
+    async def run(self) -> None:
+        """Watch what it was started with, and take over what changes, until cancelled."""
+        while True:
+            await asyncio.sleep(_PERIOD)
+            self._report_joined()
+            try:
+                await self._take_over()
+            except (RossecError, OSError) as error:
+                _log.error("what changed is not taken over: %s", error)
+
+    async def close(self) -> None:
+        """End it. A session that does not end in time ends with the process."""
+        session, self._session = self._session, None
+        if session is not None:
+            closing = asyncio.to_thread(session.close)
+            await asyncio.wait([asyncio.ensure_future(closing)], timeout=_CLOSING)
+
+    @property
+    def joined(self) -> int:
+        """How many other routers it has a session with."""
+        return 0 if self._session is None else len(self._session.info.routers_zid())
+
+    def _report_joined(self) -> None:
+        if self._session is not None and self.joined != self._joined:
+            self._joined = self.joined
+            _log.info("sessions with other routers: %d", self._joined)
+
+    async def _take_over(self) -> None:
+        """Begin anew if seats changed, if the certificate may be old, or if it is not listening."""
+        due = asyncio.get_running_loop().time() >= self._certificate_due
+        if self._session is not None and not due and not self._seats_changed():
+            return
+        seats_of(self._home, is_open=self._is_open)  # else the old ones stay in force
+        await self.close()
+        await self.start()
+        _log.info("the router began anew, with the seats and the certificate of now")
+
+    def _seats_changed(self) -> bool:
+        version = self._home.seats_version()
+        changed, self._seats_version = version != self._seats_version, version
+        return changed
+
+
+def seats_of(home: RouterHome, *, is_open: bool) -> Seats | None:
+    """The seats of a router that begins; None: it is open to all.
+
+    Raises:
+        ConfigurationError: there are none, and it was not said that it is open, or both.
+    """
+    seats = home.seats()
+    if is_open and seats.names:
+        raise ConfigurationError(
+            f"the router has seats ({', '.join(seats.names)}), so it is not open",
+            "leave out --open, or remove them: rossec router seats remove",
+        )
+    if not is_open and not seats.names:
+        raise ConfigurationError(
+            "nobody has a seat at this router",
+            "give seats: rossec router seats add NAME > NAME.seat; or let in everybody: --open",
+        )
+    return None if is_open else seats

@@ -1,0 +1,117 @@
+"""`rossec relay` and `rossec relay status`: two relays as processes, a router between them."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from rossec.overlay.routers import OPEN_SEAT, Routers
+from tests.support.commands import Shell, refused
+from tests.support.overlay import router
+from tests.support.relayedsites import RelayedSite, Wires
+from tests.support.site import Site
+from tests.support.witness import until
+
+
+class RelayProcess:
+    """`rossec relay` of a site."""
+
+    def __init__(self, site: RelayedSite, process: asyncio.subprocess.Process, log: Path) -> None:
+        self.site, self.process, self._log = site, process, log
+
+    def said(self) -> str:
+        return self._log.read_text()
+
+    async def run(self, *words: str) -> str:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "rossec", "relay", *words, env=environ(self.site),
+            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        out, err = await process.communicate()
+        assert process.returncode == 0, err.decode() + self.said()
+        return out.decode()
+
+
+def environ(site: RelayedSite) -> dict[str, str]:
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
+    return {
+        **kept, "ROSSEC_HOME": str(site.site.root), "ROS_MASTER_URI": site.master.server.uri,
+        "ROS_IP": "127.0.0.1",
+    }  # fmt: skip
+
+
+@asynccontextmanager
+async def relay_of(site: RelayedSite, *options: str) -> AsyncIterator[RelayProcess]:
+    log = site.site.root / "relay.log"
+    with log.open("wb") as file:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "rossec", "relay", *options, env=environ(site),
+            stdin=asyncio.subprocess.DEVNULL, stdout=file, stderr=file,
+        )  # fmt: skip
+    found = RelayProcess(site, process, log)
+    try:
+        await until(lambda: process.returncode is not None or "/relay" in found.said())
+        yield found
+    finally:
+        if process.returncode is None:
+            process.send_signal(signal.SIGTERM)
+            await process.wait()
+        assert "Traceback" not in found.said()
+
+
+async def test_two_relays_carry_a_connection_through_a_router(short_path: Path) -> None:
+    wires = Wires()
+    home, office = (RelayedSite(short_path / each, each, wires) for each in ("home", "office"))
+    async with AsyncExitStack() as stack:
+        locator = stack.enter_context(router())
+        for one, other in ((home, office), (office, home)):
+            one.trust(other)
+            await one.master.start()
+            stack.push_async_callback(one.master.stop)
+            one.files.keep_seat(Routers((locator,), OPEN_SEAT).write())
+        at_home = await stack.enter_async_context(relay_of(home, "--json"))
+        at_office = await stack.enter_async_context(relay_of(office))
+        assert json.loads(at_home.said()) == {"ready": "/relay", "router": locator}
+        assert f"relay /relay of office at {locator}" in at_office.said()
+        assert "it has no peers yet" in at_office.said()
+        assert "no relay of another site is known" not in await at_home.run("status")
+        lists = [each.files.home.path / "domains.cose" for each in (home, office)]
+        await until(lambda: all(each.exists() for each in lists))
+        for here, there in ((at_home, at_office), (at_office, at_home)):
+            card = short_path / "card"
+            card.write_text(await there.run("card", here.site.label))
+            await here.run("add", there.site.label, str(card))
+        door = await home.door("office", "master", "/master")
+        stream = await home.through(door)
+        assert stream.peer.name == "/remote/office/master"
+        (peer,) = json.loads(await at_home.run("status", "--json"))["peers"]
+        assert (peer["label"], peer["state"], peer["streams"]) == ("office", "linked", 1)
+        assert peer["rtt_ms"] > 0
+        lines = (await at_office.run("status")).splitlines()
+        assert lines[0] == f"/relay of office, seat open at {locator}, 0 doors"
+        assert lines[1] == "/master: polled for doors"
+        assert "1 connections, 1 links from it" in lines[2]
+        await stream.close()
+
+
+def test_a_relay_that_cannot_run(empty: Shell) -> None:
+    refused(empty("relay"), "/relay has no ca.pem", "rossec node request /relay")
+    Site(empty.root).enroll("/relay")
+    refused(empty("relay"), "/relay has no seat at a router", "rossec relay seat FILE")
+    refused(empty("relay", "--seat", str(empty.root / "x")), "there is no", "rossec router seats")
+    refused(empty("relay", "status"), "the relay does not answer", "rossec relay")
+
+
+@pytest.mark.parametrize("doors", ["nowhere.invalid", "192.0.2.1"])
+def test_doors_are_at_an_address_of_this_host(empty: Shell, doors: str) -> None:
+    home = Site(empty.root).enroll("/relay")
+    seat = home.path / "seat.json"
+    seat.touch(0o600)
+    seat.write_bytes(Routers(("tcp/127.0.0.1:9",), OPEN_SEAT).write())
+    refused(empty("relay", "--doors", doors), f"{doors} is not an address of this host", "--doors")

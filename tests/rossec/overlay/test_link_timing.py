@@ -1,0 +1,85 @@
+"""Round trips and the congestion window."""
+
+import pytest
+
+from rossec.overlay.link_timing import (
+    FIRST_WINDOW,
+    LEAST_WAIT,
+    LEAST_WINDOW,
+    MOST_WAIT,
+    MOST_WINDOW,
+    STEP,
+    CongestionWindow,
+    RoundTrip,
+)
+
+
+def test_the_round_trip_is_smoothed() -> None:
+    trip = RoundTrip()
+    trip.sample(0.08)
+    assert trip.srtt_s == 0.08
+    trip.sample(0.16)
+    assert trip.srtt_s == pytest.approx(0.09)
+
+
+@pytest.mark.parametrize(("srtt", "wait"), [(0.0, 0.2), (0.01, 0.2), (0.1, 0.4), (9.0, MOST_WAIT)])
+def test_an_answer_may_take_four_round_trips(srtt: float, wait: float) -> None:
+    trip = RoundTrip()
+    trip.srtt_s = srtt
+    assert trip.wait == pytest.approx(wait)
+
+
+@pytest.mark.parametrize(
+    ("srtt", "silence", "pause"),
+    [(0.0, 0.0, LEAST_WAIT), (0.0, 4.0, 0.5), (0.5, 0.0, 1.0), (0.0, 29.0, MOST_WAIT)],
+)
+def test_who_is_silent_is_asked_more_and_more_seldom(
+    srtt: float, silence: float, pause: float
+) -> None:
+    trip = RoundTrip()
+    trip.srtt_s = srtt
+    assert trip.again(silence) == pytest.approx(pause)
+
+
+def test_what_was_sent_again_is_judged_after_a_round_trip() -> None:
+    trip = RoundTrip()
+    assert trip.repeat == 0.01
+    trip.srtt_s = 0.2
+    assert trip.repeat == 0.25
+
+
+def test_the_window_doubles_until_a_loss_and_then_grows_by_steps() -> None:
+    window = CongestionWindow()
+    assert window.size == FIRST_WINDOW
+    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW)
+    assert window.size == 2 * FIRST_WINDOW
+    window.lost(0, 100)
+    assert window.size == FIRST_WINDOW
+    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW)
+    assert window.size == FIRST_WINDOW + STEP
+
+
+def test_losses_of_one_round_trip_halve_it_once() -> None:
+    window = CongestionWindow()
+    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW)
+    for offset in (0, 30, 99):
+        window.lost(offset, 100)
+    assert window.size == FIRST_WINDOW
+    window.lost(100, 200)
+    assert window.size == FIRST_WINDOW // 2
+
+
+def test_the_window_has_bounds() -> None:
+    window = CongestionWindow()
+    for _ in range(100):
+        window.acknowledged(window.size, window.size)
+    assert window.size == MOST_WINDOW
+    for offset in range(100):
+        window.lost(offset, offset + 1)
+    assert window.size == LEAST_WINDOW
+
+
+def test_a_window_that_is_not_used_does_not_grow() -> None:
+    window = CongestionWindow()
+    window.acknowledged(1000, FIRST_WINDOW // 4)
+    assert window.size == FIRST_WINDOW

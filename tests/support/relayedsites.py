@@ -1,0 +1,184 @@
+"""Relays of several sites in one process, with masters of theirs and no routers between."""
+
+import asyncio
+import contextlib
+import hashlib
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ca.certificates import Identity
+from ca.domains.anchors import Anchors
+from ca.domains.lists import ForeignDomain
+from rossec.errors import LinkEnded
+from rossec.master.state.doors import Door, Target
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
+from rossec.overlay.doors import OpenDoors
+from rossec.overlay.mailboxes import mailbox
+from rossec.overlay.member import RelayMember
+from rossec.overlay.peers import Peer
+from rossec.overlay.relay import Relay
+from rossec.overlay.relay_files import RelayFiles
+from tests.support.masters import Master, domain_list
+from tests.support.site import DAY, Site
+from tests.support.witness import until
+
+Serve = Callable[[SecureStream[Identity]], Awaitable[None]]
+
+
+@dataclass
+class Wires:
+    """Mailboxes: each that is read is a port of loopback."""
+
+    ports: dict[str, int] = field(default_factory=dict)
+
+
+class WireNetwork:
+    """What a relay needs of routers, over TCP."""
+
+    def __init__(self, wires: Wires, seat: str, context: SecureContext[Identity]) -> None:
+        self._wires, self.seat, self._context = wires, seat, context
+        self.router = "tcp/127.0.0.1:7447"
+        self.dialled: list[str] = []
+
+    async def dial(self, mailbox: str) -> SecureStream[Identity]:
+        self.dialled.append(mailbox)
+        if mailbox not in self._wires.ports:
+            raise LinkEnded("nobody answers")
+        port = self._wires.ports[mailbox]
+        return await connect("127.0.0.1", port, self._context, WireProtocol.HTTP)
+
+    def listen(self, mailbox: str, serve_one: Serve, _label: str) -> SecureServer[Identity]:
+        server = serve(serve_one, "127.0.0.1", 0, self._context, WireProtocol.HTTP)
+        self._wires.ports[mailbox] = server.port
+        return server
+
+
+class RelayedSite:
+    """A domain with a master and a relay, both in this process."""
+
+    def __init__(self, root: Path, domain: str, wires: Wires) -> None:
+        self.site = Site(root, domain)
+        self.domain, self.wires = domain, wires
+        self.label = domain.partition(".")[0]
+        for name in ("/master", "/relay"):
+            self.site.enroll(name)
+        self.master = Master(self.site)
+        self.files = RelayFiles(self.site.enroll("/relay"))
+        self.listed = 0
+        self.relay: Relay
+        self.member: RelayMember
+        self.network: WireNetwork
+        self.running: asyncio.Task[None] | None = None
+
+    def trust(
+        self,
+        *others: "RelayedSite",
+        admitted: tuple[str, ...] = ("/**",),
+        exported: tuple[tuple[str, int], ...] | None = None,
+    ) -> bytes:
+        """The newest list of domains: these, and no others."""
+        self.listed += 1
+        until_then = int(time.time()) + DAY
+        entries = [
+            ForeignDomain(
+                each.domain, each.label, each.site.anchor.certificate, admitted, 3600, until_then,
+                exported,
+            )
+            for each in others
+        ]  # fmt: skip
+        self.master.domains = domain_list(self.site, "/master", foreign=entries, seq=self.listed)
+        return self.master.domains
+
+    def box(self, other: "RelayedSite") -> str:
+        """Of the mailbox that is told to `other`."""
+        return hashlib.sha256(f"{self.domain} {other.domain}".encode()).hexdigest()[:32]
+
+    def relay_mailbox(self, other: "RelayedSite") -> str:
+        """Where `other` sends to."""
+        return mailbox(self.label, bytes.fromhex(self.box(other)))
+
+    def add(self, other: "RelayedSite") -> None:
+        """Cards were exchanged with `other`."""
+        key = other.relay_mailbox(self)
+        peer = Peer(other.label, self.box(other), other.label, "/relay", key)
+        self.files.change(lambda peers: peers.update({other.label: peer}))
+
+    def remove(self, other: "RelayedSite") -> None:
+        self.files.change(lambda peers: peers.__delitem__(other.label))
+
+    async def start(self) -> None:
+        """Start the relay; the master runs."""
+        environ = {
+            "ROSSEC_HOME": str(self.site.root), "ROS_MASTER_URI": self.master.server.uri,
+            "ROS_IP": "127.0.0.1",
+        }  # fmt: skip
+        self.member = RelayMember("/relay", environ)
+        self.network = WireNetwork(self.wires, self.label, self.member.link_context)
+        self.relay = Relay(self.member, self.network, OpenDoors("127.0.0.1"), self.files.peers)
+        self.running = asyncio.ensure_future(self.relay.run())
+
+    async def stop(self) -> None:
+        """End the relay."""
+        if self.running is not None:
+            self.running.cancel()
+            await asyncio.gather(self.running, return_exceptions=True)
+
+    async def door(self, peer: str, kind: str, name: str) -> Door:
+        """The door that the master gets for a target."""
+        doors, target = self.master.server.state.doors, Target(peer, kind, name)
+        doors.want(f"{peer} {kind} {name}", [target])
+        await until(lambda: doors.door(target) is not None)
+        found = doors.door(target)
+        assert found is not None
+        return found
+
+    async def through(
+        self, door: Door, caller: str = "/master", protocol: WireProtocol = WireProtocol.HTTP
+    ) -> SecureStream[Identity]:
+        """A connection of a node of this site through a door."""
+        home = self.site.enroll(caller)
+        anchors = Anchors(self.site.anchor)
+        anchors.update(self.master.domains)
+        context = SecureContext(home.credentials(), anchors.verify)
+        return await connect(door.host, door.port, context, protocol)
+
+
+@contextlib.asynccontextmanager
+async def two_sites(
+    root: Path, *, told: bool = True
+) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
+    """A home and an office that trust each other, whose relays have each other's cards.
+
+    `told`: the masters have heard of each other's revocations.
+    """
+    wires = Wires()
+    home, office = (
+        RelayedSite(root / each, f"{each}.example", wires) for each in ("home", "office")
+    )
+    both = home, office
+    try:
+        for one, other in (both, both[::-1]):
+            one.trust(other)
+            one.add(other)
+            await one.master.start()
+        for one, other in (both, both[::-1]) if told else ():
+            tell(one, other)
+        for each in both:
+            await each.start()
+        await until(lambda: all(each.member.is_connected for each in both))
+        yield both
+    finally:
+        for each in both:
+            await each.stop()
+        for each in both:
+            with contextlib.suppress(AttributeError):
+                await each.master.stop()
+
+
+def tell(here: RelayedSite, there: RelayedSite) -> None:
+    """The master here has the newest word of the one there on its revocations."""
+    revocations, timestamp = there.master.server.state.trust.current(there.site.now())
+    chain = there.site.enroll("/master").credentials().chain
+    here.master.server.effects.take_foreign(there.domain, revocations, timestamp, list(chain))
