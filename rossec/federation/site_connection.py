@@ -41,9 +41,8 @@ class SiteConnections:
             RossecError, OSError, TimeoutError: no connection.
         """
         async with asyncio.timeout(_DIAL if self._doors is None else _DIAL_VIA):
-            address = self._settings.address
-            if self._doors is not None:
-                address = await self._doors.address()
+            doors, settings = self._doors, self._settings
+            address = settings.address if doors is None else await doors.address()
             stream = await connect(*address, self._own.context, WireProtocol.HTTP)
         try:
             self._check(stream)

@@ -32,6 +32,7 @@ from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.plain_stream import plain_fields
 from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
+from rossec.inprocess.socket_errors import tried_again
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
 from rossec.participant.connections import AuthorizedConnection
@@ -87,7 +88,8 @@ class Connections:
             if sock.is_plain and is_door(str(transport.endpoint_id)):
                 raise PlainPeer("the peer behind a relay is a plain ROS node", _HINT_PLAIN)
             data = header.encode(self._fields(protocol, sock))
-            sock.send_unit(data)
+            with tried_again():
+                sock.send_unit(data)
         except HintedError as error:
             raise self._init_error(protocol, error, sock) from error
         transport.stat_bytes += len(data)
@@ -115,7 +117,8 @@ class Connections:
         if sock is None or protocol is None:
             return
         try:
-            fields = headers.receive(sock)
+            with tried_again():
+                fields = headers.receive(sock)
             connection = None
             if not sock.is_plain:
                 connection = self._admit_server(protocol, fields, sock)

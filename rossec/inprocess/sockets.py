@@ -7,13 +7,12 @@ the channel, which sends no plain bytes. The handshake is in the first read, nev
 import errno
 import socket
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, Protocol, TypeAlias, TypeVar
 
 from ca.certificates import Identity
-from ca.errors import HintedError
 from grants.guard import Guard
 from rossec import clock
 from rossec.channel.opening import WireProtocol
@@ -24,6 +23,7 @@ from rossec.inprocess.allow_plain import PlainConnection, PlainPeers
 from rossec.inprocess.connector import CONNECT_TIMEOUT, Connector, Stream
 from rossec.inprocess.plain_stream import PlainStream, peek
 from rossec.inprocess.service_filter import ServiceFilter
+from rossec.inprocess.socket_errors import resets, tried_again
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.connections import AuthorizedConnection
 from rossec.ros.framing import PATIENCE, Framing
@@ -140,6 +140,10 @@ class RosSocket:
         Raises:
             OSError: no TCP connection. As `SocketOwner.connect_error`: the handshake failed.
         """
+        with tried_again():
+            self._connect(address)
+
+    def _connect(self, address: tuple[str, int]) -> None:
         self._socket.settimeout(CONNECT_TIMEOUT)
         self._socket.connect(for_family(self._socket.family, address))
         try:
@@ -187,7 +191,7 @@ class RosSocket:
 
     def recv(self, size: int) -> bytes:
         """As `socket.socket`."""
-        with _socket_errors():
+        with resets():
             calls = self.service_filter
             return self.stream.recv(size) if calls is None else self._receive_calls(calls, size)
 
@@ -225,7 +229,7 @@ class RosSocket:
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
         """As `socket.socket`."""
-        with _socket_errors():
+        with resets():
             return self.stream.recv_into(buffer, size)
 
     def send(self, data: Bytes) -> int:
@@ -235,7 +239,7 @@ class RosSocket:
 
     def sendall(self, data: Bytes) -> None:
         """As `socket.socket`."""
-        with _socket_errors():
+        with resets():
             self.send_unit(data)
 
     def send_unit(self, *pieces: Bytes) -> None:
@@ -339,12 +343,3 @@ class RosSocket:
         if self._stream is not None:
             self._stream.close()
         self._socket.close()
-
-
-@contextmanager
-def _socket_errors() -> Iterator[None]:
-    """Raise our errors as `ConnectionResetError`, which rospy handles."""
-    try:
-        yield
-    except HintedError as error:
-        raise ConnectionResetError(errno.ECONNRESET, f"rossec: {error}") from error

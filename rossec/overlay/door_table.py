@@ -9,20 +9,27 @@ from typing import Final
 from rossec.errors import RelayRefused
 from rossec.master.state.doors import Door, Target, Way
 from rossec.overlay import doors, mux_units
-from rossec.overlay.doors import Doors
+from rossec.overlay.doors import Carry, Doors
+from rossec.sidecar.loopback_port import Admission
 
 
 class DoorTable:
     """Which masters want a door.
 
     Args:
-        ports: the doors themselves.
+        admission, carry: as of `Doors`.
         ways: how each peer is reached, by its label; what is not there is no peer.
     """
 
-    def __init__(self, ports: Doors, ways: Callable[[], Mapping[str, Way]]) -> None:
+    def __init__(
+        self,
+        admission: Admission,
+        carry: Carry,
+        ways: Callable[[], Mapping[str, Way]],
+        limit: int = doors.LIMIT,
+    ) -> None:
         self.ways: Final = ways
-        self._ports = ports
+        self._ports = Doors(admission, carry, self._given_up, limit)
         self._wanted: dict[Target, set[str]] = {}
 
     def __len__(self) -> int:
@@ -50,11 +57,19 @@ class DoorTable:
         if not masters and self._wanted.pop(target, None) is not None:
             self._ports.close(_door(target))
 
+    async def close(self) -> None:
+        """Close every door and every connection."""
+        await self._ports.close_all()
+
     def drop_peer(self, peer: str) -> None:
         """Close every door to a peer that is gone."""
         for target in [each for each in self._wanted if each.peer == peer]:
             del self._wanted[target]
         self._ports.close_peer(peer)
+
+    def _given_up(self, door: doors.Door) -> None:
+        """It had to make room for another one."""
+        self._wanted.pop(Target(door.peer, *door.target), None)
 
 
 def _door(target: Target) -> doors.Door:

@@ -67,7 +67,8 @@ class Doors:
         self._carry = carry
         self._on_given_up = on_given_up
         self._tasks = TaskSet()
-        self._leaving: set[LocalPort] = set()
+        self._leaving: set[LocalPort] = set()  # admit nobody more
+        self._ending: set[LocalPort] = set()  # being closed
         self._pool: PortPool[Door, LocalPort] = PortPool(self._give_up, limit=limit, hint=_HINT)
 
     def __iter__(self) -> Iterator[Door]:
@@ -105,7 +106,7 @@ class Doors:
         """Close every door and every connection."""
         for door in tuple(self):
             self.close(door)
-        await asyncio.gather(*(port.close() for port in self._leaving))
+        await asyncio.gather(*(port.close() for port in self._leaving | self._ending))
         await self._tasks.close()
 
     def _make(self, door: Door) -> LocalPort:
@@ -131,4 +132,6 @@ class Doors:
         self._on_given_up(door)
 
     def _end(self, port: LocalPort) -> None:
-        self._tasks.spawn(port.close(), f"door {port.port}")
+        self._ending.add(port)
+        closing = self._tasks.spawn(port.close(), f"door {port.port}")
+        closing.add_done_callback(lambda _: self._ending.discard(port))

@@ -15,7 +15,7 @@ from typing import Final, Self
 from grants.token_bucket import TokenBucket
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
-from rossec.errors import LinkEnded, OwnCredentialUnknown, PeerCredentialUnknown
+from rossec.errors import LinkEnded
 from rossec.net.aio.accepted import AcceptedStreams, Handler
 from rossec.net.aio.client import authenticate
 from rossec.net.aio.stream import SecureStream
@@ -38,6 +38,8 @@ async def dial_link(
 ) -> SecureStream[PeerT]:
     """Open a link to a mailbox and authenticate; the caller judges who answered (`peer`).
 
+    Certificates are sent whole: a link is dialled seldom, and lasts.
+
     Args:
         carrier: the own session with the routers.
         key: the mailbox of the peer.
@@ -49,31 +51,19 @@ async def dial_link(
         ChannelError: the handshake failed; the leaf says how.
         OverlayUnavailable: the carrier is closed.
     """
+    caller = _Caller(carrier, key, mailbox(seat, secrets.token_bytes(BOX)))
     try:
-        return await _dial(carrier, key, seat, context)
-    except (PeerCredentialUnknown, OwnCredentialUnknown):  # only by its hash: again, by value
-        if context.known is None:
-            raise
-        context.known.forget_introductions()
-    return await _dial(carrier, key, seat, context)
-
-
-async def _dial(
-    carrier: FrameCarrier, key: str, seat: str, context: SecureContext[PeerT]
-) -> SecureStream[PeerT]:
-    dialler = _Dialler(carrier, key, mailbox(seat, secrets.token_bytes(BOX)))
-    try:
-        waiting = authenticate(context.initiator(PROTOCOL), dialler.make, ADDRESS)
+        waiting = authenticate(context.initiator(PROTOCOL), caller.make, ADDRESS)
     except BaseException:
-        dialler.close()
+        caller.close()
         raise
     stream = await waiting
-    if dialler.transport is not None:
-        dialler.transport.validated()
+    if caller.transport is not None:
+        caller.transport.validated()
     return stream
 
 
-class _Dialler:
+class _Caller:
     """A link that is dialled, and the mailbox where its answers arrive."""
 
     def __init__(self, carrier: FrameCarrier, key: str, reply_key: str) -> None:

@@ -1,11 +1,11 @@
 """The states of a link, what changes them, and what a link tells of itself. Pure."""
 
 from dataclasses import dataclass
-from enum import Enum, auto
+from enum import IntEnum, auto
 from typing import Final
 
 
-class LinkState(Enum):
+class LinkState(IntEnum):
     """Where a link is."""
 
     IDLE = auto()  # called from here, and nothing written yet

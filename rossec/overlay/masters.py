@@ -35,6 +35,7 @@ class OwnMasters:
         self._links: dict[str, MasterLink] = {}
         self._runs: dict[str, asyncio.Task[None]] = {}
         self._uris: dict[str, str] = {}
+        self._lists_due = asyncio.Event()
         self._tasks = TaskSet(self._crashed)
         self._failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -42,6 +43,7 @@ class OwnMasters:
         """Begin with the own master."""
         dial = self._member.dial_master
         own = self._member.master
+        self._tasks.spawn(self._refresh(), "asking for lists")
         self._begin(MasterLink(
             own, self._member.name, self._instance, dial, self._doors, self._answered
         ))  # fmt: skip
@@ -85,13 +87,20 @@ class OwnMasters:
         self._links[link.name] = link
         self._runs[link.name] = self._tasks.spawn(link.run(), f"doors of {link.name}")
 
+    async def _refresh(self) -> None:
+        """Ask for lists after each answer; while that takes, answers count as one."""
+        while True:
+            await self._lists_due.wait()
+            self._lists_due.clear()
+            await self._member.refresh()
+
     def _crashed(self, error: BaseException) -> None:
         if not self._failed.done():
             self._failed.set_exception(error)
 
     def _answered(self, masters: Mapping[str, str]) -> None:
         """The own master has answered: lists may be new, and the mesh another one."""
-        self._tasks.spawn(self._member.refresh(), "asking for lists")
+        self._lists_due.set()
         own = self._member.master
         named = {name: uri for name, uri in masters.items() if name != own}
         for name in [name for name, uri in self._uris.items() if named.get(name) != uri]:

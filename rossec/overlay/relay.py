@@ -21,13 +21,13 @@ from rossec.master.state.doors import Way
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.overlay.door_table import DoorTable
-from rossec.overlay.doors import Door, Doors
+from rossec.overlay.doors import Door
 from rossec.overlay.mailboxes import mailbox
 from rossec.overlay.masters import OwnMasters
 from rossec.overlay.member import RelayMember
 from rossec.overlay.mux import Role
 from rossec.overlay.mux_units import Target
-from rossec.overlay.peer_link import PeerLink
+from rossec.overlay.peer_link import LinkState, PeerLink
 from rossec.overlay.peers import Peer, Peers
 from rossec.overlay.pump import Pump
 from rossec.overlay.streams import Dial, Streams
@@ -93,10 +93,8 @@ class Relay:
         self._links: dict[str, PeerLink] = {}
         self._mailboxes: dict[str, Closable] = {}
         self._called: dict[str, list[tuple[SecureStream[Identity], Streams]]] = {}
-        self._doors = Doors(admission, self._carry)
-        table = DoorTable(self._doors, self.ways)
-        self._table = table
-        self._masters = OwnMasters(member, secrets.token_hex(16), table)
+        self._table: Final = DoorTable(admission, self._carry, self.ways)
+        self._masters = OwnMasters(member, secrets.token_hex(16), self._table)
         ports = TopicPorts(member.context, member.name, member.access.check_peer)
         self._targets = Targets(self._masters.target, ports)
         self._tasks = TaskSet(self._crashed)
@@ -122,7 +120,7 @@ class Relay:
 
     async def _close(self) -> None:
         await self._masters.close()
-        await self._doors.close_all()
+        await self._table.close()
         for label in tuple(self._peers):
             await self._drop(label)
         await self._tasks.close()
@@ -188,7 +186,9 @@ class Relay:
         found = next((stream for stream in streams if stream is not None), None)
         rtt, repeated = (0.0, 0) if found is None else measured(found)
         carried = link.carried + sum(len(each) for _, each in called)
-        return Way(link.state.value, rtt, repeated, self._network.router, carried)
+        is_idle = link.state is LinkState.IDLE
+        state = LinkState.LINKED if is_idle and called else link.state
+        return Way(state.value, rtt, repeated, self._network.router, carried)
 
     # -- links
 

@@ -141,7 +141,7 @@ def zenoh_settings(
         "listen/endpoints": list(settings.listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(settings.join),
-        "connect/timeout_ms": 0,  # it begins without those that are down, and goes on trying
+        "connect/timeout_ms": -1,  # it begins without those that are down, and tries for ever
         "connect/exit_on_failure": False,
         "transport/link/rx/max_message_size": _MESSAGE,
         "low_pass_filter": [_SIZE_LIMIT],

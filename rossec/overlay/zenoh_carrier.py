@@ -15,8 +15,8 @@ from threading import Lock
 from typing import TYPE_CHECKING, Final, Self
 
 from rossec.errors import OverlayUnavailable
-from rossec.overlay.outbox import Outbox
 from rossec.overlay.routers import Routers
+from rossec.overlay.send_queue import SendQueue
 from rossec.overlay.zenoh_settings import client_settings
 
 if TYPE_CHECKING:  # 32 MB of library: loaded when a session is opened
@@ -92,7 +92,7 @@ class Carrier:
         self._failure = zenoh.ZError
         self._loop = asyncio.get_running_loop()
         self._session = session
-        self._outbox = Outbox(self._put)
+        self._queue = SendQueue(self._put)
         self._subscriptions: set[Subscription] = set()
         self._arrived: deque[tuple[Subscription, bytes]] = deque()
         self._lock = Lock()
@@ -128,10 +128,10 @@ class Carrier:
             key: of one mailbox: `rossec.overlay.mailboxes.is_mailbox`.
             data: at most `rossec.overlay.link_frames.MAX_FRAME` octets.
         """
-        self._outbox.put(key, data)
+        self._queue.put(key, data)
 
     def _put(self, key: str, data: bytes) -> None:
-        """Waits up to 50 ms for room (`rossec.overlay.outbox`); Zenoh's default is to drop then."""
+        """Wait up to 50 ms for room (`rossec.overlay.send_queue`), then drop: Zenoh's default."""
         with suppress(self._failure):  # the session is being replaced: one more loss
             self._session.put(key, data)
 
@@ -167,6 +167,8 @@ class Carrier:
         """What Zenoh calls, in its threads."""
 
         def receive(sample: "zenoh.Sample") -> None:
+            if str(sample.key_expr) != subscription.key:
+                return  # put to a pattern: whoever did does not know this mailbox
             data = sample.payload.to_bytes()
             with self._lock:
                 if subscription.waiting > _MOST_WAITING:
@@ -239,7 +241,7 @@ class Carrier:
             await asyncio.wait([self._reopening])
         for subscription in list(self._subscriptions):
             subscription.close()
-        self._outbox.close()
+        self._queue.close()
         await asyncio.to_thread(self._session.close)
 
 

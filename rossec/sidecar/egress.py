@@ -7,7 +7,7 @@ sides.
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from ca.certificates import Identity
@@ -122,6 +122,8 @@ class Egress:
     async def _serve_tcpros(self, remote: Endpoint, program: PlainStream) -> None:
         """A program that subscribes to a peer's topic, or calls its service."""
         executor = CommandExecutor(self._services)
+        fields: Mapping[str, bytes] = {}
+        began = time.monotonic()
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
@@ -133,6 +135,7 @@ class Egress:
                     admitted = await executor.run(layer)
             except HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
+                self._topic_ended(fields, began)  # rospy would give it up
                 return
             except HintedError as error:
                 _log.warning("no connection to %s: %s (%s)", remote.uri, error, error.hint)
@@ -144,13 +147,17 @@ class Egress:
                 await self._forward(
                     admitted, program, executor.stream, after_request, executor.after_header
                 )
-                if not admitted.service:
-                    self._on_topic_ended(text(fields, "topic"), began)
+                self._topic_ended(fields, began)
         except (RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
         finally:
             self._memories.release(executor)
             await executor.close()
+
+    def _topic_ended(self, fields: Mapping[str, bytes], began: float) -> None:
+        """A connection with this header has ended, or could not be made; of a service: nothing."""
+        if "topic" in fields:
+            self._on_topic_ended(text(fields, "topic"), began)
 
     async def _forward(
         self,

@@ -240,9 +240,18 @@ class CommandExecutor:
                 client = await self._connect_peer(remote)
                 await self._present_grants(client, Right.GRAPH)
         except (RossecError, OSError, TimeoutError):
-            return self._services.refuse_egress(remote)
+            return self._no_answer(remote)
         self._services.cache_client(remote, client)
         return self._services.open_egress(remote)
+
+    def _no_answer(self, remote: Endpoint) -> int:
+        """The port of a peer that does not answer: it refuses callers, as that of a dead node.
+
+        One behind a door may be out of reach for a while, and programs that were refused never try
+        again: they are admitted and hung up on.
+        """
+        services = self._services
+        return services.open_egress(remote) if remote.door else services.refuse_egress(remote)
 
     async def _client_of_peer(self, remote: Endpoint, right: Right | None) -> SlaveApiClient:
         if self._peer_client is None or not self._peer_client.usable:
@@ -258,7 +267,7 @@ class CommandExecutor:
         try:
             stream = await self._services.dial(remote)
         except PeerUnreachable:
-            self._services.refuse_egress(remote)
+            self._no_answer(remote)
             raise
         return SlaveApiClient(RpcClient(stream), stream.peer)
 

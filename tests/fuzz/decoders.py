@@ -38,7 +38,11 @@ from rossec.channel.opening import (
     first_bytes,
     refusal,
 )
+from rossec.overlay import link_frames
+from rossec.overlay.link import Link
+from rossec.overlay.link_frames import Kind
 from tests.support.enrolling import ADDRESS, Robot, offered
+from tests.support.linknet import REPLY, frame, opened
 from tests.support.pki import NOW as SOME_TIME
 from tests.support.pki import Site, new_signer
 from tests.support.wire import ALICE, NOW, joined, wire
@@ -198,6 +202,29 @@ def _joining_authority(data: bytes) -> None:
     face.request.verify(INVITATION.key)
 
 
+def frames() -> list[bytes]:
+    """A frame of each kind, of the link of `tests.support.linknet`."""
+    address = link_frames.return_address(REPLY, 560)
+    ranges = link_frames.pack_ranges([(20, 30), (40, 50)])
+    bodies = (address + b"first", b"bytes", ranges, b"", b"", address)
+    return [frame(kind, 50 * (kind != 1), body) for kind, body in zip(Kind, bodies, strict=True)]
+
+
+def _link(data: bytes) -> None:
+    """Whoever forges frames can end a link; never more than was allowed is kept or sent."""
+    link_frames.refusal(data) if link_frames.link_of(data) else None
+    with suppress(HintedError):
+        called = Link.accept(data, 0.0)
+        called.receive(data, 0.0)
+        called.write(bytes(5000), 0.0)
+        assert sum(map(len, called.frames_to_send(0.0))) <= 3 * len(data)
+    network = opened()
+    link = network.called.at()
+    received = b"".join(map(bytes, link.receive(data, network.now)))
+    assert len(received) <= len(data)
+    link.frames_to_send(network.now)
+
+
 DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "message_1": (decode_message_1, rfc9529),
     "message_2_3_4": (decode_bytes, rfc9529),
@@ -212,6 +239,7 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "responder": (_responder, flights),
     "initiator": (_initiator, flights),
     "records": (_records, flights),
+    "link": (_link, frames),
     "code": (
         lambda data: qr.parse(data.decode("latin-1")),
         lambda: [ROBOT.enrollment(label=label).code(ADDRESS).encode() for label in (True, False)],

@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import struct
 import threading
 from collections.abc import Iterator
 from typing import Final
@@ -10,6 +11,7 @@ from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.ros.settings import build_door
 
 HOST: Final = "127.0.0.1"
+_RESET: Final = struct.pack("ii", 1, 0)  # linger: with nothing
 _OPENING: Final = first_bytes(WireProtocol.TCPROS)
 
 
@@ -18,6 +20,7 @@ class Door:
 
     Attributes:
         opened: the protocol of each connection so far.
+        away: whether the other site is out of reach: callers are reset.
     """
 
     def __init__(self, api: int, topics: int) -> None:
@@ -26,6 +29,8 @@ class Door:
         self.port: int = self._server.getsockname()[1]
         self.uri = build_door(HOST, self.port)
         self.opened: list[WireProtocol] = []
+        self.away = False
+        self._callers: set[socket.socket] = set()
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self) -> None:
@@ -35,6 +40,10 @@ class Door:
 
     def _lead(self, caller: socket.socket) -> None:
         with caller, contextlib.suppress(OSError):
+            caller.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            self._callers.add(caller)
+            if self.away:
+                return
             data = caller.recv(len(_OPENING), socket.MSG_WAITALL)
             protocol = WireProtocol.TCPROS if data == _OPENING else WireProtocol.HTTP
             self.opened.append(protocol)
@@ -44,6 +53,13 @@ class Door:
                 back.start()
                 _pump(caller, node)
                 back.join()
+
+    def cut(self) -> None:
+        """The other site is out of reach from now on: reset every connection."""
+        self.away = True
+        for caller in self._callers:
+            with contextlib.suppress(OSError):  # it has ended
+                caller.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Admit nobody any more."""

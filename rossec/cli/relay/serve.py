@@ -15,6 +15,7 @@ from rossec.cli.shared.context import Environment
 from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.master.operation.admin import AdminPort
+from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 from rossec.operation.audit_log import audit_written
 from rossec.operation.process_lock import process_lock
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
@@ -52,6 +53,7 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
     store.home.anchor()  # before anything is written there
     routers = store.routers() if seat_file is None else _read_seat(seat_file)
     busy = ConfigurationError(f"{store.home.name} runs already", "end it first")
+    raise_descriptor_limit()
     with ExitStack() as stack:
         stack.enter_context(process_lock(store.home.path / LOCK, busy))
         stack.enter_context(audit_written(store.home.path / AUDIT, store.home.signer()))

@@ -61,9 +61,8 @@ def router(
         return
     from rossec.cli.router.serve import print_settings, run  # noqa: PLC0415 - as above
 
-    home.prepare()
-    settings = home.tell(listen=listen, join=join, hosts=host)
+    given = {"listen": listen, "join": join, "hosts": host}
     if print_config:
-        print_settings(home, settings, is_open=is_open)
+        print_settings(home, given, is_open=is_open)
         return
-    run(environment, home, settings, is_open=is_open, as_json=as_json)
+    run(environment, home, given, is_open=is_open, as_json=as_json)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from collections.abc import Mapping
 
 from rossec.cli.shared.context import Environment
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
@@ -15,18 +16,28 @@ from rossec.terminal import note, say, say_json
 def run(
     environment: Environment,
     home: RouterHome,
-    settings: RouterSettings,
+    given: Mapping[str, tuple[str, ...]],
     *,
     is_open: bool,
     as_json: bool,
 ) -> None:
     """Run the router of `home` until a signal ends it.
 
+    Args:
+        environment: of the command.
+        home: its directory.
+        given: fields of `RouterSettings` that options set; kept for the next start.
+        is_open: it has no seats.
+        as_json: print where it listens as JSON.
+
     Raises:
         ConfigurationError: another one runs there, nobody has a seat, or a file is damaged.
         OverlayUnavailable: zenoh is not installed, or cannot listen there.
     """
+    home.prepare()
     with home.alone():
+        settings = home.tell(**given)
+        seats_of(home, is_open=is_open)
         asyncio.run(_serve(environment, home, settings, is_open=is_open, as_json=as_json))
 
 
@@ -65,12 +76,16 @@ def _print_address(
         say(f"joins {', '.join(settings.join)}")
 
 
-def print_settings(home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
+def print_settings(
+    home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is_open: bool
+) -> None:
     """Print what `zenohd --config FILE` reads; it names files of `home`, which are made.
 
     Raises:
         ConfigurationError: as for `run`.
     """
+    home.prepare()
+    settings = home.tell(**given)
     seats = seats_of(home, is_open=is_open)
     home.write_for_zenoh(settings, seats)
     say(json.dumps(nested(zenoh_settings(settings, seats, home.files)), indent=1))

@@ -81,14 +81,15 @@ class SecureServer(AcceptedStreams[PeerT]):
 
         Linux keeps only a port that was given to bind(), not one it chose itself.
         """
+        if self._suspended:  # shut down twice, what it accepts later would be at its end
+            return
         self._suspended = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.setsockopt(
                 socket.SOL_SOCKET, socket.SO_REUSEADDR, 0
             )  # no other socket may bind it
-            with suppress(OSError):  # suspended already
-                listener.shutdown(socket.SHUT_RDWR)
+            listener.shutdown(socket.SHUT_RDWR)
 
     def resume(self) -> None:
         """Listen again after `suspend`."""

@@ -9,9 +9,11 @@ import pytest
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import ChannelError
+from rossec.federation.settings import SiteSettings
 from rossec.net.aio import SecureStream, WireProtocol
 from rossec.net.rpc.client import RpcClient
 from tests.support.relayedsites import RelayedSite, tell, two_sites
+from tests.support.trust import accept, share
 from tests.support.witness import until
 
 Sites = tuple[RelayedSite, RelayedSite]
@@ -262,3 +264,25 @@ async def test_a_crash_of_a_part_ends_the_relay(sites: Sites) -> None:
     assert home.running is not None
     with pytest.raises(RuntimeError, match="a bug"):
         await home.running
+
+
+async def test_masters_that_follow_each_other_by_relays_bring_messages(tmp_path: Path) -> None:
+    """Nothing is known at first: lists, revocations, facts and messages all come this way."""
+    async with two_sites(tmp_path, told=False) as (home, office):
+        both = home, office
+        for one, other in (both, both[::-1]):
+            site = SiteSettings(other.label, "", "/master", other.label, via=other.label)
+            one.master.follow(site)
+        office.site.publish("/robot", "/robot/pose")
+        accept(office.site, home.site, "home")  # what it calls the subject of grants
+        home.site.enroll("/watcher")
+        share(office.site, home.site, "/watcher", Right.SUBSCRIBE, "/robot/pose")
+        share(office.site, home.site, "/master", Right.GRAPH, "/**")
+        async with office.master.node("/robot") as robot, home.master.node("/watcher") as watcher:
+            publisher = await robot.publisher("/robot/pose", "std_msgs/String", latch=True)
+            subscriber = await watcher.subscriber("/remote/office/robot/pose", "std_msgs/String")
+            publisher.publish(publisher.create(data="hello"))
+            async with asyncio.timeout(30):
+                async for message in subscriber:
+                    assert message.data == "hello"
+                    break

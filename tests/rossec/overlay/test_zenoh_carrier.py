@@ -45,6 +45,18 @@ async def test_a_message_arrives_in_the_mailbox_it_was_put_to() -> None:
             assert alice.router == bob.router == locator
 
 
+@pytest.mark.parametrize("pattern", ["rossec/1/open/*", "rossec/1/open/0$*", "rossec/**"])
+async def test_what_is_put_to_a_pattern_arrives_nowhere(pattern: str) -> None:
+    with router() as locator:
+        async with carrier(locator) as alice, carrier(locator) as bob:
+            got: list[bytes] = []
+            bob.subscribe(KEY, got.append)
+            await put_until(alice, KEY, b"known", lambda: got)
+            alice.put(pattern, b"guessed")
+            await put_until(alice, KEY, b"last", lambda: got[-1] == b"last")
+            assert b"guessed" not in got
+
+
 async def test_a_whole_frame_arrives() -> None:
     with router() as locator:
         async with carrier(locator) as alice, carrier(locator) as bob:

@@ -6,6 +6,7 @@ import pytest
 
 from grants.model import Restriction, Right, filter_rules
 from rossec.channel.opening import WireProtocol
+from rossec.errors import RossecError
 from rossec.net.aio.dial import dial
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
@@ -85,6 +86,24 @@ async def test_a_peer_that_is_gone_hangs_up(
     await stream.send(header.encode({"service": b"/say", "md5sum": b"*", "callerid": b"/listener"}))
     await wait_closed(stream)
     await until(lambda: "no connection to " in caplog.text)
+
+
+async def test_a_topic_that_could_not_be_connected_is_subscribed_again(pair: SidecarPair) -> None:
+    """Stock rospy gives it up after a connection without an answer."""
+    await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
+    uris = await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
+    assert isinstance(uris, list)
+    answer = await pair.listener.ask(uris[0], "requestTopic", "/word", [["TCPROS"]])
+    assert isinstance(answer, list)
+    await pair.talker.topics.close()
+    topics = Endpoint(WireProtocol.TCPROS, *answer[2][1:])
+    with pytest.raises(RossecError):
+        await pair.listener.connect(topics, {"topic": b"/word", "type": b"*", "md5sum": b"*"})
+
+    def named() -> list[object]:
+        return [call[1][1] for call in pair.listener.calls if call[0] == "publisherUpdate"]
+
+    await until(lambda: named() == ["/word"], within=20)
 
 
 async def test_the_port_of_a_dead_peer_refuses_callers(pair: SidecarPair) -> None:

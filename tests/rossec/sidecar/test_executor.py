@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -131,6 +132,16 @@ async def test_the_egress_port_of_an_unreachable_peer_refuses_callers() -> None:
     assert services.closed == [PEER]
     assert await outcome(services, OpenEgress(PEER, probe=True)) == Opened(1)
     assert await outcome(services, OpenEgress(PEER)) == Opened(PEER.port)
+
+
+async def test_the_egress_port_of_a_peer_behind_a_door_hangs_up_instead() -> None:
+    """A program that was refused never tries again."""
+    services, door = FakeServices(), replace(PEER, door=True)
+    event = await outcome(services, CallPeer(door, "getPid", ("/robot",), Right.GRAPH))
+    assert isinstance(event, NoAnswer)
+    assert not event.dead
+    assert await outcome(services, OpenEgress(door, probe=True)) == Opened(PEER.port)
+    assert services.closed == []
 
 
 async def test_a_program_that_does_not_listen_is_dead() -> None:

@@ -18,6 +18,7 @@ from rossec.net.aio import server as server_module
 from rossec.net.aio.server import bind
 from rossec.net.halfopen import source_of
 from tests.support.contexts import context
+from tests.support.ports import free_port
 from tests.support.secure_streams import call, echo, raw, still_works
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
@@ -141,3 +142,26 @@ async def test_accepting_goes_on_when_descriptors_come_back(
     closed = socket.socket()
     closed.close()
     server._add_reader(closed)  # nothing to watch, nothing happens
+
+
+async def test_a_suspended_port_refuses_and_is_kept() -> None:
+    async with serve(echo, "127.0.0.1", free_port(), context(BOB)) as server:
+        server.suspend()
+        server.suspend()
+        with pytest.raises(PeerUnreachable):
+            await call(server)
+        with pytest.raises(OSError, match="in use"):
+            bind("127.0.0.1", server.port)
+        server.resume()
+        server.resume()
+        await still_works(server)
+
+
+async def test_a_connection_that_cannot_begin_is_closed() -> None:
+    async with serve(echo, "127.0.0.1", 0, context(BOB, suites=())) as server:
+        crashes: list[object] = []
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, told: crashes.append(told))
+        assert await raw(server, b"") == b""
+        assert server.connections == 0
+        assert crashes

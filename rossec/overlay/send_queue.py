@@ -17,7 +17,7 @@ CALM: Final = 1.0
 MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
 
 
-class Outbox:
+class SendQueue:
     """The way of messages to `send`, which may take long; no message overtakes another."""
 
     def __init__(self, send: Callable[[str, bytes], None]) -> None:

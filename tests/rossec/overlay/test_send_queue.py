@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from rossec.overlay import outbox as outbox_module
-from rossec.overlay.outbox import MOST_WAITING, Outbox
+from rossec.overlay import send_queue as send_queue_module
+from rossec.overlay.send_queue import MOST_WAITING, SendQueue
 
 
 class Uplink:
@@ -21,7 +21,7 @@ class Uplink:
 
     def send(self, _key: str, data: bytes) -> None:
         if self.slow:
-            time.sleep(2 * outbox_module.SLOW)
+            time.sleep(2 * send_queue_module.SLOW)
         if threading.current_thread() is not threading.main_thread():
             assert self.free.wait(20)
         self.threads.add(threading.get_ident())
@@ -36,72 +36,72 @@ class Uplink:
 
 def test_a_quick_message_is_sent_by_the_caller() -> None:
     uplink = Uplink()
-    outbox = Outbox(uplink.send)
+    send_queue = SendQueue(uplink.send)
     for each in (b"1", b"2"):
-        outbox.put("key", each)
+        send_queue.put("key", each)
     assert uplink.sent == [b"1", b"2"]
     assert uplink.threads == {threading.get_ident()}
-    outbox.close()
+    send_queue.close()
 
 
 def test_after_a_slow_message_a_thread_sends_in_order() -> None:
     uplink = Uplink()
-    outbox = Outbox(uplink.send)
+    send_queue = SendQueue(uplink.send)
     uplink.slow = True
-    outbox.put("key", b"0")
+    send_queue.put("key", b"0")
     uplink.slow = False
     uplink.free.clear()
     for each in range(1, 20):
-        outbox.put("key", b"%d" % each)
+        send_queue.put("key", b"%d" % each)
     assert uplink.sent == [b"0"]  # the caller does not wait for the rest
     uplink.free.set()
     uplink.wait_for(20)
     assert uplink.sent == [b"%d" % each for each in range(20)]
-    outbox.close()
+    send_queue.close()
 
 
 def test_once_it_is_quick_again_the_caller_sends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outbox_module, "CALM", 0.05)
+    monkeypatch.setattr(send_queue_module, "CALM", 0.05)
     uplink = Uplink()
-    outbox = Outbox(uplink.send)
+    send_queue = SendQueue(uplink.send)
     uplink.slow = True
-    outbox.put("key", b"slow")
+    send_queue.put("key", b"slow")
     uplink.slow = False
-    outbox.put("key", b"by the thread")
+    send_queue.put("key", b"by the thread")
     uplink.wait_for(2)
     time.sleep(0.06)
     uplink.threads.clear()
     while not uplink.threads:  # the thread has yet to note that nothing waits
-        outbox.put("key", b"again")
+        send_queue.put("key", b"again")
         if uplink.threads == {threading.get_ident()}:
             break
         uplink.threads.clear()
     assert uplink.threads == {threading.get_ident()}
-    outbox.close()
+    send_queue.close()
 
 
 def test_what_waits_is_bounded() -> None:
     uplink = Uplink()
-    outbox = Outbox(uplink.send)
+    send_queue = SendQueue(uplink.send)
     uplink.slow = True
-    outbox.put("key", b"")
+    send_queue.put("key", b"")
     uplink.slow = False
     uplink.free.clear()
     piece = bytes(MOST_WAITING // 4)
     for _ in range(8):
-        outbox.put("key", piece)
+        send_queue.put("key", piece)
     uplink.free.set()
     uplink.wait_for(5)
     time.sleep(0.02)
     assert len(uplink.sent) == 5
-    outbox.close()
+    send_queue.close()
 
 
 def test_nothing_is_sent_after_the_close() -> None:
     uplink = Uplink()
-    outbox = Outbox(uplink.send)
+    send_queue = SendQueue(uplink.send)
     uplink.slow = True
-    outbox.put("key", b"first")
-    outbox.close()
-    outbox.put("key", b"late")
+    send_queue.put("key", b"first")
+    send_queue.close()
+    send_queue.put("key", b"late")
     assert uplink.sent == [b"first"]
