@@ -123,7 +123,7 @@ class CallAnswers:
         polls, relay = self._state.relay_polls, call.peer.thumbprint
         polls.supersede(relay)
         answer = await self._finish(call, self._begin(call))
-        if not is_idle(answer):
+        if polls.missed(relay) or not is_idle(answer):  # lists that came between two calls too
             return answer
         await polls.wait(relay, WATCH_WAIT)
         caller_id, instance, seen, _, ways = call.params
