@@ -20,6 +20,8 @@ from rossec.overlay.master_link import MasterLink
 from rossec.ros.settings import parse_uri
 from tests.support.masters import Master
 
+_Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
 
 class StraightRelay:
     """The relay of a master; `peers` are others by label, with what they call this one's domain."""
@@ -87,13 +89,7 @@ class StraightRelay:
         except (RossecError, OSError):
             writer.close()
             return
-        try:
-            async with asyncio.TaskGroup() as both:
-                both.create_task(_copy(reader, far[1]))
-                both.create_task(_copy(far[0], writer))
-        finally:
-            for each in (writer, far[1]):
-                each.transport.abort()
+        await _splice((reader, writer), far)
 
     def _spawn(self, work: Any) -> None:
         task = asyncio.ensure_future(work)
@@ -106,6 +102,32 @@ class StraightRelay:
         )
         address = parse_uri(self._master.server.uri)
         return await connect(*address, context, WireProtocol.HTTP)
+
+
+@contextlib.asynccontextmanager
+async def brought_by(relay: str, port: int) -> AsyncIterator[int]:
+    """A port of this host behind which `port` is, as the remote relay `relay` brings callers."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        source = source_for(relay)
+        far = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
+        await _splice((reader, writer), far)
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+
+
+async def _splice(near: _Ends, far: _Ends) -> None:
+    try:
+        async with asyncio.TaskGroup() as both:
+            both.create_task(_copy(near[0], far[1]))
+            both.create_task(_copy(far[0], near[1]))
+    finally:
+        for _, writer in (near, far):
+            writer.transport.abort()
 
 
 async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
