@@ -79,6 +79,16 @@ async def test_routers_of_one_operator_forward_for_each_other(tmp_path: Path) ->
             await arrives(bob, alice, HOME)
 
 
+async def test_a_router_that_comes_back_is_joined_again(tmp_path: Path) -> None:
+    one = home_with(tmp_path / "a", protocol="tcp")
+    two = home_with(tmp_path / "b", protocol="tcp", join=one.settings().listen)
+    async with started(two, is_open=True) as later:
+        for _ in range(2):
+            async with started(one, is_open=True):
+                await until(lambda: later.joined == 1)
+            await until(lambda: later.joined == 0)
+
+
 def _secrets(home: RouterHome) -> tuple[str, str, str]:
     found = home.seat_file("home")
     return found.seat, found.password, found.root_certificate
