@@ -226,11 +226,14 @@ class Carrier:
         await asyncio.to_thread(old.close)
 
     async def _open_again(self) -> "zenoh.Session":
+        said = False
         while True:
             try:
                 return await _open(self.routers)
             except OverlayUnavailable as error:
-                _log.warning("%s; trying again", error)
+                if not said:
+                    _log.warning("%s; trying again until one does", error)
+                said = True
                 await asyncio.sleep(_REOPEN_AFTER)
 
     async def close(self) -> None:

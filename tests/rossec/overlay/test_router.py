@@ -3,13 +3,16 @@
 import asyncio
 import logging
 import socket
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rossec.errors import ConfigurationError, OverlayUnavailable
+from rossec.overlay import router as router_module
 from rossec.overlay.router import Router, seats_of
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.routers import Routers
@@ -107,6 +110,42 @@ async def test_a_seat_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -
             await until(lambda: alice.router)
             with pytest.raises(OverlayUnavailable, match="no router takes the seat clinic"):
                 await Carrier.open(clinic)
+
+
+async def test_the_last_seat_is_given_up_while_it_runs(tmp_path: Path) -> None:
+    home = home_with(tmp_path / "a", "home")
+    routers = home.seat_file("home")
+    async with started(home), seated(routers) as alice:
+        home.change_seats(lambda found: found.remove("home"))
+        await until(lambda: not alice.router)
+        with pytest.raises(OverlayUnavailable, match="no router takes the seat home"):
+            await Carrier.open(routers)
+
+
+async def test_an_open_router_stays_open_until_it_is_told_otherwise(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    home = home_with(tmp_path / "a", protocol="tcp")
+    async with started(home, is_open=True):
+        home.change_seats(lambda found: found.add("home", PASSWORD))
+        await until(lambda: "so it is not open" in caplog.text)
+        async with seated(home.seat_file("open")) as alice:
+            assert alice.router
+
+
+async def test_a_session_that_does_not_end_keeps_no_router_from_ending(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stuck = threading.Event()
+    session = SimpleNamespace(close=stuck.wait, info=None)
+    monkeypatch.setattr(router_module, "open_session", lambda _: session)
+    monkeypatch.setattr(router_module, "CLOSING", 0.1)
+    home = home_with(tmp_path / "a", "home")
+    router = Router(home, home.settings(), is_open=False)
+    await router.start()
+    await router.close()
+    assert router.joined == 0
+    stuck.set()
 
 
 @asynccontextmanager
