@@ -158,7 +158,8 @@ class Sender:
                 self._on_the_way -= newest.end - newest.offset
         if newest is not None and not newest.again and newest.offset >= self._untimed:
             self.round_trip.sample(max(0.0, now - newest.at))
-        self.window.acknowledged(received - self.base, before)
+        queueing = self.round_trip.queueing
+        self.window.acknowledged(received - self.base, before, queueing=queueing)
         self.base = received
         return True
 
@@ -178,6 +179,7 @@ class Sender:
             self._on_the_way -= sent.end - sent.offset
             self._losses.append(sent)
             self.window.lost(sent.offset, self.next)
+            self.round_trip.forget_least()
 
     def _mark_arrived(self, ranges: list[tuple[int, int]]) -> None:
         at = 0

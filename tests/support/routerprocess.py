@@ -68,15 +68,15 @@ class RouterProcess:
         """What a relay needs."""
         return self.home.seat_file(seat)
 
-    async def start(self, *options: str) -> None:
-        """Run `rossec router`, and wait until it listens."""
+    async def start(self, *options: str, **variables: str) -> None:
+        """Run `rossec -v router` with these variables, and wait until it listens."""
         is_open = [] if self.home.seats().names else ["--open"]
         base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         with self.log.open("ab") as log:
             self.process = await asyncio.create_subprocess_exec(
-                sys.executable, "-I", "-m", "rossec", "router", "--home", str(self.home.path),
-                "--json", *is_open, *options, env=base, stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE, stderr=log,
+                sys.executable, "-I", "-m", "rossec", "-v", "router", "--home", str(self.home.path),
+                "--json", *is_open, *options, env=base | variables,
+                stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=log,
             )  # fmt: skip
         assert self.process.stdout is not None
         async with asyncio.timeout(40):

@@ -178,3 +178,18 @@ def test_a_link_that_is_over_keeps_nothing() -> None:
     of.forget()
     assert not of.waiting
     assert of.backlog == 0
+
+
+def test_a_queue_on_the_way_shrinks_the_window() -> None:
+    size = FIRST_WINDOW // 2
+    of = sender(size, size)
+    of.received(size, 1 << 30, 0.02)
+    assert of.window.size == FIRST_WINDOW + size
+    of.received(2 * size, 1 << 30, 1.0)
+    assert of.window.size == FIRST_WINDOW + size - size // 4
+    of.sent(b"2", size, 1.0)
+    of.sent(b"3", size, 1.0)
+    of.seen(3 * size, [], 1.5)  # lost: what follows may go another way
+    resent(of, 1.5)
+    of.received(4 * size, 1 << 30, 2.5)
+    assert not of.round_trip.queueing

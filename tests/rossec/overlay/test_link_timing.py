@@ -83,3 +83,30 @@ def test_a_window_that_is_not_used_does_not_grow() -> None:
     window = CongestionWindow()
     window.acknowledged(1000, FIRST_WINDOW // 4)
     assert window.size == FIRST_WINDOW
+
+
+def test_a_round_trip_that_became_long_says_that_frames_stand_in_queues() -> None:
+    trip = RoundTrip()
+    found = [trip.queueing]
+    for seconds in (0.05, 0.02, 0.13, 0.2):
+        trip.sample(seconds)
+        found.append(trip.queueing)
+    assert found == [False, False, False, False, True]
+    trip.forget_least()  # after a loss it may be another way, and a longer one
+    trip.sample(0.2)
+    assert not trip.queueing
+
+
+def test_queues_shrink_the_window_as_far_as_the_first_one() -> None:
+    window = CongestionWindow()
+    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW)
+    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, queueing=True)
+    assert window.size == 2 * FIRST_WINDOW - FIRST_WINDOW // 4
+    window.acknowledged(FIRST_WINDOW, 2 * FIRST_WINDOW)  # it no longer doubles
+    assert window.size < 2 * FIRST_WINDOW + STEP
+    for _ in range(20):
+        window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, queueing=True)
+    assert window.size == FIRST_WINDOW
+    window.lost(0, 100)
+    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, queueing=True)
+    assert window.size == FIRST_WINDOW // 2

@@ -3,19 +3,26 @@
 import asyncio
 import logging
 import socket
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rossec.errors import ConfigurationError, OverlayUnavailable
+from rossec.overlay import router as router_module
+from rossec.overlay.endpoint import LinkListener, dial_link
 from rossec.overlay.router import Router, seats_of
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.routers import Routers
 from rossec.overlay.zenoh_carrier import Carrier
+from tests.support.contexts import context
 from tests.support.overlay import until
 from tests.support.routerprocess import PASSWORD, home_with
+from tests.support.secure_streams import echo
+from tests.support.wire import ALICE, BOB
 
 HOME = "rossec/1/home/00112233445566778899aabbccddeeff"
 CLINIC = "rossec/1/clinic/ffeeddccbbaa99887766554433221100"
@@ -79,6 +86,16 @@ async def test_routers_of_one_operator_forward_for_each_other(tmp_path: Path) ->
             await arrives(bob, alice, HOME)
 
 
+async def test_a_router_that_comes_back_is_joined_again(tmp_path: Path) -> None:
+    one = home_with(tmp_path / "a", protocol="tcp")
+    two = home_with(tmp_path / "b", protocol="tcp", join=one.settings().listen)
+    async with started(two, is_open=True) as later:
+        for _ in range(2):
+            async with started(one, is_open=True):
+                await until(lambda: later.joined == 1)
+            await until(lambda: later.joined == 0)
+
+
 def _secrets(home: RouterHome) -> tuple[str, str, str]:
     found = home.seat_file("home")
     return found.seat, found.password, found.root_certificate
@@ -97,6 +114,70 @@ async def test_a_seat_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -
             await until(lambda: alice.router)
             with pytest.raises(OverlayUnavailable, match="no router takes the seat clinic"):
                 await Carrier.open(clinic)
+
+
+async def test_a_link_goes_on_while_seats_change(tmp_path: Path) -> None:
+    home = home_with(tmp_path / "a", "home", "clinic")
+    async with (
+        started(home),
+        seated(home.seat_file("home")) as alice,
+        seated(home.seat_file("clinic")) as bob,
+        LinkListener(bob, CLINIC, context(BOB), echo),
+        await dial_link(alice, CLINIC, "home", context(ALICE)) as stream,
+    ):
+        before = home.seats_version()
+        home.change_seats(lambda found: found.add("third", PASSWORD))
+        assert home.seats_version() != before
+        third = asyncio.ensure_future(_is_seated(home.seat_file("third")))
+        count = 0
+        while not third.done() or not alice.router:
+            await stream.send(count.to_bytes(4))
+            assert await stream.receive() == count.to_bytes(4)
+            count += 1
+        await third
+        await stream.send(b"still")
+        assert await stream.receive() == b"still"
+
+
+async def _is_seated(routers: Routers) -> None:
+    async with _seated_soon(routers):
+        pass
+
+
+async def test_the_last_seat_is_given_up_while_it_runs(tmp_path: Path) -> None:
+    home = home_with(tmp_path / "a", "home")
+    routers = home.seat_file("home")
+    async with started(home), seated(routers) as alice:
+        home.change_seats(lambda found: found.remove("home"))
+        await until(lambda: not alice.router)
+        with pytest.raises(OverlayUnavailable, match="no router takes the seat home"):
+            await Carrier.open(routers)
+
+
+async def test_an_open_router_stays_open_until_it_is_told_otherwise(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    home = home_with(tmp_path / "a", protocol="tcp")
+    async with started(home, is_open=True):
+        home.change_seats(lambda found: found.add("home", PASSWORD))
+        await until(lambda: "so it is not open" in caplog.text)
+        async with seated(home.seat_file("open")) as alice:
+            assert alice.router
+
+
+async def test_a_session_that_does_not_end_keeps_no_router_from_ending(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stuck = threading.Event()
+    session = SimpleNamespace(close=stuck.wait, info=None)
+    monkeypatch.setattr(router_module, "open_session", lambda _: session)
+    monkeypatch.setattr(router_module, "CLOSING", 0.1)
+    home = home_with(tmp_path / "a", "home")
+    router = Router(home, home.settings(), is_open=False)
+    await router.start()
+    await router.close()
+    assert router.joined == 0
+    stuck.set()
 
 
 @asynccontextmanager

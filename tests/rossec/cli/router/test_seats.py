@@ -44,6 +44,15 @@ def test_what_cannot_be_done_with_seats(empty: Shell) -> None:
     refused(empty("router", "seats", "remove", "hall"), "there is no seat 'hall'")
 
 
+def test_a_router_that_never_ran_is_told_where_it_will_listen(empty: Shell) -> None:
+    words = "--listen", "tls/[::]:443", "--listen", "quic/[::]:443"
+    said = empty("router", "seats", "add", "home", *HOST, *words)
+    locators = Routers.read(said.out.encode()).locators
+    assert locators == ("tls/router.example.org:443", "quic/router.example.org:443")
+    wrong = empty("router", *words, "seats", "list")
+    assert (wrong.code, "only --home stands before a verb" in wrong.err) == (2, True)
+
+
 def test_another_directory(empty: Shell) -> None:
     home = str(empty.root / "second")
     assert empty("router", "--home", home, "seats", "add", "clinic", *HOST).code == 0

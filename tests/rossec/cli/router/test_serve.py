@@ -1,3 +1,4 @@
+import asyncio
 import json
 import os
 import signal
@@ -6,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from rossec.overlay.routers import Routers
 from rossec.overlay.zenoh_carrier import Carrier
@@ -79,3 +81,19 @@ def test_the_settings_of_a_stock_router(empty: Shell) -> None:
     named = [found["transport"]["auth"]["usrpwd"]["dictionary_file"], *map(tls.get, names)]
     assert all(map(os.path.isfile, named))
     assert "keep the file to yourself" in said.err
+
+
+def test_zenohs_own_reader_takes_the_printed_settings(empty: Shell, tmp_path: Path) -> None:
+    """The one of `zenohd --config`, then a router from it, which a relay uses."""
+    listen = "--listen", f"tls/127.0.0.1:{free_port()}"
+    made = empty("router", "seats", "add", "home", *listen, "--host", "127.0.0.1")
+    path = tmp_path / "zenohd.json5"
+    path.write_text(empty("router", "--print-config").out)
+    with zenoh.open(zenoh.Config.from_file(path)):
+        asyncio.run(_uses(Routers.read(made.out.encode())))
+
+
+async def _uses(routers: Routers) -> None:
+    carrier = await Carrier.open(routers)
+    assert carrier.router == routers.locators[0]
+    await carrier.close()
