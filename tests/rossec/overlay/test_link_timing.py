@@ -8,6 +8,7 @@ from rossec.overlay.link_timing import (
     LEAST_WINDOW,
     MOST_WAIT,
     MOST_WINDOW,
+    QUEUE,
     STEP,
     CongestionWindow,
     RoundTrip,
@@ -77,6 +78,29 @@ def test_the_window_has_bounds() -> None:
     for offset in range(100):
         window.lost(offset, offset + 1)
     assert window.size == LEAST_WINDOW
+
+
+def test_what_waits_in_queues_is_what_a_round_trip_takes_more_than_it_must() -> None:
+    trip = RoundTrip()
+    trip.sample(0.1)
+    for _ in range(100):
+        trip.sample(0.3)
+    assert trip.queued_s == pytest.approx(0.2, abs=0.001)
+    trip.way_changed()
+    assert trip.queued_s == 0.0
+
+
+def test_a_window_that_fills_queues_shrinks_by_a_quarter_each_round_trip() -> None:
+    window = CongestionWindow()
+    window.acknowledged(FIRST_WINDOW // 2, FIRST_WINDOW, 2 * QUEUE)
+    assert window.size == FIRST_WINDOW
+    window.acknowledged(FIRST_WINDOW // 2, FIRST_WINDOW, 2 * QUEUE)
+    assert window.size == FIRST_WINDOW * 3 // 4
+    for _ in range(100):
+        window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, 2 * QUEUE)
+    assert window.size == LEAST_WINDOW
+    window.acknowledged(LEAST_WINDOW, LEAST_WINDOW, QUEUE)
+    assert window.size == 2 * LEAST_WINDOW
 
 
 def test_a_window_that_is_not_used_does_not_grow() -> None:
