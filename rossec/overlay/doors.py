@@ -67,8 +67,8 @@ class Doors:
         self._carry = carry
         self._on_given_up = on_given_up
         self._tasks = TaskSet()
-        self._leaving: set[LocalPort] = set()  # admit nobody more
-        self._ending: set[LocalPort] = set()  # being closed
+        self._leaving: set[LocalPort] = set()  # let nobody in any more
+        self._ending: set[LocalPort] = set()
         self._pool: PortPool[Door, LocalPort] = PortPool(self._give_up, limit=limit, hint=_HINT)
 
     def __iter__(self) -> Iterator[Door]:
@@ -104,9 +104,10 @@ class Doors:
 
     async def close_all(self) -> None:
         """Close every door and every connection."""
+        ports = {*self._pool, *self._leaving, *self._ending}
         for door in tuple(self):
-            self.close(door)
-        await asyncio.gather(*(port.close() for port in self._leaving | self._ending))
+            self._pool.remove(door)
+        await asyncio.gather(*(port.close() for port in ports))
         await self._tasks.close()
 
     def _make(self, door: Door) -> LocalPort:
@@ -132,6 +133,10 @@ class Doors:
         self._on_given_up(door)
 
     def _end(self, port: LocalPort) -> None:
+        port.suspend()
         self._ending.add(port)
-        closing = self._tasks.spawn(port.close(), f"door {port.port}")
-        closing.add_done_callback(lambda _: self._ending.discard(port))
+        self._tasks.spawn(self._ended(port), f"door {port.port}")
+
+    async def _ended(self, port: LocalPort) -> None:
+        await port.close()
+        self._ending.discard(port)

@@ -71,6 +71,9 @@ class LinkTransport:
         except LinkEnded as error:
             self._break(error)
             return
+        except BaseException:  # a bug: nothing more passes
+            self.abort()
+            raise
         if self._arrived:
             self._deliver()
         self._flush_soon()

@@ -112,13 +112,12 @@ class _Stream:
 
 
 class Mux:
-    """One side of the streams of a link."""
+    """One side of the streams of a link; the next one opened has the number `first`."""
 
-    def __init__(self, role: Role) -> None:
-        self._role = role
+    def __init__(self, role: Role, first: int = 0) -> None:
         self._streams: dict[int, _Stream] = {}
         self._for_name: Counter[Target] = Counter()
-        self._next = 0
+        self._next = first
         self._caller = role is Role.CALLER
         self._young_seconds = _CALLER_YOUNG_SECONDS if self._caller else YOUNG_SECONDS
 

@@ -8,6 +8,7 @@ finer levels it would name mailboxes.
 
 import asyncio
 import logging
+import threading
 from typing import Any, Final, Protocol
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
@@ -19,7 +20,7 @@ from rossec.overlay.zenoh_carrier import open_session
 _log = logging.getLogger("rossec.overlay.router")
 _PERIOD: Final = 0.5  # seconds between two looks
 _CERTIFICATE_PERIOD: Final = 24 * 3600.0  # seconds
-_CLOSING: Final = 5.0  # seconds
+CLOSING: Final = 5.0  # seconds
 
 
 class Session(Protocol):
@@ -62,8 +63,10 @@ class Router:
             OverlayUnavailable: zenoh is not installed, or cannot listen there.
         """
         self._seats_version = self._home.seats_version()
+        await self._begin(seats_of(self._home, is_open=self._is_open))
+
+    async def _begin(self, seats: Seats | None) -> None:
         self._certificate_due = asyncio.get_running_loop().time() + _CERTIFICATE_PERIOD
-        seats = seats_of(self._home, is_open=self._is_open)
         self._home.write_for_zenoh(self._settings, seats)
         found = zenoh_settings(self._settings, seats, self._home.files)
         try:
@@ -91,8 +94,9 @@ class Router:
         """End it. A session that does not end in time ends with the process."""
         session, self._session = self._session, None
         if session is not None:
-            closing = asyncio.to_thread(session.close)
-            await asyncio.wait([asyncio.ensure_future(closing)], timeout=_CLOSING)
+            closing = threading.Thread(target=session.close, daemon=True)  # no exit waits for it
+            closing.start()
+            await asyncio.to_thread(closing.join, CLOSING)
 
     @property
     def joined(self) -> int:
@@ -109,10 +113,15 @@ class Router:
         due = asyncio.get_running_loop().time() >= self._certificate_due
         if self._session is not None and not due and not self._seats_changed():
             return
-        seats_of(self._home, is_open=self._is_open)  # else the old ones stay in force
+        seats = self._seats_now()  # if they are damaged, the old ones stay in force
         await self.close()
-        await self.start()
+        await self._begin(seats)
         _log.info("the router began anew, with the seats and the certificate of now")
+
+    def _seats_now(self) -> Seats | None:
+        """As `seats_of`; but when the last seat was taken away, nobody is let in any more."""
+        seats = self._home.seats()
+        return seats_of(self._home, is_open=True) if self._is_open else seats
 
     def _seats_changed(self) -> bool:
         version = self._home.seats_version()

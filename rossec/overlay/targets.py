@@ -26,6 +26,7 @@ HTTP: Final = WireProtocol.HTTP
 TCPROS: Final = WireProtocol.TCPROS
 _PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
 _LOOPBACK: Final = "127.0.0.1"
+_EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
 
 
 class Peer(NamedTuple):
@@ -120,12 +121,12 @@ async def dial_from(source: str, host: str, port: int) -> socket.socket:
 
 
 async def _dial_here(source: str, address: str, port: int) -> socket.socket:
-    """From `source`, which is of IPv4: an address of IPv6 is dialled as 127.0.0.1."""
+    """From `source`, which is of IPv4: as 127.0.0.1, if the address is of IPv6 or of every host."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         sock.setblocking(False)
         sock.bind((source, 0))
-        where = (_LOOPBACK if ":" in address else address, port)
+        where = (_LOOPBACK if ":" in address or address == _EVERY else address, port)
         await asyncio.get_running_loop().sock_connect(sock, where)
     except BaseException:
         sock.close()

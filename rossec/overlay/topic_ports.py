@@ -18,9 +18,10 @@ from rossec.errors import RelayRefused
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.names import PORTS
+from rossec.ros.xmlrpc import Fault
 
 KEPT_SECONDS: Final = 30.0
-_MOST: Final = 4096
+MOST: Final = 4096
 
 
 @dataclass(slots=True)
@@ -59,7 +60,7 @@ class TopicPorts:
         key = name, host, port
         known = self._nodes.get(key)
         if known is None:
-            if len(self._nodes) >= _MOST:
+            if len(self._nodes) >= MOST:
                 del self._nodes[next(iter(self._nodes))]
             known = self._nodes[key] = _Known()
         async with known.turn:
@@ -77,6 +78,10 @@ class TopicPorts:
         try:
             self._check(stream, name)
             answer = await RpcClient(stream).ask(PORTS, self._name)
+        except Fault as fault:
+            raise RelayRefused(
+                f"{shown(name)} is older than this relay: {fault.faultString}", "update its rossec"
+            ) from fault
         finally:
             await stream.close()
         match answer:

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PathRefused
-from rossec.environment import own_home, own_master, rossec_home
+from rossec.environment import own_home, own_master, own_relay, rossec_home
 from rossec.errors import ConfigurationError
 
 
@@ -61,3 +61,19 @@ def test_the_own_master_is_called_as_the_environment_says(
 def test_no_other_name_is_that_of_a_master(name: str) -> None:
     with pytest.raises(ConfigurationError, match="is not the name of a master"):
         own_master({"ROSSEC_MASTER": name})
+
+
+@pytest.mark.parametrize(
+    ("variables", "name"),
+    [({}, "/relay"), ({"ROSSEC_RELAY": ""}, "/relay"), ({"ROSSEC_RELAY": "/relay/a"}, "/relay/a")],
+)
+def test_the_relay_of_this_host_is_called_as_the_environment_says(
+    variables: dict[str, str], name: str
+) -> None:
+    assert own_relay(variables) == name
+
+
+@pytest.mark.parametrize("name", ["/robot", "/relay/a/b", "relay", "/master"])
+def test_what_is_not_the_name_of_a_relay(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="is not the name of a relay"):
+        own_relay({"ROSSEC_RELAY": name})

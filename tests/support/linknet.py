@@ -44,7 +44,7 @@ class End:
         return self.link
 
 
-class Network:
+class LinkNetwork:
     """The time, the frames on the way, and the two ends: `caller` and `called`."""
 
     def __init__(self, fate: Fate | None = None) -> None:
@@ -149,7 +149,7 @@ class Network:
             and bytes(self.caller.received) == self.called.to_send
         )
 
-    def open(self) -> "Network":
+    def open(self) -> "LinkNetwork":
         """Both sides exchange a few bytes and authenticate each other."""
         self.write(self.caller, b"hello")
         self.run(lambda: self.called.link is not None)
@@ -159,6 +159,6 @@ class Network:
         return self
 
 
-def opened() -> Network:
+def opened() -> LinkNetwork:
     """Two ends that know each other, on a network that loses nothing."""
-    return Network().open()
+    return LinkNetwork().open()

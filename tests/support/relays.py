@@ -71,15 +71,16 @@ async def linked(dial_target: Dial) -> AsyncIterator[Link]:
         except Exception as error:  # noqa: BLE001 - the test looks at it
             ends.append(error)
 
-    async with secure_pair() as (near, far), asyncio.TaskGroup() as group:
+    async with secure_pair() as (near, far):
         caller = Streams(near, Role.CALLER, "hospital")
         called = Streams(far, Role.CALLED, "home", dial_target)
-        runs = [group.create_task(run(each)) for each in (caller, called)]
+        runs = [asyncio.ensure_future(run(each)) for each in (caller, called)]
         try:
             yield Link(near, far, caller, called, ends, runs)
         finally:
             for task in runs:
                 task.cancel()
+            await asyncio.gather(*runs, return_exceptions=True)
 
 
 def to_port(port: int) -> Dial:

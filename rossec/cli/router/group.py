@@ -56,12 +56,14 @@ def router(
     from rossec.cli.router.home import home_of  # noqa: PLC0415 - imported when it runs
 
     home = home_of(environment, directory)
+    given = {"listen": listen, "join": join, "hosts": host}
     if context.invoked_subcommand is not None:
+        if any(given.values()) or is_open or print_config or as_json:
+            raise click.UsageError("only --home stands before a verb")
         context.obj = home
         return
     from rossec.cli.router.serve import print_settings, run  # noqa: PLC0415 - as above
 
-    given = {"listen": listen, "join": join, "hosts": host}
     if print_config:
         print_settings(home, given, is_open=is_open)
         return

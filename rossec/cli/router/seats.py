@@ -1,11 +1,27 @@
 """`rossec router seats`: who may use the router."""
 
+from collections.abc import Callable
+from typing import Any
+
 import click
 
 from rossec.cli.router.home import pass_home
 from rossec.overlay.router_home import RouterHome, new_password
 from rossec.overlay.routers import check_seat
 from rossec.terminal import note, say, say_json
+
+
+def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of what makes a seat file: where the router is found, if it was not told yet."""
+    listen = click.option(
+        "--listen", metavar="LOCATOR", multiple=True,
+        help="where this router will listen, if it never ran yet; as of rossec router",
+    )  # fmt: skip
+    host = click.option(
+        "--host", metavar="NAME", multiple=True,
+        help="name or address by which relays reach this router; may be repeated",
+    )  # fmt: skip
+    return host(listen(command))
 
 
 @click.group()
@@ -19,12 +35,9 @@ def seats() -> None:
 
 @seats.command()
 @click.argument("name")
-@click.option(
-    "--host", metavar="NAME", multiple=True,
-    help="name or address by which relays reach this router; may be repeated",
-)  # fmt: skip
+@_reached
 @pass_home
-def add(home: RouterHome, name: str, host: tuple[str, ...]) -> None:
+def add(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
     """Make the seat NAME, and print its file for the relay of that site.
 
     For example: rossec router seats add home > home.seat. The file holds a password: bring it to
@@ -32,22 +45,22 @@ def add(home: RouterHome, name: str, host: tuple[str, ...]) -> None:
     """
     check_seat(name)
     home.prepare()
-    _check_reached(home, host)
+    _check_reached(home, host, listen)
     home.change_seats(lambda found: found.add(name, new_password()))
     _print_file(home, name)
 
 
 @seats.command()
 @click.argument("name")
-@click.option("--host", metavar="NAME", multiple=True, help="as of add")
+@_reached
 @pass_home
-def show(home: RouterHome, name: str, host: tuple[str, ...]) -> None:
+def show(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
     """Print the file of the seat NAME again, with the routers of now.
 
     NAME is `open` for a router that was started with --open.
     """
     home.prepare()
-    _check_reached(home, host)
+    _check_reached(home, host, listen)
     _print_file(home, name)
 
 
@@ -78,9 +91,9 @@ def remove(home: RouterHome, name: str) -> None:
     say(f"the seat {name} is no more")
 
 
-def _check_reached(home: RouterHome, host: tuple[str, ...]) -> None:
-    """Keep `host`, and find the locators before anything is made for them."""
-    home.tell(hosts=host)
+def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
+    """Keep what was told, and find the locators before anything is made for them."""
+    home.tell(hosts=host, listen=listen)
     home.settings().locators  # noqa: B018 - raises
 
 

@@ -1,6 +1,6 @@
 """`rossec router share | take`: several routers of one operator."""
 
-import os
+import sys
 from pathlib import Path
 
 import click
@@ -45,6 +45,6 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
 
 def _read(file: Path) -> bytes:
     if str(file) == "-":
-        return os.fdopen(os.dup(0), "rb").read(MAX_FILE + 1)
+        return sys.stdin.buffer.read(MAX_FILE + 1)
     missing = ConfigurationError(f"there is no {file}", "it is made by: rossec router share")
     return files.read_own(file, MAX_FILE, missing, link=True)

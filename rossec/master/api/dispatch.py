@@ -83,11 +83,11 @@ class MasterApi:
         self._pid = pid
         imports = Imports(registry) if imports is None else imports
         graph = Graph(registry, imports)
-        self._access_control = AccessControl(graph, name)
+        doors = Doors() if doors is None else doors
+        self._access_control = AccessControl(graph, name, doors.is_door)
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
         self.site_calls = SiteCalls(registry, instance, statements.list_digests)
         tree = Parameters() if parameters is None else parameters
-        doors = Doors() if doors is None else doors
         deposits = Deposits() if deposits is None else deposits
         denials = RecentDenials() if denials is None else denials
         self.parameters = ParameterCalls(

@@ -6,7 +6,7 @@ missing right and does not reveal whether the name exists: for a caller that may
 answer is the same as if it did not exist.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -17,7 +17,12 @@ from ca.errors import HintedError
 from ca.names import is_relay_name
 from grants.model import Right
 from rossec.master.rights.caller import AddressTaken, Caller, Refused
-from rossec.master.state.addresses import endpoint, is_loopback_host, is_reachable_from_here
+from rossec.master.state.addresses import (
+    Endpoint,
+    endpoint,
+    is_loopback_host,
+    is_reachable_from_here,
+)
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
 from rossec.ros import names
@@ -32,6 +37,11 @@ _NOT_OFFERED: Final = (
     "{} is a name of another master: what is below /remote is subscribed, called and read here "
     "(publish or provide it under a name of this domain; other masters see that)"
 )
+
+
+def nowhere(_place: Endpoint) -> bool:
+    """There are no relays."""
+    return False
 
 
 class Scope(Enum):
@@ -130,12 +140,16 @@ class AccessControl:
     Args:
         graph: to find the node that registered a slave API, and what nodes are registered for.
         master: the master's own certified name; ADMIN is a right on this name.
+        is_door: whether a relay of this site has a door at a place: no node is there.
     """
 
-    def __init__(self, graph: Graph, master: str) -> None:
+    def __init__(
+        self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = nowhere
+    ) -> None:
         self._graph = graph
         self._registry = graph.registry
         self._master = master
+        self._is_door = is_door
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
         """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up.
@@ -180,18 +194,21 @@ class AccessControl:
             require(caller, rule.right, str(arguments[rule.name]))
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
-        if rule.scope is Scope.AUTHORITY and not caller.is_authority:
-            raise Refused(f"only the authority's own node {AUTHORITY} may call this")
-        if rule.scope is Scope.MEMBER and caller.is_foreign:
-            raise Refused("only nodes of the own domain may call this")
-        if rule.scope is Scope.RELAY and not _is_own_relay(caller):
-            raise Refused("only relays of the own domain may call this")
+        _require_kind(rule.scope, caller)
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
+        if rule.scope is Scope.NAMED:
+            self._require_no_door(rule, arguments)
         if rule.service is not None and caller.is_foreign:
             _require_foreign_address(
                 self._registry, caller, str(arguments[rule.service]), is_local=is_local
             )
+
+    def _require_no_door(self, rule: AccessRule, arguments: tuple[object, ...]) -> None:
+        """Raise `Refused` for the address of a door: its target would lose it here."""
+        given = [str(arguments[at]) for at in (rule.api, rule.service) if at is not None]
+        if any(self._is_door(endpoint(uri)) for uri in given):
+            raise Refused("a relay of this site listens at this address")
 
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
         """Which of the nodes registered for `key` the caller may see.
@@ -224,6 +241,16 @@ def is_authority(peer: Identity) -> bool:
     Whoever holds an intermediate can certify any name below it.
     """
     return peer.name == AUTHORITY and not peer.wildcard and len(peer.keys) == 1
+
+
+def _require_kind(scope: Scope, caller: Caller) -> None:
+    """Raise `Refused` unless the caller is what a scope without a right is for."""
+    if scope is Scope.AUTHORITY and not caller.is_authority:
+        raise Refused(f"only the authority's own node {AUTHORITY} may call this")
+    if scope is Scope.MEMBER and caller.is_foreign:
+        raise Refused("only nodes of the own domain may call this")
+    if scope is Scope.RELAY and not _is_own_relay(caller):
+        raise Refused("only relays of the own domain may call this")
 
 
 def _is_own_relay(caller: Caller) -> bool:

@@ -22,6 +22,8 @@ class SitePolls:
         self._delay = delay
         self._waiting: dict[bytes, asyncio.Event] = {}
         self._version = -1
+        self._changes = 0
+        self._answered: dict[bytes, int] = {}  # the changes so far, of those that ask by `missed`
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -33,6 +35,7 @@ class SitePolls:
         """
         if version != self._version or version is None:
             self._version = self._version if version is None else version
+            self._changes += 1
             for changed in self._waiting.values():
                 changed.set()
 
@@ -42,9 +45,25 @@ class SitePolls:
         if before is not None:
             before.set()
 
-    async def wait(self, follower: bytes, longest: float) -> None:
-        """Return soon after the next change, or after `longest` seconds."""
+    def missed(self, follower: bytes) -> bool:
+        """Whether anything has changed since this was last asked, or since its last wait."""
+        before = self._answered.get(follower)
+        self._answered[follower] = self._changes
+        return before != self._changes
+
+    def expect(self, follower: bytes) -> asyncio.Event:
+        """What the next change from now on sets, to be waited for."""
         changed = self._waiting[follower] = asyncio.Event()
+        return changed
+
+    async def wait(
+        self, follower: bytes, longest: float, expected: asyncio.Event | None = None
+    ) -> None:
+        """Return soon after the next change, or after `longest` seconds.
+
+        `expected`: of `expect`; without it changes count from the first step of this coroutine.
+        """
+        changed = self.expect(follower) if expected is None else expected
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(longest):
@@ -53,3 +72,5 @@ class SitePolls:
         finally:
             if self._waiting.get(follower) is changed:
                 del self._waiting[follower]
+            if follower in self._answered:
+                self._answered[follower] = self._changes

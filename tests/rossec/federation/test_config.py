@@ -19,11 +19,13 @@ def test_sites_in_the_configuration() -> None:
         "    kitchen: {uri: 'http://kitchen:11311', master: /master/kitchen,"
         " parameters: [/robot/**]}\n"
         "    hospital: {uri: 'http://h:11311', domain: hospital}\n"
+        "    office: {via: ward, master: /master/office}\n"
     )
     assert found.follow_announced
     assert found.sites == (
         SiteSettings("kitchen", "http://kitchen:11311", "/master/kitchen", "", ("/robot/**",)),
         SiteSettings("hospital", "http://h:11311", domain="hospital"),
+        SiteSettings("office", "", "/master/office", via="ward"),
     )
 
 
@@ -41,6 +43,8 @@ def test_nothing_is_followed_by_default(text: str) -> None:
         ("federation:\n  sites: [a]", r"m.yaml:2: sites is a map"),
         ("federation:\n  sites:\n    a: 1", r"m.yaml:3: site a is a map"),
         ("federation:\n  sites:\n    a: {}", r"m.yaml:3: site 'a' has no uri"),
+        ("federation:\n  sites:\n    a: {uri: 'http://h:1', via: b}", r"a URI or a relay's peer"),
+        ("federation:\n  sites:\n    a: {via: [b]}", r"m.yaml:3: via is a text"),
         ("federation:\n  sites:\n    a: {url: x}", r"m.yaml:3: site a has no 'url'"),
         ("federation:\n  sites:\n    a: {uri: 5}", r"m.yaml:3: uri is a text"),
         ("federation:\n  sites:\n    a: {uri: kitchen}", r"m.yaml:3: .*URI"),

@@ -1,5 +1,6 @@
 import asyncio
 import contextlib
+import logging
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from rossec.federation.follower import FollowedSite
 from rossec.federation.settings import SiteSettings
 from rossec.federation.site_file import FILE, SiteFile
 from rossec.federation.start import mesh_of
+from rossec.master.state.doors import SILENCE, Report, Way
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -124,3 +126,24 @@ async def test_a_master_that_was_named_and_is_heard_too_is_no_contradiction(
         ("attic", "announced"), ("galley", "configuration"),
     ]  # fmt: skip
     assert mesh.status()["problems"] == {}
+
+
+async def test_a_relay_is_told_the_masters_that_it_can_reach_itself(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    office = SiteSettings("office", "", "/master/office", via="office")
+    hall.follow(kitchen.as_site("kitchen"), office)
+    doors = hall.server.state.doors
+    await until(lambda: doors.masters() == {"/master/kitchen": kitchen.server.uri})
+
+
+async def test_a_relay_that_fell_silent_is_forgotten(
+    pair: list[Master], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING, "rossec.audit")
+    hall, _ = pair
+    doors, now = hall.server.state.doors, hall.server.state.now()
+    way = {"office": Way("up", 1.0, 0, "", 0)}
+    doors.hear("/relay", Report("one", 0, {}, way), now - SILENCE - 1)
+    hall.follow()
+    await until(lambda: doors.way("office") is None)
+    assert "relay /relay is silent" in caplog.text

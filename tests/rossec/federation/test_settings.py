@@ -16,11 +16,12 @@ from rossec.federation.settings import (
 from rossec.master.state.sites import Site
 
 KITCHEN = SiteSettings("kitchen", "http://kitchen:11311/", "/master/kitchen")
+OFFICE = SiteSettings("office", "", "/master/office", via="ward")
 HOSPITAL = SiteSettings("hospital", "http://h:11311/", domain="hospital", parameters=("/robot/**",))
 
 
 def test_what_is_written_is_read() -> None:
-    sites = checked_sites([KITCHEN, HOSPITAL])
+    sites = checked_sites([KITCHEN, HOSPITAL, OFFICE])
     assert read_sites(write_sites(sites), "f") == sites
     assert read_sites(write_sites({}), "f") == {}
 
@@ -40,6 +41,8 @@ def test_the_site_of_the_import_layer() -> None:
         ({"master": "/robot"}, "is not the name of a master"),
         ({"master": "/master/a/b"}, "is not the name of a master"),
         ({"uri": "kitchen"}, "master's URI"), ({"uri": "http://kitchen"}, "master's URI"),
+        ({"via": "a b"}, "is not a label"), ({"via": "office"}, "a URI or a relay's peer, one of"),
+        ({"uri": ""}, "a URI or a relay's peer, one of"),
         ({"parameters": ("robot",)}, "robot"), ({"parameters": ("/a",) * 65}, "at most 64"),
     ],
 )  # fmt: skip
@@ -105,3 +108,24 @@ def test_a_site_in_the_file_has_its_fields_and_no_others(changed: dict[str, Any]
             continue
         with pytest.raises(ConfigurationError, match="not in form"):
             read_sites(json.dumps(less).encode(), "f")
+
+
+def test_a_site_behind_a_relay_has_doors_that_may_be_on_this_host() -> None:
+    assert OFFICE.site == Site("office", "", on_this_host=True)
+    assert (OFFICE.place, KITCHEN.place) == ("via ward", "at http://kitchen:11311/")
+
+
+def test_sites_without_a_relay_are_written_as_they_were_before_there_were_relays() -> None:
+    rows = json.loads(write_sites(checked_sites([KITCHEN, OFFICE])))["sites"]
+    assert [row.get("via") for row in rows] == [None, "ward"]
+    assert [set(row) - {"via"} for row in rows] == [
+        {"label", "uri", "master", "domain", "parameters"}
+    ] * 2
+
+
+@pytest.mark.parametrize("wrong", [{"via": 7}, {"via": "ward", "more": 1}])
+def test_a_way_that_is_not_in_form_is_refused(wrong: dict[str, object]) -> None:
+    whole = json.loads(write_sites(checked_sites([OFFICE])))
+    whole["sites"][0].update(wrong)
+    with pytest.raises(ConfigurationError, match="a site that is not in form"):
+        read_sites(json.dumps(whole).encode(), "f")

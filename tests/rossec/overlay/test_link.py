@@ -7,7 +7,7 @@ from rossec.overlay.link import Link
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind
 from rossec.overlay.link_states import LinkState
 from rossec.overlay.link_timing import KEEPALIVE, SILENCE
-from tests.support.linknet import ID, REPLY, Network, opened
+from tests.support.linknet import ID, REPLY, LinkNetwork, opened
 
 
 def test_bytes_arrive_in_both_directions() -> None:
@@ -65,7 +65,7 @@ def test_the_first_frame_is_a_padded_open_that_is_repeated_until_it_is_answered(
 
 
 def test_a_large_first_write_is_cut_to_what_an_unknown_peer_takes() -> None:
-    network = Network()
+    network = LinkNetwork()
     network.write(network.caller, bytes(300_000))
     network.run(network.agreed)
 

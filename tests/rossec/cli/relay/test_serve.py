@@ -14,6 +14,7 @@ import pytest
 from rossec.overlay.routers import OPEN_SEAT, Routers
 from tests.support.commands import Shell, refused
 from tests.support.overlay import router
+from tests.support.ports import free_port
 from tests.support.relayedsites import RelayedSite, Wires
 from tests.support.site import Site
 from tests.support.witness import until
@@ -47,7 +48,9 @@ def environ(site: RelayedSite) -> dict[str, str]:
 
 
 @asynccontextmanager
-async def relay_of(site: RelayedSite, *options: str) -> AsyncIterator[RelayProcess]:
+async def relay_of(
+    site: RelayedSite, *options: str, says: str = "/relay"
+) -> AsyncIterator[RelayProcess]:
     log = site.site.root / "relay.log"
     with log.open("wb") as file:
         process = await asyncio.create_subprocess_exec(
@@ -56,7 +59,7 @@ async def relay_of(site: RelayedSite, *options: str) -> AsyncIterator[RelayProce
         )  # fmt: skip
     found = RelayProcess(site, process, log)
     try:
-        await until(lambda: process.returncode is not None or "/relay" in found.said())
+        await until(lambda: process.returncode is not None or says in found.said())
         yield found
     finally:
         if process.returncode is None:
@@ -98,6 +101,22 @@ async def test_two_relays_carry_a_connection_through_a_router(short_path: Path) 
         assert lines[1] == "/master: polled for doors"
         assert "1 connections, 1 links from it" in lines[2]
         await stream.close()
+
+
+async def test_a_relay_waits_for_its_routers(short_path: Path) -> None:
+    site = RelayedSite(short_path / "home", "home", Wires())
+    site.trust()
+    await site.master.start()
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    site.files.keep_seat(Routers((locator,), OPEN_SEAT).write())
+    async with relay_of(site, "--doors", "127.0.0.1", says="trying again") as waiting:
+        assert f"no router takes the seat open: {locator}" in waiting.said()
+        with router(locator):
+            await until(lambda: f"relay /relay of home at {locator}" in waiting.said())
+    async with relay_of(site, says="trying again") as ended:
+        pass
+    assert ended.process.returncode == 0
+    await site.master.stop()
 
 
 def test_a_relay_that_cannot_run(empty: Shell) -> None:

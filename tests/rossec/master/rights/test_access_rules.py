@@ -7,7 +7,13 @@ import pytest
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
-from rossec.master.rights.access_rules import RULES, AccessControl, Scope, is_authority, require
+from rossec.master.rights.access_rules import (
+    RULES,
+    AccessControl,
+    Scope,
+    is_authority,
+    require,
+)
 from rossec.master.rights.caller import Refused
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports

@@ -65,3 +65,26 @@ async def test_a_wait_ends_without_a_change() -> None:
     polls = SitePolls()
     await polls.wait(b"a", 0.01)
     assert len(polls) == 0
+
+
+async def test_what_changed_between_two_calls_is_told_with_the_second() -> None:
+    polls = SitePolls(0.0)
+    assert polls.missed(b"a")  # nothing was told so far
+    assert not polls.missed(b"a")
+    polls.notify()
+    assert polls.missed(b"a")
+    assert not polls.missed(b"a")
+    task = asyncio.ensure_future(polls.wait(b"a", LONG))
+    await asyncio.sleep(0)
+    polls.notify()
+    await task
+    assert not polls.missed(b"a")  # its answer followed
+
+
+async def test_a_change_between_the_call_and_its_first_step_counts() -> None:
+    polls = SitePolls()
+    wait = polls.wait(b"a", LONG, polls.expect(b"a"))
+    polls.notify(1)
+    async with asyncio.timeout(LONG / 2):
+        await wait
+    assert len(polls) == 0

@@ -78,3 +78,9 @@ def test_a_registration_is_one_of_a_known_kind(held: SiteFacts) -> None:
     assert (found.kind, found.key) == (Kind.PUBLISHER, "/pose")
     assert held.registration(ROBOT) is None
     assert held.local_key("/" + "n" * 300) is None
+
+
+def test_topics_are_those_published_or_subscribed_there(held: SiteFacts) -> None:
+    for fact in FACTS:
+        held.add(fact)
+    assert held.topics() == ["/cmd", "/pose"]

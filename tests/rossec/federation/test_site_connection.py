@@ -1,0 +1,110 @@
+"""Who answers where a site is dialled."""
+
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rossec.errors import IdentityRefused, RelayRefused, RossecError, SiteRefused
+from rossec.federation import via
+from rossec.federation.own import OwnMaster
+from rossec.federation.settings import SiteSettings
+from rossec.federation.site_connection import SiteConnections
+from rossec.federation.via import SiteDoors
+from rossec.master.state.doors import Door, Report, Target, Way
+from tests.support.masters import Master, masters
+from tests.support.relaying import StraightRelay, relayed
+from tests.support.site import Site
+
+
+class Dialled:
+    """`/master` that dials `/master/kitchen`."""
+
+    def __init__(self, hall: Master, kitchen: Master) -> None:
+        self.hall, self.kitchen = hall, kitchen
+        server = hall.server
+        self.own = OwnMaster(
+            server.state, server.effects, server.context, server.mirror, server.drop_mirror
+        )
+
+    def connections(self, settings: SiteSettings) -> SiteConnections:
+        doors = None
+        if settings.via:
+            doors = SiteDoors(self.own.state.doors, settings, lambda: None)
+        return SiteConnections(settings, self.own, doors)
+
+
+@pytest.fixture
+async def dialled(tmp_path: Path) -> AsyncIterator[Dialled]:
+    async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as found:
+        yield Dialled(*found)
+
+
+async def test_the_master_of_a_site_is_reached(dialled: Dialled) -> None:
+    connections = dialled.connections(dialled.kitchen.as_site("kitchen"))
+    async with connections.open() as (client, peer):
+        assert peer.name == "/master/kitchen"
+        assert await client.ask("getUri", "/master") == dialled.kitchen.server.uri
+    assert client.closed or await _ends(client)
+
+
+async def _ends(client: object) -> bool:
+    with pytest.raises(RossecError):
+        await client.ask("getUri", "/master")  # type: ignore[attr-defined]
+    return True
+
+
+async def test_another_one_is_refused(dialled: Dialled) -> None:
+    settings = replace(dialled.kitchen.as_site("cellar"), master="/master/cellar")
+    with pytest.raises(SiteRefused, match=r"kitchen answers at http:.*, not /master/cel"):
+        async with dialled.connections(settings).open():
+            pass
+    ward = replace(settings, domain="ward")
+    with pytest.raises(SiteRefused, match="not /master/cellar of ward"):
+        async with dialled.connections(ward).open():
+            pass
+
+
+async def test_a_revoked_one_is_refused(dialled: Dialled) -> None:
+    connections = dialled.connections(dialled.kitchen.as_site("kitchen"))
+    async with connections.open() as (_, peer):
+        connections.check_trust(peer)
+        dialled.hall.take_list(dialled.hall.site.revoke(peer.thumbprint))
+        with pytest.raises(SiteRefused, match="/master/kitchen: "):
+            connections.check_trust(peer)
+    with pytest.raises((SiteRefused, IdentityRefused)):
+        async with connections.open():
+            pass
+
+
+async def test_a_site_is_reached_at_its_door(
+    dialled: Dialled, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = StraightRelay(dialled.hall), StraightRelay(dialled.kitchen, "/relay/kitchen")
+    here.meet("kitchen", there)
+    settings = SiteSettings("kitchen", "", "/master/kitchen", via="kitchen")
+    async with relayed(here, there), dialled.connections(settings).open() as (_, peer):
+        assert peer.name == "/master/kitchen"
+        wrong = replace(settings, label="cellar", via="kitchen", master="/master/cellar")
+        with pytest.raises(RossecError):  # there is no such master
+            async with dialled.connections(wrong).open():
+                pass
+    monkeypatch.setattr(via, "DOOR_WAIT", 0.05)
+    dialled.own.state.doors.expire(dialled.own.state.now() + 100)
+    with pytest.raises(RelayRefused, match="no relay of this site knows"):
+        async with dialled.connections(settings).open():
+            pass
+
+
+async def test_who_answers_at_a_door_is_checked(dialled: Dialled) -> None:
+    settings = SiteSettings("office", "", "/master/office", via="office")
+    target = Target("office", "master", "/master/office")
+    connections, doors = dialled.connections(settings), dialled.own.state.doors
+    doors.want("office", [target])
+    ways = {"office": Way("up", 0.0, 0, "", 0)}
+    door = {target: Door("127.0.0.1", dialled.kitchen.server.port)}
+    doors.hear("/relay", Report("one", 0, door, ways), dialled.own.state.now())
+    with pytest.raises(SiteRefused, match="/master/kitchen answers via office, not /master/office"):
+        async with connections.open():
+            pass

@@ -1,0 +1,154 @@
+"""Doors: one port for each target, who may use it, and how a door is closed."""
+
+import asyncio
+import contextlib
+import os
+import socket
+from collections.abc import AsyncIterator
+
+import pytest
+
+from rossec.errors import ConfigurationError, StreamRefused
+from rossec.net.aio.dial import dial
+from rossec.overlay import doors as module
+from rossec.overlay.doors import Door, Doors, OpenDoors
+from rossec.overlay.mux_units import NODE, SERVICE, Target
+from rossec.sidecar.callers import Callers
+
+ROBOT = Door("hospital", Target(NODE, "/robot"))
+CLOCK = Door("hospital", Target(SERVICE, "/clock"))
+OTHER = Door("office", Target(NODE, "/robot"))
+
+
+class Carrier:
+    """Holds connections until the program ends them."""
+
+    def __init__(self) -> None:
+        self.doors: list[Door] = []
+        self.refuse = False
+
+    async def carry(self, door: Door, sock: socket.socket) -> None:
+        self.doors.append(door)
+        sock.setblocking(False)
+        with sock:
+            if self.refuse:
+                raise StreamRefused("no link to it", "rossec relay status")
+            loop = asyncio.get_running_loop()
+            await loop.sock_sendall(sock, b"!")
+            await loop.sock_recv(sock, 1)
+
+
+@contextlib.asynccontextmanager
+async def doors(
+    carrier: Carrier, callers: Callers | OpenDoors | None = None, limit: int = 8
+) -> AsyncIterator[tuple[Doors, list[Door]]]:
+    given_up: list[Door] = []
+    found = Doors(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
+    try:
+        yield found, given_up
+    finally:
+        await found.close_all()
+
+
+async def enter(where: tuple[str, int]) -> socket.socket:
+    """Connect to a door; it was admitted."""
+    sock = await dial(*where, 10)
+    async with asyncio.timeout(10):
+        assert await asyncio.get_running_loop().sock_recv(sock, 1) == b"!"
+    return sock
+
+
+async def test_each_target_has_a_door_of_its_own() -> None:
+    carrier = Carrier()
+    async with doors(carrier) as (found, _):
+        places = {door: found.open(door) for door in (ROBOT, CLOCK, OTHER)}
+        assert len(set(places.values())) == 3
+        assert {host for host, _ in places.values()} == {"127.0.0.1"}
+        assert found.open(ROBOT) == places[ROBOT]
+        assert set(found) == set(places)
+        for door, where in places.items():
+            (await enter(where)).close()
+            assert carrier.doors[-1] == door
+
+
+async def test_programs_of_other_users_are_not_let_in() -> None:
+    carrier = Carrier()
+    async with doors(carrier, Callers({os.getuid() + 1})) as (found, _):
+        sock = await dial(*found.open(ROBOT), 10)
+        with sock, contextlib.suppress(ConnectionResetError):
+            assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
+    assert carrier.doors == []
+
+
+async def test_doors_at_an_address_let_everybody_in() -> None:
+    carrier = Carrier()
+    async with doors(carrier, OpenDoors("127.0.0.5", "relay.example")) as (found, _):
+        host, port = found.open(ROBOT)
+        assert host == "relay.example"
+        (await enter(("127.0.0.5", port))).close()
+        with pytest.raises(ConnectionRefusedError):
+            await dial("127.0.0.1", port, 10)
+    assert OpenDoors("192.0.2.7").loopback.host == "192.0.2.7"
+
+
+async def test_a_closed_door_lets_nobody_in_and_keeps_who_is_inside() -> None:
+    carrier = Carrier()
+    async with doors(carrier) as (found, given_up):
+        where = found.open(ROBOT)
+        inside = await enter(where)
+        found.close(ROBOT)
+        found.close(ROBOT)
+        assert list(found) == []
+        with pytest.raises(ConnectionRefusedError):
+            await dial(*where, 10)
+        again = found.open(ROBOT)
+        assert again != where
+        inside.close()
+        (await enter(again)).close()
+        assert given_up == []
+
+
+async def test_a_removed_peer_loses_its_doors_and_connections() -> None:
+    async with doors(Carrier()) as (found, _):
+        inside = await enter(found.open(ROBOT))
+        found.open(CLOCK)
+        stays = await enter(found.open(OTHER))
+        found.close_peer("hospital")
+        assert list(found) == [OTHER]
+        with inside, stays, contextlib.suppress(ConnectionResetError):
+            assert await asyncio.get_running_loop().sock_recv(inside, 1) == b""
+
+
+async def test_the_idle_door_asked_for_least_recently_makes_room() -> None:
+    async with doors(Carrier(), limit=2) as (found, given_up):
+        first = await enter(found.open(ROBOT))
+        where = found.open(CLOCK)
+        found.open(OTHER)
+        assert given_up == [CLOCK]
+        assert list(found) == [ROBOT, OTHER]
+        with pytest.raises(ConnectionRefusedError):
+            await dial(*where, 10)
+        second = await enter(found.open(OTHER))
+        with pytest.raises(ConfigurationError, match="more than 2 addresses") as caught:
+            found.open(CLOCK)
+        assert "relay" in caught.value.hint
+        first.close()
+        second.close()
+
+
+async def test_a_connection_that_cannot_be_carried_is_logged(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    carrier = Carrier()
+    carrier.refuse = True
+    async with doors(carrier) as (found, _):
+        sock = await dial(*found.open(ROBOT), 10)
+        with sock, contextlib.suppress(ConnectionResetError):
+            assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
+    assert "node /robot: refused hospital: no link to it" in caplog.text
+
+
+def test_the_pool_is_as_large_as_the_master_allows() -> None:
+    from rossec.master.state.doors import MAX_DOORS
+
+    assert module.LIMIT == MAX_DOORS

@@ -1,0 +1,60 @@
+"""Routers and relays as processes, started as their users start them."""
+
+import contextlib
+import subprocess
+from collections.abc import Iterator
+
+from rossec.overlay.routers import OPEN_SEAT, Routers
+from tests.integration.sidecarworld import ROSSEC, Running, World
+
+RELAY = "/relay"
+
+
+def locator(port: int) -> str:
+    """Of a router on this host."""
+    return f"tcp/127.0.0.1:{port}"
+
+
+@contextlib.contextmanager
+def router(world: World, port: int) -> Iterator[Running]:
+    """A router without seats on this host; its own files are in `world`'s directory."""
+    home = str(world.directory / "router")
+    command = ROSSEC, "router", "--home", home, "--listen", locator(port), "--open"
+    with world.started(world.hosts.near, *command) as running:
+        running.wait_for(str(port))
+        yield running
+
+
+def seated(world: World, port: int) -> None:
+    """Enroll the relay of a site, and keep its seat at that router."""
+    world.site.enroll(RELAY)
+    file = world.directory / "seat.json"
+    file.write_bytes(Routers((locator(port),), OPEN_SEAT).write())
+    told(world, "seat", str(file))
+
+
+def exchange(one: World, one_label: str, other: World, other_label: str) -> None:
+    """The relays take each other's cards; `one_label`: what the first one is called there."""
+    for side, label, there in ((one, other_label, other), (other, one_label, one)):
+        card = side.directory / f"{label}.card"
+        card.write_text(told(side, "card", label))
+        own = one_label if side is one else other_label
+        told(there, "add", own, str(card))
+
+
+def told(world: World, *words: str) -> str:
+    """What a command of `rossec relay` prints, which succeeds."""
+    done = subprocess.run(
+        [ROSSEC, "relay", *words], env=world.env(world.hosts.near), text=True,
+        capture_output=True, timeout=30, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@contextlib.contextmanager
+def relay(world: World) -> Iterator[Running]:
+    """The relay of a site, whose master runs."""
+    with world.started(world.hosts.near, ROSSEC, "relay") as running:
+        running.wait_for(RELAY)
+        yield running
