@@ -184,3 +184,18 @@ def test_a_window_that_opens_unnoticed_is_asked_for() -> None:
     network.flush(network.called)
     network.cut = False
     network.run(network.agreed, within=5)
+
+
+@pytest.mark.parametrize("rate", [100_000, 400_000])
+def test_on_a_slow_line_nothing_waits_behind_long_queues(rate: int) -> None:
+    """Bytes a second; its buffers take everything."""
+    network = opened()
+    network.rate = rate
+    caller = network.caller.at()
+    while network.now < 6:
+        while caller.backlog == 0:
+            network.write(network.caller, bytes(20_000))
+        network.step()
+    assert len(network.called.received) > 0.8 * 6 * rate
+    assert caller.stats.srtt_s < 0.3
+    assert caller.stats.retransmissions == 0
