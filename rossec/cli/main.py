@@ -52,7 +52,7 @@ _TABLE: Final = {
     ),
     "relay": (
         "relay.group:relay",
-        "Run the relay of this site, which links it with others through routers.",
+        "Run the relay of this site, as the node /relay.",
     ),
     "router": (
         "router.group:router",

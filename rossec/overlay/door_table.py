@@ -31,6 +31,7 @@ class DoorTable:
         self.ways: Final = ways
         self._ports = Doors(admission, carry, self._given_up, limit)
         self._wanted: dict[Target, set[str]] = {}
+        self._dropped: dict[str, set[Target]] = {}  # by master
 
     def __len__(self) -> int:
         return len(self._wanted)
@@ -57,6 +58,13 @@ class DoorTable:
         if not masters and self._wanted.pop(target, None) is not None:
             self._ports.close(_door(target))
 
+    def take_dropped(self, master: str) -> set[Target]:
+        """What `master` wants and `drop_peer` has closed since the last call.
+
+        The peer may be back with another card, and masters know the old doors.
+        """
+        return self._dropped.pop(master, set())
+
     async def close(self) -> None:
         """Close every door and every connection."""
         await self._ports.close_all()
@@ -64,7 +72,8 @@ class DoorTable:
     def drop_peer(self, peer: str) -> None:
         """Close every door to a peer that is gone."""
         for target in [each for each in self._wanted if each.peer == peer]:
-            del self._wanted[target]
+            for master in self._wanted.pop(target):
+                self._dropped.setdefault(master, set()).add(target)
         self._ports.close_peer(peer)
 
     def _given_up(self, door: doors.Door) -> None:

@@ -318,7 +318,6 @@ class Link:
         """Ask how far the peer is; before it ever answered, with the OPEN itself."""
         if self._silent_since is None:
             self._silent_since = now
-        self._sender.asked()
         silence = now - self._silent_since
         self._probe_at = now + self._sender.round_trip.again(silence)
         if self.state is LinkState.OPENING:

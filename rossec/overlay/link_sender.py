@@ -12,7 +12,7 @@ from typing import Final
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay.link_frames import MAX_BODY, MAX_RANGES
-from rossec.overlay.link_timing import FIRST_WINDOW, CongestionWindow, RoundTrip
+from rossec.overlay.link_timing import FIRST_WINDOW, LEAST_WINDOW, CongestionWindow, RoundTrip
 
 MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
 _CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
@@ -35,7 +35,7 @@ class Sender:
     """Bytes to send, in order."""
 
     __slots__ = (
-        "_flight", "_losses", "_on_the_way", "_untimed", "_waiting", "backlog", "base", "limit",
+        "_flight", "_losses", "_on_the_way", "_waiting", "backlog", "base", "limit",
         "next", "retransmissions", "round_trip", "window",
     )  # fmt: skip
 
@@ -44,7 +44,6 @@ class Sender:
         self._flight: deque[Sent] = deque()
         self._losses: deque[Sent] = deque()
         self._on_the_way = 0  # bytes, without those that are lost or arrived beyond a gap
-        self._untimed = 0  # what was sent before that offset measures no round trip
         self.backlog = 0  # bytes that were written and not sent yet
         self.base = self.next = 0
         self.limit = FIRST_WINDOW
@@ -105,10 +104,6 @@ class Sender:
         self.next = end
         self._on_the_way += size
 
-    def asked(self) -> None:
-        """The peer is asked: its answer may be the second one, the first may be lost."""
-        self._untimed = self.next
-
     def repeat_first(self, now: float) -> bytes:
         """The first frame on the way once more, whatever became of it."""
         first = self._flight[0]
@@ -156,10 +151,11 @@ class Sender:
             newest = flight.popleft()
             if not (newest.lost or newest.arrived):
                 self._on_the_way -= newest.end - newest.offset
-        if newest is not None and not newest.again and newest.offset >= self._untimed:
+        if newest is not None and not newest.again:
             self.round_trip.sample(max(0.0, now - newest.at))
-        queueing = self.round_trip.queueing
-        self.window.acknowledged(received - self.base, before, queueing=queueing)
+        self.window.acknowledged(received - self.base, before, self.round_trip.queued_s)
+        if self.window.size == LEAST_WINDOW:  # it cannot be this link that fills the queues
+            self.round_trip.way_changed()
         self.base = received
         return True
 
@@ -179,7 +175,6 @@ class Sender:
             self._on_the_way -= sent.end - sent.offset
             self._losses.append(sent)
             self.window.lost(sent.offset, self.next)
-            self.round_trip.forget_least()
 
     def _mark_arrived(self, ranges: list[tuple[int, int]]) -> None:
         at = 0

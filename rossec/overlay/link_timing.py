@@ -1,11 +1,12 @@
 """Round trips of a link, how much may be on the way, and when an answer is overdue. Pure.
 
 The congestion window doubles each round trip until something is lost, then grows by 64 KiB; a loss
-halves it, once for all that was on the way then. Routers drop what they cannot queue. A round trip
-that became long by what stands in queues shrinks it too: a full uplink loses nothing for seconds.
+halves it, once for all that was on the way then: routers drop what they cannot queue. Before that,
+the kernel and routers queue megabytes, behind which every other stream of the link would wait for
+seconds on a slow line: so a round trip that grew by `QUEUE` shrinks the window too (as LEDBAT,
+RFC 6817).
 """
 
-from math import inf
 from typing import Final
 
 FIRST_WINDOW: Final = 64 * 1024
@@ -15,34 +16,34 @@ STEP: Final = 64 * 1024
 SILENCE: Final = 30.0  # seconds without progress, after which a link is over
 KEEPALIVE: Final = 5.0  # seconds without a frame of the peer, after which it is asked for one
 LINGER: Final = 5.0  # seconds for the last acknowledgements of both ends
+QUEUE: Final = 0.1  # seconds that bytes of this link may wait in queues
 LEAST_WAIT: Final = 0.2  # seconds
 MOST_WAIT: Final = 2.0
-QUEUE: Final = 0.1  # seconds that frames may stand in queues, before the window shrinks
 _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
 
 
 class RoundTrip:
     """The smoothed round trip, in seconds; 0 until one was measured."""
 
-    __slots__ = ("_last", "_least", "srtt_s")
+    __slots__ = ("_least_s", "srtt_s")
 
     def __init__(self) -> None:
         self.srtt_s = 0.0
-        self._last, self._least = 0.0, inf
+        self._least_s = 0.0
 
     def sample(self, seconds: float) -> None:
         """One round trip of a frame that was sent once (Karn's rule)."""
         self.srtt_s = seconds if self.srtt_s == 0.0 else self.srtt_s + (seconds - self.srtt_s) / 8
-        self._last, self._least = seconds, min(self._least, seconds)
+        self._least_s = min(self._least_s or seconds, seconds)
 
     @property
-    def queueing(self) -> bool:
-        """Whether what is sent stands in a queue, perhaps of a slow uplink (RFC 6817)."""
-        return self._last > 2 * self._least + QUEUE
+    def queued_s(self) -> float:
+        """How long bytes wait on the way, by what the way takes at best."""
+        return self.srtt_s - self._least_s
 
-    def forget_least(self) -> None:
-        """Something was lost: the way may be another one."""
-        self._least = inf
+    def way_changed(self) -> None:
+        """Another way may be as long at best as this one is now."""
+        self._least_s = self.srtt_s
 
     @property
     def wait(self) -> float:
@@ -68,24 +69,31 @@ class RoundTrip:
 class CongestionWindow:
     """How many bytes may be on the way."""
 
-    __slots__ = ("_recovery", "_threshold", "size")
+    __slots__ = ("_delayed", "_recovery", "_threshold", "size")
 
     def __init__(self) -> None:
         self.size = FIRST_WINDOW
         self._threshold = MOST_WINDOW
         self._recovery = 0
+        self._delayed = 0  # bytes that arrived late since the window was shrunk
 
-    def acknowledged(self, count: int, on_the_way: int, *, queueing: bool = False) -> None:
-        """So many bytes arrived, of so many that were on the way."""
-        if queueing:  # more on the way would only make everything on this host wait longer
-            if self.size > FIRST_WINDOW:
-                self.size = self._threshold = max(FIRST_WINDOW, self.size - count // 4)
+    def acknowledged(self, count: int, on_the_way: int, queued_s: float = 0.0) -> None:
+        """So many bytes arrived, of so many that were on the way, after waiting in queues."""
+        if queued_s > QUEUE:
+            self._shrink(count)
             return
         if on_the_way < self.size // 2:  # the writer is slower than the window
             return
         if self.size >= self._threshold:
             count = min(count, STEP * count // self.size)
         self.size = min(MOST_WINDOW, self.size + count)
+
+    def _shrink(self, count: int) -> None:
+        """By a quarter each round trip."""
+        self._delayed += count
+        if self._delayed >= self.size:
+            self._delayed = 0
+            self.size = self._threshold = max(LEAST_WINDOW, self.size - self.size // 4)
 
     def lost(self, offset: int, sent: int) -> None:
         """The frame at `offset` was lost; frames were sent up to `sent`."""

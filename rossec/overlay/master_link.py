@@ -7,7 +7,7 @@ is: what a relay of another site asks for is answered from its registrations, or
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from secrets import SystemRandom
 from typing import Final, Protocol
 
@@ -52,6 +52,9 @@ class DoorTable(Protocol):
 
     def release(self, target: Target, master: str) -> None:
         """`master` wants it no longer: nobody new is let in when no master does."""
+
+    def take_dropped(self, master: str) -> Collection[Target]:
+        """What `master` wants and was closed since the last call, as its peer was removed."""
 
     def ways(self) -> Mapping[str, Way]:
         """How each peer of this relay is reached, by label."""
@@ -193,7 +196,8 @@ class MasterLink:
     async def _carry_out(self, orders: Orders) -> None:
         for target in orders.close:
             self._doors.release(target, self.name)
-        for target in orders.open:
+        again = self._wanted.lost(self._doors.take_dropped(self.name))
+        for target in (*orders.open, *again):
             try:
                 self._wanted.opened(target, await self._doors.open(target, self.name))
             except _Failures as error:

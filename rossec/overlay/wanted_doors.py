@@ -96,6 +96,13 @@ class WantedDoors:
         self._failed[target] = None
         return is_new
 
+    def lost(self, targets: Iterable[Target]) -> list[Target]:
+        """These doors were closed; returns those that are wanted, which are to be opened again."""
+        found = [target for target in targets if self._held.pop(target, None) is not None]
+        for target in found:
+            self._untold.pop(target, None)
+        return found
+
     def _closed(self, gone: Iterable[Target]) -> list[Target]:
         for target in gone:
             self._untold.pop(target, None)

@@ -26,7 +26,8 @@ _log = logging.getLogger("rossec.overlay.carrier")
 _MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
 _OVERHEAD: Final = 256  # bytes that a message costs beside its own
 _REOPEN_AFTER: Final = 1.0  # seconds between attempts
-_PER_TURN: Final = 64  # messages, then other work of the loop has its turn
+_TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has its turn
+_TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
 
 
 def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
@@ -189,11 +190,14 @@ class Carrier:
 
     def _take(self) -> list[tuple[Subscription, bytes]]:
         """What arrived, as much as may be delivered in one turn of the loop."""
+        taken: list[tuple[Subscription, bytes]] = []
+        size = 0
         with self._lock:
-            count = min(len(self._arrived), _PER_TURN)
-            taken = [self._arrived.popleft() for _ in range(count)]
-            for subscription, data in taken:
+            while self._arrived and size < _TURN_BYTES:
+                subscription, data = self._arrived.popleft()
                 subscription.waiting -= len(data) + _OVERHEAD
+                size += len(data) + _TURN_OVERHEAD
+                taken.append((subscription, data))
             self._woken = bool(self._arrived)
         if self._woken:
             self._loop.call_soon(self._deliver)
@@ -226,11 +230,14 @@ class Carrier:
         await asyncio.to_thread(old.close)
 
     async def _open_again(self) -> "zenoh.Session":
+        said = False
         while True:
             try:
                 return await _open(self.routers)
             except OverlayUnavailable as error:
-                _log.warning("%s; trying again", error)
+                if not said:
+                    _log.warning("%s; trying again until one does", error)
+                said = True
                 await asyncio.sleep(_REOPEN_AFTER)
 
     async def close(self) -> None:

@@ -2,7 +2,7 @@
 
 The defaults of Zenoh are for one network of friends: it scouts by multicast, lists and reports
 itself, and passes large payloads through /dev/shm, around the network and its limits. What is here
-was measured: section 4.2 of docs/spec/overlay.md says what for. A router that freezes is given up
+was measured; what for is in section 3.6 of docs/spec/overlay.md. A router that freezes is given up
 after the lease; a message that finds no room waits 50 ms, then it is dropped.
 """
 

@@ -151,6 +151,24 @@ async def test_it_sends_what_fits_no_frame(home: RouterHome, pair: tuple[Carrier
     reader.close()
 
 
+async def test_it_takes_the_identifier_of_another_session(
+    home: RouterHome, pair: tuple[Carrier, Carrier]
+) -> None:
+    """While the other is connected, and when it is gone."""
+    got: list[str] = []
+    taken = {**client_settings(home.seat_file("evil")), "id": "abad1dea"}
+    with open_session({**client_settings(home.seat_file("home")), "id": "abad1dea"}):
+        with pytest.raises(OverlayUnavailable):
+            await asyncio.to_thread(open_session, taken)
+        await exchange(pair)
+    with open_session(taken) as session:
+        session.declare_subscriber(HOME, lambda sample: got.append(str(sample.key_expr)))
+        await exchange(pair)
+        await asyncio.sleep(0.2)
+        await exchange(pair)
+    assert got == []
+
+
 @pytest.mark.parametrize("seat", ["clinic", "nobody", "_router"])
 async def test_it_guesses_a_password(home: RouterHome, seat: str) -> None:
     known = home.seat_file("evil")

@@ -63,6 +63,8 @@ class Sites:
     cast: Cast
     stack: contextlib.ExitStack
     relays: dict[str, Running]
+    router: Running
+    port: int
 
     def start(self, side: World) -> None:
         """Start the relay of a site."""
@@ -84,7 +86,7 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
         share(hospital.site, home.site, name, Right.SUBSCRIBE, FRAMES)
     relayprocess.exchange(home, "home", hospital, "hospital")
     with contextlib.ExitStack() as stack:
-        stack.enter_context(relayprocess.router(home, port))
+        router = stack.enter_context(relayprocess.router(home, port))
         for side, other in ((hospital, home), (home, hospital)):
             stack.enter_context(side.master(*follow(other, f"via: {other.site.anchor.domain}")))
         running = {
@@ -92,7 +94,7 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
             for side in (hospital, home)
         }
         cast = stack.enter_context(running_programs(home, hospital, directory / "never"))
-        yield Sites(cast, stack, running)
+        yield Sites(cast, stack, running, router, port)
 
 
 @pairs
@@ -142,14 +144,33 @@ def test_a_subscriber_that_stands_still_slows_no_other(sites: Sites) -> None:
         for viewer in (quick, slow):
             viewer.wait_for("FRAME 500000")
         slow.process.send_signal(signal.SIGSTOP)
+        time.sleep(0.3)  # what it wrote before is read
         stood, seen = len(slow.lines), len(quick.lines)
         wait(lambda: len(quick.lines) > seen + 60, within=15)  # at 20 a second
         words = f"HEARD {LABEL}/builtin words "
         heard = sites.cast.listeners["builtin"].said.count(words)
         wait(lambda: sites.cast.listeners["builtin"].said.count(words) > heard + 10, within=5)
-        assert len(slow.lines) <= stood + 1
+        assert len(slow.lines) == stood
         slow.process.send_signal(signal.SIGCONT)
         wait(lambda: len(slow.lines) > stood + 40)
+
+
+def test_no_connection_is_lost_while_the_only_router_is_away(sites: Sites) -> None:
+    """Who connects anew gets the latched message again."""
+    listeners = sites.cast.listeners.values()
+    ways = [(listener, source) for listener in listeners for source in KINDS]
+
+    def count(topic: str) -> list[int]:
+        return [each.said.count(f"HEARD {LABEL}/{source} {topic} ") for each, source in ways]
+
+    wait(lambda: 0 not in count("latched"))
+    kept = count("latched")
+    sites.router.end(signal.SIGKILL)
+    stand_still(sites.cast)
+    before = count("words")
+    sites.stack.enter_context(relayprocess.router(sites.cast.home, sites.port))
+    wait(lambda: all(now > then for now, then in zip(count("words"), before, strict=True)))
+    assert count("latched") == kept
 
 
 @pytest.mark.parametrize("killed", ["home", "hospital"])

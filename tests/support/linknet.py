@@ -44,13 +44,15 @@ class End:
         return self.link
 
 
-class Network:
+class LinkNetwork:
     """The time, the frames on the way, and the two ends: `caller` and `called`."""
 
     def __init__(self, fate: Fate | None = None) -> None:
         self.now = 0.0
         self.fate = fate or (lambda _: (0.01,))
         self.cut = False
+        self.rate = 0.0  # octets a second of a line, each way; 0: as many as one likes
+        self._free_at = {"caller": 0.0, "called": 0.0}
         self.caller = End("caller", Link.open(ID, REPLY, 0.0))
         self.called = End("called")
         self._count = 0
@@ -74,8 +76,16 @@ class Network:
             end.kinds.append(Kind(kind_of(frame)))
             for delay in () if self.cut else self.fate(self.now):
                 self._count += 1
-                arrival = (self.now + delay, self._count, self.other(end), frame)
-                heappush(self._flying, arrival)
+                leaves = self._leave(end, len(frame))
+                heappush(self._flying, (leaves + delay, self._count, self.other(end), frame))
+
+    def _leave(self, end: End, octets: int) -> float:
+        """When the last octet of a frame is on the line, after what waits before it."""
+        if not self.rate:
+            return self.now
+        free = max(self.now, self._free_at[end.name]) + octets / self.rate
+        self._free_at[end.name] = free
+        return free
 
     def deliver(self, end: End, frame: bytes) -> None:
         if end.link is None:
@@ -139,7 +149,7 @@ class Network:
             and bytes(self.caller.received) == self.called.to_send
         )
 
-    def open(self) -> "Network":
+    def open(self) -> "LinkNetwork":
         """Both sides exchange a few bytes and authenticate each other."""
         self.write(self.caller, b"hello")
         self.run(lambda: self.called.link is not None)
@@ -149,6 +159,6 @@ class Network:
         return self
 
 
-def opened() -> Network:
+def opened() -> LinkNetwork:
     """Two ends that know each other, on a network that loses nothing."""
-    return Network().open()
+    return LinkNetwork().open()

@@ -66,6 +66,9 @@ class StraightRelay:
     def release(self, target: Target, master: str) -> None:
         self.servers.pop(target).close()
 
+    def take_dropped(self, master: str) -> tuple[Target, ...]:
+        return ()
+
     def ways(self) -> Mapping[str, Way]:
         return dict.fromkeys(self.peers, Way("up", 1.5, 0, "none", len(self._tasks) - 1))
 

@@ -9,14 +9,14 @@ from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.lazy import LazyGroup
 
 _RELAY: Final = {
-    "add": ("relay.peers:add", "Take the card of another site's relay, and call it LABEL."),
+    "add": ("relay.peers:add", "Take the card in FILE of another site's relay, and call it LABEL."),
     "card": (
         "relay.peers:card",
         "Print the card for the relay LABEL: the mailbox that it alone shall send to.",
     ),
     "list": ("relay.peers:list_", "List the relays of other sites, as cards have named them."),
     "remove": ("relay.peers:remove", "Link with LABEL no longer: its links end at once."),
-    "seat": ("relay.seat:seat", "Keep the seat file that the operator of the routers made."),
+    "seat": ("relay.seat:seat", "Keep the seat FILE that the operator of the routers made."),
     "status": ("relay.status:status", "Show the links of the running relay."),
 }
 

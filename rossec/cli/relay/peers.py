@@ -101,7 +101,10 @@ def add(environment: Environment, label: str, file: Path) -> None:
 @click.argument("label")
 @pass_environment
 def remove(environment: Environment, label: str) -> None:
-    """Link with LABEL no longer: its links end at once, and its mailbox is gone."""
+    """Link with LABEL no longer: its links end at once.
+
+    Its mailbox is gone: a card that was handed out for it is of no use any more.
+    """
 
     def take(peers: dict[str, Peer]) -> None:
         if label not in peers:

@@ -16,9 +16,9 @@ from rossec.terminal import note, printable, say
 @click.argument("file", type=options.FILE)
 @pass_environment
 def seat(environment: Environment, file: Path) -> None:
-    """Keep the seat FILE that the operator of the routers made; it has a password in it.
+    """Keep the seat FILE that the operator of the routers made.
 
-    A relay that runs uses it when it is started again.
+    It has a password in it. A relay that runs uses it when it is started again.
     """
     store = relay_files(environment)
     before = store.routers().seat if store.has_seat else ""

@@ -18,7 +18,10 @@ _PERIOD: Final = 1.0
 @click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
 @pass_environment
 def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
-    """Show the links of the running relay: to whom, how fast, and what they carry."""
+    """Show the links of the running relay.
+
+    To whom they are, how fast, what had to be sent again, and how many connections they carry.
+    """
     socket = relay_files(environment).home.path / ADMIN_SOCKET
     shown: list[str] | None = None
     while True:

@@ -96,17 +96,27 @@ class CallAnswers:
         if outcome is None:
             return self._in_turns(call, work)
         answer = self._effects.apply(outcome)
-        return self._watch(call) if self._is_unchanged(call, answer) else answer
+        if self._is_unchanged(call, answer):
+            return self._watch(call, self._expect_change(call))
+        return answer
 
     async def _in_turns(self, call: PendingCall, work: Work) -> object:
         answer = await self._finish(call, work)
-        return await self._watch(call) if self._is_unchanged(call, answer) else answer
+        if self._is_unchanged(call, answer):
+            return await self._watch(call, self._expect_change(call))
+        return answer
 
-    async def _watch(self, call: PendingCall) -> object:
+    def _expect_change(self, call: PendingCall) -> asyncio.Event:
+        """For a change from now on: a coroutine begins later, and would miss what comes before."""
         if call.method == WATCH:
-            await self._state.graph_changes.wait(WATCH_WAIT)
+            return self._state.graph_changes.expect()
+        return self._state.site_polls.expect(call.peer.thumbprint)
+
+    async def _watch(self, call: PendingCall, expected: asyncio.Event) -> object:
+        if call.method == WATCH:
+            await self._state.graph_changes.wait(WATCH_WAIT, expected)
         else:
-            await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT)
+            await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT, expected)
         answer = await self._finish(call, self._begin(call))
         if call.method == FOLLOW and self._is_unchanged(call, answer):
             return [*UNCHANGED]

@@ -28,11 +28,18 @@ class GraphChanges:
                 self._changed.set()
                 self._changed = None
 
-    async def wait(self, longest: float) -> None:
-        """Return soon after the next change, or after `longest` seconds."""
+    def expect(self) -> asyncio.Event:
+        """What the next change from now on sets, to be waited for."""
         if self._changed is None:
             self._changed = asyncio.Event()
-        changed = self._changed
+        return self._changed
+
+    async def wait(self, longest: float, expected: asyncio.Event | None = None) -> None:
+        """Return soon after the next change, or after `longest` seconds.
+
+        `expected`: of `expect`; without it changes count from the first step of this coroutine.
+        """
+        changed = self.expect() if expected is None else expected
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(longest):
                 await changed.wait()

@@ -51,9 +51,19 @@ class SitePolls:
         self._answered[follower] = self._changes
         return before != self._changes
 
-    async def wait(self, follower: bytes, longest: float) -> None:
-        """Return soon after the next change, or after `longest` seconds."""
+    def expect(self, follower: bytes) -> asyncio.Event:
+        """What the next change from now on sets, to be waited for."""
         changed = self._waiting[follower] = asyncio.Event()
+        return changed
+
+    async def wait(
+        self, follower: bytes, longest: float, expected: asyncio.Event | None = None
+    ) -> None:
+        """Return soon after the next change, or after `longest` seconds.
+
+        `expected`: of `expect`; without it changes count from the first step of this coroutine.
+        """
+        changed = self.expect(follower) if expected is None else expected
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(longest):

@@ -64,6 +64,7 @@ async def test_the_doors_of_a_peer_that_is_gone_are_closed() -> None:
     table.drop_peer("office")
     await asyncio.sleep(0.1)
     assert (is_open(door.port), is_open(other.port), len(table)) == (False, True, 1)
+    assert [table.take_dropped("/master") for _ in range(2)] == [{ROBOT}, set()]
     await table.close()
     assert not is_open(other.port)
 

@@ -7,7 +7,7 @@ from rossec.overlay.link import Link
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind
 from rossec.overlay.link_states import LinkState
 from rossec.overlay.link_timing import KEEPALIVE, SILENCE
-from tests.support.linknet import ID, REPLY, Network, opened
+from tests.support.linknet import ID, REPLY, LinkNetwork, opened
 
 
 def test_bytes_arrive_in_both_directions() -> None:
@@ -65,7 +65,7 @@ def test_the_first_frame_is_a_padded_open_that_is_repeated_until_it_is_answered(
 
 
 def test_a_large_first_write_is_cut_to_what_an_unknown_peer_takes() -> None:
-    network = Network()
+    network = LinkNetwork()
     network.write(network.caller, bytes(300_000))
     network.run(network.agreed)
 
@@ -184,3 +184,18 @@ def test_a_window_that_opens_unnoticed_is_asked_for() -> None:
     network.flush(network.called)
     network.cut = False
     network.run(network.agreed, within=5)
+
+
+@pytest.mark.parametrize("rate", [100_000, 400_000])
+def test_on_a_slow_line_nothing_waits_behind_long_queues(rate: int) -> None:
+    """Bytes a second; its buffers take everything."""
+    network = opened()
+    network.rate = rate
+    caller = network.caller.at()
+    while network.now < 6:
+        while caller.backlog == 0:
+            network.write(network.caller, bytes(20_000))
+        network.step()
+    assert len(network.called.received) > 0.8 * 6 * rate
+    assert caller.stats.srtt_s < 0.3
+    assert caller.stats.retransmissions == 0

@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from rossec.overlay.link import AMPLIFICATION
 from rossec.overlay.link_states import LinkState
-from tests.support.linknet import End, Network
+from tests.support.linknet import End, LinkNetwork
 
 SIDES = st.sampled_from(["caller", "called"])
 SIZES = st.sampled_from([1, 40, 1500, 20_000, 70_000, 300_000, 1_000_000])
@@ -27,7 +27,7 @@ class LossyLink(RuleBasedStateMachine):
         self.fates = fates
         self.number = 0
         self.lossless = False
-        self.network = Network(self.fate)
+        self.network = LinkNetwork(self.fate)
         for end in (self.network.caller, self.network.called):
             end.validates_at = validates_at
         self.network.write(self.network.caller, self.content(500))

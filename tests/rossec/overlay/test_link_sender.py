@@ -158,18 +158,26 @@ def test_lost_frames_do_not_fill_more_than_the_window() -> None:
     assert resent(of) == [b"4", b"5"]
 
 
-@pytest.mark.parametrize("event", ["repeated", "lost", "asked"])
+@pytest.mark.parametrize("event", ["repeated", "lost"])
 def test_what_has_two_answers_measures_no_round_trip(event: str) -> None:
     of = sender(10)
     if event == "repeated":
         assert of.repeat_first(0.3) == b"0"
-    elif event == "lost":
+    else:
         of.seen(10, [], 0.2)
         resent(of, 0.3)
-    else:
-        of.asked()
     of.received(10, 0, 5.0)
     assert of.round_trip.srtt_s == 0.0
+
+
+def test_a_least_window_takes_the_round_trip_as_it_is() -> None:
+    of = sender()
+    of.round_trip.sample(0.1)
+    for number in range(100):
+        of.sent(b"", FIRST_WINDOW, float(number))
+        of.received(of.next, 0, number + 0.9)
+    assert of.round_trip.queued_s < 0.1
+    assert of.window.size > FIRST_WINDOW, "it is a longer way, not a queue"
 
 
 def test_a_link_that_is_over_keeps_nothing() -> None:
@@ -178,18 +186,3 @@ def test_a_link_that_is_over_keeps_nothing() -> None:
     of.forget()
     assert not of.waiting
     assert of.backlog == 0
-
-
-def test_a_queue_on_the_way_shrinks_the_window() -> None:
-    size = FIRST_WINDOW // 2
-    of = sender(size, size)
-    of.received(size, 1 << 30, 0.02)
-    assert of.window.size == FIRST_WINDOW + size
-    of.received(2 * size, 1 << 30, 1.0)
-    assert of.window.size == FIRST_WINDOW + size - size // 4
-    of.sent(b"2", size, 1.0)
-    of.sent(b"3", size, 1.0)
-    of.seen(3 * size, [], 1.5)  # lost: what follows may go another way
-    resent(of, 1.5)
-    of.received(4 * size, 1 << 30, 2.5)
-    assert not of.round_trip.queueing

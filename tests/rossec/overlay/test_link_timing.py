@@ -8,6 +8,7 @@ from rossec.overlay.link_timing import (
     LEAST_WINDOW,
     MOST_WAIT,
     MOST_WINDOW,
+    QUEUE,
     STEP,
     CongestionWindow,
     RoundTrip,
@@ -79,34 +80,30 @@ def test_the_window_has_bounds() -> None:
     assert window.size == LEAST_WINDOW
 
 
+def test_what_waits_in_queues_is_what_a_round_trip_takes_more_than_it_must() -> None:
+    trip = RoundTrip()
+    trip.sample(0.1)
+    for _ in range(100):
+        trip.sample(0.3)
+    assert trip.queued_s == pytest.approx(0.2, abs=0.001)
+    trip.way_changed()
+    assert trip.queued_s == 0.0
+
+
+def test_a_window_that_fills_queues_shrinks_by_a_quarter_each_round_trip() -> None:
+    window = CongestionWindow()
+    window.acknowledged(FIRST_WINDOW // 2, FIRST_WINDOW, 2 * QUEUE)
+    assert window.size == FIRST_WINDOW
+    window.acknowledged(FIRST_WINDOW // 2, FIRST_WINDOW, 2 * QUEUE)
+    assert window.size == FIRST_WINDOW * 3 // 4
+    for _ in range(100):
+        window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, 2 * QUEUE)
+    assert window.size == LEAST_WINDOW
+    window.acknowledged(LEAST_WINDOW, LEAST_WINDOW, QUEUE)
+    assert window.size == 2 * LEAST_WINDOW
+
+
 def test_a_window_that_is_not_used_does_not_grow() -> None:
     window = CongestionWindow()
     window.acknowledged(1000, FIRST_WINDOW // 4)
     assert window.size == FIRST_WINDOW
-
-
-def test_a_round_trip_that_became_long_says_that_frames_stand_in_queues() -> None:
-    trip = RoundTrip()
-    found = [trip.queueing]
-    for seconds in (0.05, 0.02, 0.13, 0.2):
-        trip.sample(seconds)
-        found.append(trip.queueing)
-    assert found == [False, False, False, False, True]
-    trip.forget_least()  # after a loss it may be another way, and a longer one
-    trip.sample(0.2)
-    assert not trip.queueing
-
-
-def test_queues_shrink_the_window_as_far_as_the_first_one() -> None:
-    window = CongestionWindow()
-    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW)
-    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, queueing=True)
-    assert window.size == 2 * FIRST_WINDOW - FIRST_WINDOW // 4
-    window.acknowledged(FIRST_WINDOW, 2 * FIRST_WINDOW)  # it no longer doubles
-    assert window.size < 2 * FIRST_WINDOW + STEP
-    for _ in range(20):
-        window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, queueing=True)
-    assert window.size == FIRST_WINDOW
-    window.lost(0, 100)
-    window.acknowledged(FIRST_WINDOW, FIRST_WINDOW, queueing=True)
-    assert window.size == FIRST_WINDOW // 2

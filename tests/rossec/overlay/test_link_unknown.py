@@ -9,7 +9,7 @@ from rossec.overlay import link_frames
 from rossec.overlay.link import AMPLIFICATION, Link
 from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind, refusal
 from rossec.overlay.link_timing import KEEPALIVE, SILENCE
-from tests.support.linknet import REPLY, Network, frame, opened
+from tests.support.linknet import REPLY, LinkNetwork, frame, opened
 
 
 def test_an_open_with_a_forged_reply_key_is_not_amplified() -> None:
@@ -34,7 +34,7 @@ def test_an_open_with_a_forged_reply_key_is_not_amplified() -> None:
 def test_a_long_answer_before_authentication_arrives_within_the_bound(every: int) -> None:
     """As EDHOC's message_2 with long certificates: the caller's probes pay for what is missing."""
     number = count(1)
-    network = Network(lambda _: () if next(number) % every == 0 else (0.01,))
+    network = LinkNetwork(lambda _: () if next(number) % every == 0 else (0.01,))
     network.called.validates_at = network.caller.validates_at = 10_000
     network.write(network.caller, bytes(400))
     network.run(lambda: network.called.link is not None)
@@ -46,7 +46,7 @@ def test_a_long_answer_before_authentication_arrives_within_the_bound(every: int
 
 
 def test_a_peer_that_is_never_authenticated_is_given_up() -> None:
-    network = Network()
+    network = LinkNetwork()
     for end in (network.caller, network.called):
         end.validates_at = 1 << 30
     network.write(network.caller, b"hello")

@@ -28,15 +28,21 @@ class Table:
     def __init__(self) -> None:
         self.open_for: dict[Target, str] = {}
         self.refused: set[Target] = set()
+        self.dropped: set[Target] = set()
+        self.base = 7000
 
     async def open(self, target: Target, master: str) -> Door:
         if target in self.refused:
             raise RelayRefused("no such peer", "rossec relay add")
         self.open_for[target] = master
-        return Door("127.0.0.1", 7000 + len(target.name))
+        return Door("127.0.0.1", self.base + len(target.name))
 
     def release(self, target: Target, master: str) -> None:
         assert self.open_for.pop(target) == master
+
+    def take_dropped(self, master: str) -> set[Target]:
+        dropped, self.dropped = self.dropped, set()
+        return dropped
 
     def ways(self) -> Mapping[str, Way]:
         return {"office": Way("up", 12.5, 3, "tls/r:7447", 2)}
@@ -117,6 +123,18 @@ async def test_what_cannot_be_opened_is_tried_again(
     relay.table.refused = set()
     doors.want("office", [ROBOT, CLOCK])
     await until(lambda: doors.door(ROBOT) is not None)
+
+
+async def test_a_door_of_a_peer_that_was_removed_and_is_back_is_opened_again(
+    relay: Relay, tasks: TaskSet
+) -> None:
+    doors = relay.world.server.state.doors
+    tasks.spawn(relay.link.run(), "link")
+    doors.want("office", [ROBOT])
+    await until(lambda: doors.door(ROBOT) is not None)
+    relay.table.base, relay.table.dropped = 8000, {ROBOT}
+    doors.want("office", [ROBOT, CLOCK])
+    await until(lambda: doors.door(ROBOT) == Door("127.0.0.1", 8006))
 
 
 async def test_the_connection_is_made_again_and_doors_are_told_anew(

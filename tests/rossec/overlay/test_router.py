@@ -13,12 +13,16 @@ import pytest
 
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.overlay import router as router_module
+from rossec.overlay.endpoint import LinkListener, dial_link
 from rossec.overlay.router import Router, seats_of
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.routers import Routers
 from rossec.overlay.zenoh_carrier import Carrier
+from tests.support.contexts import context
 from tests.support.overlay import until
 from tests.support.routerprocess import PASSWORD, home_with
+from tests.support.secure_streams import echo
+from tests.support.wire import ALICE, BOB
 
 HOME = "rossec/1/home/00112233445566778899aabbccddeeff"
 CLINIC = "rossec/1/clinic/ffeeddccbbaa99887766554433221100"
@@ -110,6 +114,34 @@ async def test_a_seat_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -
             await until(lambda: alice.router)
             with pytest.raises(OverlayUnavailable, match="no router takes the seat clinic"):
                 await Carrier.open(clinic)
+
+
+async def test_a_link_goes_on_while_seats_change(tmp_path: Path) -> None:
+    home = home_with(tmp_path / "a", "home", "clinic")
+    async with (
+        started(home),
+        seated(home.seat_file("home")) as alice,
+        seated(home.seat_file("clinic")) as bob,
+        LinkListener(bob, CLINIC, context(BOB), echo),
+        await dial_link(alice, CLINIC, "home", context(ALICE)) as stream,
+    ):
+        before = home.seats_version()
+        home.change_seats(lambda found: found.add("third", PASSWORD))
+        assert home.seats_version() != before
+        third = asyncio.ensure_future(_is_seated(home.seat_file("third")))
+        count = 0
+        while not third.done() or not alice.router:
+            await stream.send(count.to_bytes(4))
+            assert await stream.receive() == count.to_bytes(4)
+            count += 1
+        await third
+        await stream.send(b"still")
+        assert await stream.receive() == b"still"
+
+
+async def _is_seated(routers: Routers) -> None:
+    async with _seated_soon(routers):
+        pass
 
 
 async def test_the_last_seat_is_given_up_while_it_runs(tmp_path: Path) -> None:

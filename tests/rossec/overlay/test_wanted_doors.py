@@ -70,6 +70,15 @@ def test_what_failed_is_tried_after_each_answer_until_it_is_wanted_no_longer() -
     assert doors.take(answer(4), 1).open == ()
 
 
+def test_a_door_that_was_lost_is_opened_again() -> None:
+    doors = WantedDoors()
+    doors.take(answer(1, [ROBOT]), 0)
+    doors.opened(ROBOT, AT)
+    assert doors.lost([ROBOT, ARM]) == [ROBOT]
+    assert (doors.held, doors.report()) == ((), [])
+    assert doors.lost([ROBOT]) == []
+
+
 def test_many_doors_are_told_in_parts() -> None:
     doors = WantedDoors()
     for number in range(REPORTED_AT_ONCE + 5):

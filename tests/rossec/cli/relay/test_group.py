@@ -1,12 +1,12 @@
 """The group `rossec relay`."""
 
+from rossec.cli.relay.group import relay
+from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 
 
-def test_the_verbs_are_listed(empty: Shell) -> None:
-    said = empty("relay", "--help").out
-    for verb in ("add", "card", "list", "remove", "seat", "status"):
-        assert f"\n  {verb} " in said
+def test_each_verb_exists_and_has_this_help_line() -> None:
+    check_table(relay)
 
 
 def test_without_a_verb_it_runs(empty: Shell) -> None:

@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from grants.document import grant_id
+from rossec.errors import AnswerRefused
 from rossec.master.api.turns import Turns
 from rossec.master.rights.caller import NAMES_PER_YIELD
-from tests.rossec.master.world import SlaveNode, T, World, ends
+from rossec.master.state.doors import Target
+from tests.rossec.master.world import SlaveNode, T, World, ends, until
 from tests.support.caller import caller
 from tests.support.site import Site
 
@@ -107,3 +109,46 @@ async def test_a_call_that_waits_for_grants_is_answered_in_the_end(site: Site) -
         assert await robot("rossec.watchGrants", b"") == empty
         assert await robot("rossec.fetchGrants", b"") == empty
         assert "expected at most" in await robot.refused("rossec.watchGrants", b"x")
+
+
+async def test_what_changes_before_a_watcher_has_begun_to_wait_is_told(slow: World) -> None:
+    """The answer that has nothing new is of the call; a coroutine of the wait begins later."""
+    watcher, robot = await slow.node("/watcher"), await slow.node("/robot")
+    first = await watcher.ask("rossec.watchGraph", "", 0)
+    waiting = asyncio.ensure_future(
+        watcher.ask("rossec.watchGraph", first["instance"], first["cursor"])
+    )
+    await robot.ask("registerPublisher", "/t", T, robot.uri)
+    async with asyncio.timeout(4):  # a wait without a change takes five
+        changes = await waiting
+    assert ["publisher", "/t", "/robot"] in changes["added"]
+
+
+async def test_a_relay_waits_until_something_is_wanted(slow: World) -> None:
+    relay, doors = await slow.node("/relay"), slow.server.state.doors
+    way = {"state": "up", "rtt_ms": 1.0, "retransmissions": 0, "router": "", "streams": 0}
+    polls = slow.server.state.relay_polls
+    target, door = Target("office", "node", "/robot"), ["office", "node", "/robot", "127.0.0.1", 7]
+
+    def poll(seen: int, *opened: object) -> "asyncio.Task[Any]":
+        asked = relay.ask("rossec.relayDoors", "one", seen, [*opened], {"office": way})
+        return asyncio.ensure_future(asked)
+
+    assert (await poll(0))["wanted"] == [], "the first call of a relay is answered at once"
+    first = poll(0)
+    await until(lambda: len(polls) == 1)
+    assert not first.done()
+    doors.want("office", [target])
+    answer = await first
+    assert answer["wanted"] == [["office", "node", "/robot"]]
+    second = poll(answer["version"], door)
+    await until(lambda: doors.door(target) is not None)
+    doors.want("office", [])
+    assert (await second)["unwanted"] == [["office", "node", "/robot"]]
+    assert doors.door(target) is None
+
+
+async def test_a_relay_that_is_refused_does_not_wait(slow: World) -> None:
+    relay = await slow.node("/relay")
+    with pytest.raises(AnswerRefused, match="bad call arity"):
+        await relay.ask("rossec.relayDoors", "one", 0, [])

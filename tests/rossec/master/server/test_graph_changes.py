@@ -34,3 +34,11 @@ async def test_a_notification_without_a_version_ends_the_wait() -> None:
 async def test_the_wait_ends_without_a_change() -> None:
     async with asyncio.timeout(30):
         await GraphChanges().wait(0.01)
+
+
+async def test_a_change_between_the_call_and_its_first_step_counts() -> None:
+    changes = GraphChanges()
+    wait = changes.wait(30.0, changes.expect())
+    changes.notify(1)
+    async with asyncio.timeout(15):
+        await wait

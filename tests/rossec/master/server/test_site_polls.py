@@ -79,3 +79,12 @@ async def test_what_changed_between_two_calls_is_told_with_the_second() -> None:
     polls.notify()
     await task
     assert not polls.missed(b"a")  # its answer followed
+
+
+async def test_a_change_between_the_call_and_its_first_step_counts() -> None:
+    polls = SitePolls()
+    wait = polls.wait(b"a", LONG, polls.expect(b"a"))
+    polls.notify(1)
+    async with asyncio.timeout(LONG / 2):
+        await wait
+    assert len(polls) == 0
