@@ -14,10 +14,12 @@ from functools import partial
 from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
+from ca.domains.aliases import shown
 from ca.errors import HintedError
 from ca.patterns import covers
 from rossec.errors import ChannelError, OverlayUnavailable, RelayRefused, StreamRefused
 from rossec.master.state.doors import Way
+from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.overlay.door_table import DoorTable
@@ -236,8 +238,8 @@ class Relay:
         try:
             self._admit(peer, stream)
         except HintedError as error:
-            text = printable(f"a link to the mailbox of {peer.label} is refused: {error}")
-            _audit.warning("%s (%s)", text, printable(error.hint))
+            where = f"the mailbox for {peer.label}"
+            withheld_log.warn(_audit, withheld_log.REFUSED, where, shown(stream.peer.name), error)
             return
         remote = RemoteRelay(peer.label, peer.domain or "", peer.name)
         dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))

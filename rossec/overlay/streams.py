@@ -38,10 +38,6 @@ class LinkStream(Protocol):
     """What is used of `rossec.net.aio.SecureStream`."""
 
     @property
-    def lags(self) -> bool:
-        """Whether the link takes nothing more for now."""
-
-    @property
     def backlog(self) -> int:
         """Bytes that were written and not sent."""
 

@@ -196,14 +196,16 @@ async def test_it_forges_openings_that_are_answered_to_a_victim() -> None:
         _, recorded = router.sent(Kind.OPEN)[0]
         _, hello = split_return_address(read(recorded).body)
         forged = [_forged_open(number, bytes(hello)) for number in range(2000)]
+        began = asyncio.get_running_loop().time()
         for frame in forged:
             router.put(BOX, frame)
             await asyncio.sleep(0)
+        seconds = asyncio.get_running_loop().time() - began
         assert await echoed(honest, MESSAGE) == MESSAGE
         await asyncio.sleep(1.5)
         answers = [frame for key, frame in router.frames if key == VICTIM]
         answered = {frame[1 : 1 + LINK_ID] for frame in answers}
-        assert 0 < len(answered) <= 4 * OPENS_PER_SECOND
+        assert 0 < len(answered) <= OPENS_PER_SECOND * (2 + seconds)
         assert max(map(len, answers)) > 200  # a message of the handshake, not only a refusal
         assert sum(map(len, answers)) <= 3 * sum(map(len, forged[: len(answered)]))
         assert bob.answered == 1

@@ -287,3 +287,17 @@ async def test_a_link_without_progress_is_given_up(
     assert "no progress" in str(pair.a.reason)
     assert pair.carrier.reopened == 0
     await until(lambda: "lost" in pair.alice.events)
+
+
+async def test_a_crash_of_the_link_passes_nothing_more(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crash(*_: object) -> None:
+        raise ValueError("a bug")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Link, "receive", crash)
+        with pytest.raises(ValueError, match="a bug"):
+            pair.b.frame_received(b"")
+    assert pair.b.closed
+    await until(lambda: "lost" in pair.alice.events)

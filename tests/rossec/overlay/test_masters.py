@@ -112,7 +112,11 @@ async def test_a_revoked_master_is_not_asked(mesh: Mesh) -> None:
         await mesh.masters.target("", "master", KITCHEN)
 
 
-async def test_lists_are_asked_for_as_soon_as_the_master_has_them(mesh: Mesh) -> None:
+async def test_lists_are_asked_for_as_soon_as_the_master_has_them(
+    mesh: Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 600.0)
+    monkeypatch.setattr("rossec.participant.master_session.HEARTBEAT", 600.0)
     await until(lambda: mesh.masters.status().get("/master") == "")
     mesh.hall.take_list(mesh.hall.site.revoke(bytes(32)))
-    await until(lambda: bytes(32) in mesh.member.standing.own.entries, within=2)
+    await until(lambda: bytes(32) in mesh.member.standing.own.entries, within=8)
