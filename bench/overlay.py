@@ -211,7 +211,7 @@ async def _receive(stream: SecureStream[Identity], arrivals: list[float]) -> Non
 
 async def gaps(number: signal.Signals) -> float:
     """The median of some trials."""
-    return median([await gap(number) for _ in range(TRIALS[number])])
+    return round(median([await gap(number) for _ in range(TRIALS[number])]), 1)
 
 
 def measure(seconds: float) -> dict[str, object]:

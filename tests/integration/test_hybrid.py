@@ -143,9 +143,9 @@ async def test_a_topic_from_the_office_to_a_node_of_the_meshed_kitchen(home: Hom
     site.grant("/desk", Right.PUBLISH, "/paper")
     site.grant("/cook", Right.SUBSCRIBE, "/paper")
     async with contextlib.AsyncExitStack() as stack:
-        desk = await stack.enter_async_context(home.office.node("/desk"))
+        clerk = await stack.enter_async_context(home.office.node("/desk"))
         cook = await stack.enter_async_context(home.kitchen.node("/cook"))
-        paper = await desk.publisher("/paper", "std_msgs/String", latch=True)
+        paper = await clerk.publisher("/paper", "std_msgs/String", latch=True)
         paper.publish(paper.create(data="lunch at one"))
         wanted = await cook.subscriber("/paper", "std_msgs/String")
         async with asyncio.timeout(30):
