@@ -33,10 +33,13 @@ def enroll_masters(site: Site, names: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def master(
-    site: Site, name: str = MASTER, follows: Mapping[str, tuple[str, int]] | None = None
+    site: Site,
+    name: str = MASTER,
+    follows: Mapping[str, tuple[str, int]] | None = None,
+    port: int = 0,
 ) -> Iterator[Master]:
     """A master that follows others: by label, the name and port of each."""
-    port = free_port()
+    port = port or free_port()
     config = site.root / f"{name.rpartition('/')[2]}.yaml"
     lines = [
         f"    {label}: {{uri: 'http://127.0.0.1:{at}', master: {other}}}\n"
@@ -125,12 +128,13 @@ class Meter:
     Attributes:
         port: to connect to.
         count: bytes in both directions: payload of TCP.
+        reads: how often some of them came.
         opened: when a connection was made first.
     """
 
     def __init__(self, to: int) -> None:
         self._to = to
-        self.count = 0
+        self.count = self.reads = 0
         self.opened = 0.0
         self.port = 0
         self.used = asyncio.Event()
@@ -147,8 +151,12 @@ class Meter:
 
     async def _handle(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.opened = self.opened or time.perf_counter()
-        with contextlib.suppress(OSError):
+        try:
             back, forth = await asyncio.open_connection("127.0.0.1", self._to)
+        except OSError:  # nobody is there yet, which the caller shall see
+            writer.close()
+            return
+        with contextlib.suppress(OSError):
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._pass(reader, forth))
                 group.create_task(self._pass(back, writer))
@@ -157,6 +165,7 @@ class Meter:
         with contextlib.suppress(OSError):
             while data := await reader.read(_CHUNK):
                 self.count += len(data)
+                self.reads += 1
                 self.used.set()
                 writer.write(data)
                 await writer.drain()

@@ -18,12 +18,17 @@ _BLOCKED, _FORWARDING = "0", "3"  # states of a bridge's port (linux/if_bridge.h
 
 @dataclass(frozen=True)
 class Lan:
-    """The hosts by their names; `real` if they have network namespaces."""
+    """The hosts by their names; `real` if they have network namespaces.
+
+    Attributes:
+        switch: the prefix of commands that are run on the switch.
+        ports: the switch's device for each host, and for each segment but the first.
+    """
 
     hosts: Mapping[str, Host]
     real: bool
-    _switch: tuple[str, ...] = ()
-    _ports: Mapping[str, str] = field(default_factory=dict)
+    switch: tuple[str, ...] = ()
+    ports: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Host:
         return self.hosts[name]
@@ -48,8 +53,8 @@ class Lan:
     def _set(self, names: Sequence[str], state: str) -> None:
         assert self.real, "without namespaces no link can be cut"
         for name in names:
-            command = ("bridge", "link", "set", "dev", self._ports[name], "state", state)
-            subprocess.run([*self._switch, *command], check=True, capture_output=True)
+            command = ("bridge", "link", "set", "dev", self.ports[name], "state", state)
+            subprocess.run([*self.switch, *command], check=True, capture_output=True)
 
 
 @contextlib.contextmanager
@@ -77,7 +82,7 @@ def lan_of(segments: Mapping[str, Sequence[str]]) -> Iterator[Lan]:
             name: Host(_enter(pids[name], root=root), f"10.98.0.{number}", f"fd98::{number}")
             for number, name in enumerate(names, 1)
         }
-        yield Lan(hosts, real=True, _switch=switch, _ports=ports)
+        yield Lan(hosts, real=True, switch=switch, ports=ports)
 
 
 def _enter(pid: int, *, root: bool) -> tuple[str, ...]:
