@@ -29,7 +29,9 @@ PARSER: Final = argparse.ArgumentParser(prog="python -m bench thesis", descripti
 PARSER.add_argument("experiments", nargs="*", choices=[[], *EXPERIMENTS], help="default: all")
 PARSER.add_argument("--full", action="store_true", help="all sizes, rates and meshes: hours")
 PARSER.add_argument("--plot", metavar="DIR", type=Path, help="draw the figures (extra bench)")
-PARSER.add_argument("--saved", metavar="FILE", type=Path, help="a result, instead of measuring")
+PARSER.add_argument(
+    "--saved", metavar="FILE", type=Path, help="what --json printed, instead of measuring"
+)
 PARSER.add_argument("--check", action="store_true", help="fail unless the statements hold")
 
 text = report.text
@@ -52,11 +54,17 @@ def measure(
     """
     draw = _draw() if plot is not None else None
     chosen = list(experiments) or list(EXPERIMENTS)
-    found = _measured(chosen, full=full) if saved is None else json.loads(saved.read_text())
+    found = _measured(chosen, full=full) if saved is None else read(saved)
     if draw is not None and plot is not None:
         draw(found, plot)
     if check and (reasons := failed(found)):
         raise SystemExit("\n".join([report.text(found), *reasons]))
+    return found
+
+
+def read(saved: Path) -> dict[str, Any]:
+    """A result as `--json` printed it: the last line."""
+    found: dict[str, Any] = json.loads(saved.read_text().splitlines()[-1])
     return found
 
 

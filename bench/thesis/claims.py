@@ -25,6 +25,8 @@ LATENCY: Final = {
 MEMORY: Final = {  # MB, and kB for each node; thesis 5.1
     "full": (54.5, 4.5), "proxy": (8.9, 0.0),
 }  # fmt: skip
+MEASURED: Final = {"full": "full", "sidecar": "proxy"}
+"""Which program of ours takes the part of which of the thesis."""
 EQUIVALENT: Final = {
     "plain_100m": "direct_100m", "relay_100m": "gateway_100m", "relay_300k": "gateway_300k",
 }  # fmt: skip

@@ -49,7 +49,7 @@ class Device:
         return found["rx"]["bytes"], found["tx"]["bytes"]
 
 
-class Network:
+class Testbed:
     """Hosts on one switch, each at its port; and lines that join two of them."""
 
     def __init__(self, lan: Lan) -> None:
@@ -81,7 +81,7 @@ class Network:
 
 
 @contextlib.contextmanager
-def network_of(names: Sequence[str], kbit: int = ETHERNET) -> Iterator[Network]:
+def network_of(names: Sequence[str], kbit: int = ETHERNET) -> Iterator[Testbed]:
     """Hosts on a switch, whose links have a rate.
 
     Raises:
@@ -90,7 +90,7 @@ def network_of(names: Sequence[str], kbit: int = ETHERNET) -> Iterator[Network]:
     with lan_of({"switch": names}) as lan:
         if not lan.real:
             raise NoNamespaces("network namespaces are not permitted here")
-        network = Network(lan)
+        network = Testbed(lan)
         for name in names:
             network.limit(name, kbit)
         yield network

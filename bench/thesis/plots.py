@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
-from bench.thesis.claims import EQUIVALENT, LARGEST, LATENCY, MEMORY
+from bench.thesis.claims import EQUIVALENT, LARGEST, LATENCY, MEASURED, MEMORY
 
 _SMALLEST: Final = 16  # bytes of the stamp: where a size of 0 is on a logarithmic axis
 _SIZE: Final = (6.4, 4.0)  # inches
@@ -57,7 +57,7 @@ def largest(found: Mapping[str, int]) -> Figure:
 def memory(found: Mapping[str, float]) -> Figure:
     """Memory of each program."""
     names = [name for name in found if not name.endswith("_a_node")]
-    said = [MEMORY["full" if name == "full" else "proxy"][0] for name in names]
+    said = [MEMORY[MEASURED[name]][0] if name in MEASURED else 0 for name in names]
     return _bars(names, [found[name] for name in names], said, "MB")
 
 
@@ -67,7 +67,7 @@ def _bars(
     figure = Figure(_SIZE, layout="constrained")
     axes = figure.subplots()
     axes.bar(names, own, width=0.5, label="here")
-    for place, value in enumerate(said):
+    for place, value in [each for each in enumerate(said) if each[1]]:
         axes.hlines(value, place - 0.4, place + 0.4, label="" if place else "thesis", color=_GREY)
     axes.set_ylabel(unit)
     axes.tick_params(axis="x", labelsize=8)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from bench.thesis.claims import EQUIVALENT, LARGEST, LATENCY, MEMORY
+from bench.thesis.claims import EQUIVALENT, LARGEST, LATENCY, MEASURED, MEMORY
 
 _MISSING: Final = "not measured"
 
@@ -26,8 +26,10 @@ def _memory(result: Mapping[str, Any]) -> Iterator[str]:
     if (found := result.get("memory_mb")) is None:
         return
     yield "5.1 memory, MB (Pss; RAM in the thesis), and kB for each node"
-    (full, each), (proxy, more) = MEMORY["full"], MEMORY["proxy"]
-    said = {"full": f"{full} with multimaster, {each} kB", "sidecar": f"proxy {proxy}, {more} kB"}
+    said = {
+        ours: f"{MEMORY[theirs][0]} ({theirs}), {MEMORY[theirs][1]} kB"
+        for ours, theirs in MEASURED.items()
+    }
     for name in ("full", "master", "sidecar", "relay"):
         node = found.get(f"{name}_kb_a_node")
         own = f"{found[name]:>8}" + (f", {node} kB" if node is not None else "")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from bench._sites import enroll_masters
-from bench.thesis.network import ETHERNET, RADIO, Device, Network, network_of
+from bench.thesis.network import ETHERNET, RADIO, Device, Testbed, network_of
 from bench.thesis.programs import Program, Programs, programs
 from bench.thesis.talk import TOPIC
 from rossec.overlay.mailboxes import BOX, mailbox
@@ -40,7 +40,7 @@ class Setup:
     module = "bench.thesis.node"
     name = ""  # of the set-up
 
-    def __init__(self, network: Network, running: Programs) -> None:
+    def __init__(self, network: Testbed, running: Programs) -> None:
         self.network, self.programs = network, running
         self.talker: Program
         self.listeners: list[Program] = []
@@ -103,7 +103,7 @@ class Direct(Setup):
         return self.link.counters()[1]
 
 
-class Plain(Direct):
+class PlainDirect(Direct):
     """The same in plain ROS: rosmaster and rospy of this machine."""
 
     module = "bench.thesis.stock"
@@ -123,7 +123,7 @@ class Plain(Direct):
 class Relayed(Setup):
     """Each subscriber's own connection to the publisher is carried by relays and a router."""
 
-    def __init__(self, network: Network, running: Programs) -> None:
+    def __init__(self, network: Testbed, running: Programs) -> None:
         super().__init__(network, running)
         self.router_of: dict[str, str] = {}  # what the relay of a site uses first
         self._boxes: dict[tuple[str, str], str] = {}
@@ -206,7 +206,7 @@ class Relayed(Setup):
 
 SETUPS: Final[Mapping[str, tuple[type[Direct | Relayed], int]]] = {
     "direct_100m": (Direct, ETHERNET),
-    "plain_100m": (Plain, ETHERNET),
+    "plain_100m": (PlainDirect, ETHERNET),
     "relay_100m": (Relayed, ETHERNET),
     "direct_300k": (Direct, RADIO),
     "relay_300k": (Relayed, RADIO),
