@@ -19,6 +19,8 @@ RATES: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 MESSAGES: Final = 200  # of a point of a whole run
 LONGEST: Final = 60.0  # seconds of a point
 DRAIN: Final = 2.0  # seconds for what is on its way after the last was sent
+SETTLED: Final = 120.0  # seconds at most until a full link is idle: ten messages of a publisher
+_IDLE: Final = 20_000  # bytes a second
 _LADDERS: Final = {
     "direct_100m": (1_000_000, 2_000_000),
     "plain_100m": (1_000_000,),
@@ -86,8 +88,8 @@ def _one(made: Direct | Relayed, number: int, point: Point) -> Measured:
 
 
 def _settle(made: Direct | Relayed) -> None:
-    """Wait until the link is idle, at most half a minute: what waits would delay the next point."""
-    before, end = -1, time.monotonic() + 30
-    while (now := made.counted()) - before > 20_000 and time.monotonic() < end:
+    """Wait until the link is idle: what still waits would delay the next point."""
+    before, end = -_IDLE - 1, time.monotonic() + SETTLED
+    while (now := made.counted()) - before > _IDLE and time.monotonic() < end:
         before = now
         time.sleep(1)
