@@ -189,6 +189,26 @@ async def test_a_flood_of_streams_is_refused_beyond_the_first(sites: Sites) -> N
     assert len(office.master.server.context.half_open) == 0
 
 
+@pytest.mark.attack("relay-floods")
+async def test_streams_that_are_broken_off_at_once_have_few_targets_looked_for(
+    sites: Sites,
+) -> None:
+    """Opened, answered with an opening, reset: it would cost the attacker 40 bytes each."""
+    _, office = sites
+    before = len(asyncio.all_tasks())
+    most = 0
+    async with attacker(sites) as link:
+        for number in range(2000):
+            await link.send(open_unit(number, Target(NODE, f"/n{number}")) + data(number, HTTP))
+            await link.send(reset_unit(number))
+            most = max(most, len(asyncio.all_tasks()) - before)
+        await answers(link, 1)
+        most = max(most, len(asyncio.all_tasks()) - before)
+        assert most < 3 * YOUNG
+        await honest_call(sites)
+    assert office.relay.ways()["home"].streams == 0
+
+
 BREACHES = {
     "a number left out": open_unit(1, THE_MASTER),
     "a number again": open_unit(0, THE_MASTER) * 2,
