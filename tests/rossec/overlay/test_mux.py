@@ -175,10 +175,25 @@ def test_new_streams_are_few_until_they_grow_old_or_end() -> None:
     refused = Target(NODE, f"/n{YOUNG}")
     assert fill(called, 1, first=YOUNG) == [Refused(YOUNG, refused, reset_unit(YOUNG))]
     assert YOUNG not in called
+    called.connected(3)
     called.receive(reset_unit(3), 0)
     (event,) = fill(called, 1, first=YOUNG + 1)
     assert isinstance(event, Opened)
     (event,) = fill(called, 1, now=YOUNG_SECONDS + 0.1, first=YOUNG + 2)
+    assert isinstance(event, Opened)
+
+
+def test_a_stream_that_is_over_counts_until_its_target_is_looked_for_no_more() -> None:
+    called = Mux(Role.CALLED)
+    for number in range(YOUNG):
+        (event,) = fill(called, 1, first=number)
+        assert isinstance(event, Opened)
+        called.receive(reset_unit(number), 0)
+    assert len(called) == 0
+    (event,) = fill(called, 1, now=2 * YOUNG_SECONDS, first=YOUNG)
+    assert isinstance(event, Refused)
+    called.connected(7)
+    (event,) = fill(called, 1, first=YOUNG + 1)
     assert isinstance(event, Opened)
 
 
@@ -267,6 +282,8 @@ class BothSides(RuleBasedStateMachine):
                     self.got.setdefault((other, stream), bytearray()).extend(payload)
                     key = side, stream
                     self.not_taken[key] = self.not_taken.get(key, 0) + len(payload)
+                case Opened(stream, _):
+                    self.sides[side].connected(stream)
                 case Refused():
                     pytest.fail("a caller that keeps the limits is refused")
                 case _:
