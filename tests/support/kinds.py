@@ -4,9 +4,9 @@ The rospy sources are used twice: in-process with two more lines, and unmodified
 
 A publisher KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
 string) and /KIND/pose (every second one in a frame that no grant allows), and provides
-/KIND/switch; between messages it waits the seconds it is told, or 0.1. A subscriber subscribes to those of all kinds and calls them in a loop, over a
-connection for each call (CALLED) and over a persistent one (KEPT); it subscribes to /KIND/brief
-once the given file exists.
+/KIND/switch; between messages it waits the seconds it is told, or 0.1. A subscriber subscribes to
+those of all kinds and calls them in a loop, over a connection for each call (CALLED) and over a
+persistent one (KEPT); it subscribes to /KIND/brief once the given file exists.
 """
 
 from collections.abc import Mapping, Sequence
