@@ -136,11 +136,22 @@ class Relay:
             self._failure.set_exception(error)
 
     async def _maintain(self) -> None:
+        router = self._network.router
         while True:
             await asyncio.sleep(_PERIOD)
+            router = self._note_router(router)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
+
+    def _note_router(self, before: str) -> str:
+        """Say when another router is in use than before, or none; returns which."""
+        router = self._network.router
+        if router and router != before:
+            _log.warning("router %s is in use now", router)
+        elif router != before:
+            _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
+        return router
 
     # -- peers
 
