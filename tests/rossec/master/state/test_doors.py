@@ -211,3 +211,16 @@ def test_nobody_is_told_after_it_is_followed_no_longer() -> None:
     before = site.changed
     site.poll()
     assert site.changed == before
+
+
+def test_of_two_relays_with_one_name_the_newer_one_is_heard() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.poll(instance="one")
+    assert not site.doors.is_superseded("/relay", "one")
+    site.poll(opened={ROBOT: AT}, instance="two", now=1)
+    assert site.doors.is_superseded("/relay", "one")
+    assert not site.doors.is_superseded("/relay", "two")
+    assert not site.doors.is_superseded("/relay/attic", "one")
+    assert site.doors.expire(2 + SILENCE) == ("/relay",)
+    assert not site.doors.is_superseded("/relay", "one"), "it may serve again"
