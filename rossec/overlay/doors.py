@@ -1,8 +1,8 @@
 """Doors: local ports of the relay, each of which stands for one target at a peer's site.
 
 A door on loopback admits the programs of allowed users, as a sidecar's port does; one on a network
-address admits everybody, which harms nobody: behind it stands the handshake of the far node. The
-pool is bounded, and the least recently requested door without connections is given up for a new
+address admits everybody, who gets no further than the handshake of the far node, but can hold up
+new connections of others. The pool is bounded, and the least recently requested door without connections is given up for a new
 one.
 """
 
