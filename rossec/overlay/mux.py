@@ -100,6 +100,7 @@ class _Stream:
     may_send: int = FIRST
     asked: bool = False  # the caller spoke last
     answers: int = 0
+    connecting: bool = False
 
     def spoke(self, *, to_target: bool) -> None:
         """Count how often the target answered: see `_ANSWERS`."""
@@ -115,6 +116,7 @@ class Mux:
         self._streams: dict[int, _Stream] = {}
         self._for_name: Counter[Target] = Counter()
         self._fund = Fund()
+        self._abandoned: set[int] = set()  # over, and still being connected at the called side
         self._next = first
         self._caller = role is Role.CALLER
         self._young_seconds = _CALLER_YOUNG_SECONDS if self._caller else YOUNG_SECONDS
@@ -138,11 +140,27 @@ class Mux:
             return f"{STREAMS} streams are open"
         if self._for_name[target] >= FOR_ONE_NAME:
             return f"{FOR_ONE_NAME} streams to it are open"
-        since = now - self._young_seconds
-        young = sum(
-            each.answers < _ANSWERS and each.opened > since for each in self._streams.values()
-        )
-        return f"{YOUNG} streams are new" if young >= YOUNG else ""
+        new = len(self._abandoned) + self._young_since(now - self._young_seconds)
+        return f"{YOUNG} streams are new" if new >= YOUNG else ""
+
+    def _young_since(self, since: float) -> int:
+        """Streams that were opened after `since` and are not in use yet, up to `YOUNG`."""
+        young = 0
+        for each in reversed(self._streams.values()):  # the newest first
+            if each.opened <= since or young >= YOUNG:
+                break
+            young += each.answers < _ANSWERS
+        return young
+
+    def connected(self, stream: int) -> None:
+        """The called side is done with connecting the stream, whatever came of it.
+
+        Until then one that is over counts as new: a peer that opens streams and breaks them off
+        at once would have any number of targets looked for (as CVE-2023-44487, of HTTP/2).
+        """
+        self._abandoned.discard(stream)
+        if stream in self._streams:
+            self._streams[stream].connecting = False
 
     def open(self, target: Target, now: float) -> tuple[int, bytes]:
         """The number of a new stream, and the unit that opens it.
@@ -158,7 +176,9 @@ class Mux:
     def _add(self, target: Target, now: float) -> int:
         number = self._next
         self._next += 1
-        self._streams[number] = _Stream(target, now, ReceiveWindow(self._fund))
+        self._streams[number] = _Stream(
+            target, now, ReceiveWindow(self._fund), connecting=not self._caller
+        )
         self._for_name[target] += 1
         return number
 
@@ -279,6 +299,8 @@ class Mux:
     def _remove(self, stream: int) -> None:
         found = self._streams.pop(stream)
         found.window.close()
+        if found.connecting:
+            self._abandoned.add(stream)
         target = found.target
         self._for_name[target] -= 1
         if not self._for_name[target]:

@@ -15,7 +15,9 @@ from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown
+from ca.domains.lists import ForeignDomain
 from ca.errors import HintedError
+from ca.names import RELAY, is_master_name
 from ca.patterns import covers
 from rossec.errors import ChannelError, OverlayUnavailable, RelayRefused, StreamRefused
 from rossec.master.state.doors import Way
@@ -135,11 +137,22 @@ class Relay:
             self._failure.set_exception(error)
 
     async def _maintain(self) -> None:
+        router = self._network.router
         while True:
             await asyncio.sleep(_PERIOD)
+            router = self._note_router(router)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
+
+    def _note_router(self, before: str) -> str:
+        """Say when another router is in use than before, or none; returns which."""
+        router = self._network.router
+        if router and router != before:
+            _log.warning("router %s is in use now", router)
+        elif router != before:
+            _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
+        return router
 
     # -- peers
 
@@ -223,7 +236,8 @@ class Relay:
         if not any(covers(pattern, peer.relay) for pattern in listed.entry.admitted):
             raise RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
-                f"at this side's authority: rossec domain limit {peer.domain} --admit '/**'",
+                "at this side's authority: rossec domain limit"
+                f" {peer.domain} {_admit(listed.entry)}",
             )
 
     def _admit(self, peer: Peer, stream: SecureStream[Identity]) -> None:
@@ -287,6 +301,12 @@ class Relay:
             "label": label, "relay": link.peer.shown, **self._way(link)._asdict(),
             "called": len(called), "error": link.error, "hint": link.hint,
         }  # fmt: skip
+
+
+def _admit(entry: ForeignDomain) -> str:
+    """The options that admit whom the list admits, and so its relays too, but nobody else."""
+    nodes = [each for each in entry.admitted if not is_master_name(each.replace("*", "x"))]
+    return " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
 
 
 def measured(stream: SecureStream[Identity]) -> tuple[float, int]:

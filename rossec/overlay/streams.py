@@ -180,7 +180,7 @@ class Streams:
 
     # -- the called side
 
-    async def _connect(self, pump: Pump, target: Target) -> None:
+    async def _connect(self, number: int, pump: Pump, target: Target) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 sock = await self._dial(target, pump)
@@ -188,6 +188,7 @@ class Streams:
         except (HintedError, OSError, TimeoutError) as error:
             withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, error)
         finally:
+            self._mux.connected(number)
             if not pump.connected:
                 pump.break_off()
 
@@ -218,7 +219,7 @@ class Streams:
     def _handle(self, event: Opened | Refused | Data | Credit | End | Reset) -> None:
         match event:
             case Opened(number, target):
-                self._tasks.spawn(self._connect(self._add(number), target), str(target))
+                self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
             case Refused(_, target, reply):
                 withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)

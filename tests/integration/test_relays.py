@@ -4,6 +4,7 @@ A relay that is killed breaks connections as any host that goes; nodes come back
 """
 
 import contextlib
+import re
 import signal
 import sys
 import time
@@ -27,7 +28,8 @@ from tests.integration.sidecarworld import Running, World, wait
 from tests.support import relayprocess
 from tests.support.kinds import KINDS, SEEN
 from tests.support.ports import free_port
-from tests.support.trust import share
+from tests.support.roscpp import compiled
+from tests.support.trust import carry, share
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 FRAMES: Final = "/camera/frames"
@@ -84,6 +86,8 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
     prepare(home, hospital)
     for name in ("/quick", "/slow"):
         share(hospital.site, home.site, name, Right.SUBSCRIBE, FRAMES)
+    for here, there in ((home, hospital), (hospital, home)):
+        prepare_roscpp(here, there)
     relayprocess.exchange(home, "home", hospital, "hospital")
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(relayprocess.router(home, port))
@@ -95,6 +99,21 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
         }
         cast = stack.enter_context(running_programs(home, hospital, directory / "never"))
         yield Sites(cast, stack, running, router, port)
+
+
+def prepare_roscpp(here: World, there: World) -> None:
+    """A talker here, and programs there that may hear and call it."""
+    here.enroll("/cpp_talker", publish="/cpp/words", provide="/cpp_talker/say")
+    share(here.site, there.site, "/master", Right.GRAPH, "/cpp/**")
+    share(here.site, there.site, "/master", Right.GRAPH, "/cpp_talker/**")
+    for name, right, pattern in (
+        ("/cpp_listener", Right.SUBSCRIBE, "/cpp/words"),
+        ("/cpp_caller", Right.CALL, "/cpp_talker/say"),
+    ):
+        there.enroll(name, provide=f"{name}/say")
+        share(here.site, there.site, name, right, pattern)
+    for side in (here, there):
+        carry(side.site)
 
 
 @pairs
@@ -129,6 +148,36 @@ def test_stock_tools_work_by_the_relays(sites: Sites) -> None:
     said = cast.tool("rosnode", "info", f"/{LABEL}/sidecar_speaker")
     assert f" * topic: /{LABEL}/sidecar/words\n    * to: /sidecar_listener\n" in said
     assert "Unable to communicate" not in said
+
+
+def test_roscpp_programs_work_by_the_relays(sites: Sites, request: pytest.FixtureRequest) -> None:
+    """Both ways at once, unmodified behind sidecars; then a service, once and persistent."""
+    probe = str(compiled(request.config.cache.mkdir("roscpp")))
+    sides = sites.cast.home, sites.cast.hospital
+    with contextlib.ExitStack() as stack:
+
+        def start(side: World, role: str, *words: str) -> Running:
+            line = probe, role, *words, f"__name:=cpp_{role}"
+            return stack.enter_context(side.secured(side.hosts.near, *line))
+
+        talkers = [start(side, "talker", "/cpp/words") for side in sides]
+        labels = [f"/remote/{other.site.anchor.domain}" for other in reversed(sides)]
+        listeners = [
+            start(side, "listener", f"{label}/cpp/words", "20")
+            for side, label in zip(sides, labels, strict=True)
+        ]
+        callers = [
+            start(side, "caller", f"{label}/cpp_talker/say", "3")
+            for side, label in zip(sides, labels, strict=True)
+        ]
+        for listener in listeners:
+            assert listener.process.wait(40) == 0, listener.said
+            heard = re.findall(r"HEARD hello (\d+)", listener.said)
+            assert list(map(int, heard)) == list(range(int(heard[0]), int(heard[0]) + 20))
+        for caller, talker in zip(callers, reversed(talkers), strict=True):
+            assert caller.process.wait(40) == 0, caller.said
+            talker.wait_for("ASKED kept 2")
+            assert re.findall("ASKED (.*) ", talker.said) == ["once", "kept 0", "kept 1", "kept 2"]
 
 
 def test_a_subscriber_that_stands_still_slows_no_other(sites: Sites) -> None:
