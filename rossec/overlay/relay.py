@@ -26,6 +26,7 @@ from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.overlay.door_table import DoorTable
 from rossec.overlay.doors import Door
+from rossec.overlay.link_transport import idle_round_trip
 from rossec.overlay.mailboxes import mailbox
 from rossec.overlay.masters import OwnMasters
 from rossec.overlay.member import RelayMember
@@ -257,7 +258,8 @@ class Relay:
             return
         remote = RemoteRelay(peer.label, peer.domain or "", peer.name)
         dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
-        streams = Streams(stream, Role.CALLED, peer.label, dial)
+        round_trip = partial(idle_round_trip, stream)
+        streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])
         called.append(entry)

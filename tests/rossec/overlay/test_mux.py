@@ -6,9 +6,7 @@ from rossec.errors import StreamRefused
 from rossec.overlay.mux import (
     FOR_ONE_NAME,
     LAST_STREAM,
-    MOST_CREDIT,
     STREAMS,
-    WINDOW,
     YOUNG,
     YOUNG_SECONDS,
     Mux,
@@ -31,6 +29,8 @@ from rossec.overlay.mux_units import (
     open_unit,
     reset_unit,
 )
+from rossec.overlay.stream_window import FIRST as WINDOW
+from rossec.overlay.stream_window import MOST
 
 ROBOT = Target(NODE, "/robot")
 
@@ -101,7 +101,7 @@ def test_credit_is_spent_and_given_back_in_quarters() -> None:
     assert caller.receive(unit, 0) == [Credit(0, WINDOW // 4)]
     assert caller.credit(0) == WINDOW // 4
     caller.end(0)
-    assert caller.receive(called.took(0, WINDOW), 0) == [Credit(0, WINDOW)]
+    assert caller.receive(called.took(0, WINDOW * 3 // 4), 0) == [Credit(0, WINDOW * 3 // 4)]
     assert caller.credit(0) == 0
 
 
@@ -113,8 +113,8 @@ def test_no_credit_is_given_after_the_end() -> None:
 
 def test_a_peer_may_give_more_credit_up_to_a_link() -> None:
     caller, _ = opened()
-    caller.receive(credit_unit(0, MOST_CREDIT - WINDOW), 0)
-    assert caller.credit(0) == MOST_CREDIT
+    caller.receive(credit_unit(0, MOST - WINDOW), 0)
+    assert caller.credit(0) == MOST
     with pytest.raises(StreamRefused, match="credit for stream 0 beyond"):
         caller.receive(credit_unit(0, 1), 0)
 
@@ -211,10 +211,10 @@ def test_the_caller_waits_longer_than_the_other_side_counts() -> None:
     caller, _ = pair()
     for number in range(YOUNG):
         caller.open(Target(NODE, f"/n{number}"), 0)
-    assert not caller.has_room(ROBOT, YOUNG_SECONDS + 0.1)
+    assert caller.crowded(ROBOT, YOUNG_SECONDS + 0.1) == "32 streams are new"
     with pytest.raises(StreamRefused, match=f"{YOUNG} streams are new"):
         caller.open(ROBOT, YOUNG_SECONDS + 0.1)
-    assert caller.has_room(ROBOT, YOUNG_SECONDS + 5.1)
+    assert caller.crowded(ROBOT, YOUNG_SECONDS + 5.1) == ""
 
 
 def test_streams_are_bounded_and_those_to_one_name() -> None:
@@ -223,7 +223,7 @@ def test_streams_are_bounded_and_those_to_one_name() -> None:
     for _ in range(FOR_ONE_NAME):
         caller.open(ROBOT, now)
         now += 1
-    assert not caller.has_room(ROBOT, now)
+    assert caller.crowded(ROBOT, now)
     with pytest.raises(StreamRefused, match=f"{FOR_ONE_NAME} streams to it"):
         caller.open(ROBOT, now)
     for number in range(STREAMS - FOR_ONE_NAME):
@@ -232,7 +232,7 @@ def test_streams_are_bounded_and_those_to_one_name() -> None:
     with pytest.raises(StreamRefused, match=f"{STREAMS} streams are open"):
         caller.open(Target(SERVICE, "/other"), now)
     caller.reset(0)
-    assert caller.has_room(ROBOT, now + 100)
+    assert caller.crowded(ROBOT, now + 100) == ""
 
 
 def test_numbers_are_never_used_again() -> None:

@@ -10,8 +10,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from rossec.overlay.mux import WINDOW, Mux, Opened, Refused, Role
+from rossec.overlay.mux import Mux, Opened, Refused, Role
 from rossec.overlay.mux_units import MAX_DATA, NODE, Data, Target
+from rossec.overlay.stream_window import MOST
 
 ROBOT = Target(NODE, "/robot")
 
@@ -48,7 +49,7 @@ class BothSides(RuleBasedStateMachine):
                 case _:
                     pass
 
-    @precondition(lambda self: self.sides["caller"].has_room(ROBOT, self.now))
+    @precondition(lambda self: not self.sides["caller"].crowded(ROBOT, self.now))
     @rule()
     def open(self) -> None:
         _, unit = self.sides["caller"].open(ROBOT, self.now)
@@ -74,14 +75,15 @@ class BothSides(RuleBasedStateMachine):
     @rule(
         side=st.sampled_from(["called", "caller"]),
         pick=st.integers(0),
-        count=st.integers(1, WINDOW),
+        count=st.integers(1, MOST),
+        round_trip_s=st.sampled_from([0.0, 0.1, 2.0]),
     )
-    def take(self, side: str, pick: int, count: int) -> None:
+    def take(self, side: str, pick: int, count: int, round_trip_s: float) -> None:
         key = side, pick % self.opened
         count = min(count, self.not_taken.get(key, 0))
         if count:
             self.not_taken[key] -= count
-            self.put(side, self.sides[side].took(key[1], count))
+            self.put(side, self.sides[side].took(key[1], count, self.now, round_trip_s))
 
     @precondition(lambda self: self.opened)
     @rule(side=st.sampled_from(["called", "caller"]), pick=st.integers(0), broken=st.booleans())
@@ -111,7 +113,7 @@ class BothSides(RuleBasedStateMachine):
 
     @invariant()
     def no_side_holds_more_than_the_credit(self) -> None:
-        assert all(count <= WINDOW for count in self.not_taken.values())
+        assert all(count <= MOST for count in self.not_taken.values())
 
     def teardown(self) -> None:
         self.wait(0)
