@@ -11,6 +11,7 @@ import time
 from collections.abc import Awaitable, Callable
 from copy import copy
 from enum import Enum
+from functools import partial
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
@@ -25,6 +26,7 @@ from rossec.errors import (
 )
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
+from rossec.overlay.link_transport import idle_round_trip
 from rossec.overlay.mux import Role
 from rossec.overlay.mux_units import Target
 from rossec.overlay.peers import Peer
@@ -146,7 +148,9 @@ class PeerLink:
             return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
         self.error = self.hint = ""
         self._not_before = 0.0
-        streams = Streams(stream, Role.CALLER, self.peer.label)
+        streams = Streams(
+            stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream)
+        )
         self._stream, self._streams = stream, streams
         self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
         _log.info("link to %s", self.peer.label)

@@ -26,6 +26,7 @@ from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.overlay.door_table import DoorTable
 from rossec.overlay.doors import Door
+from rossec.overlay.link_transport import idle_round_trip
 from rossec.overlay.mailboxes import mailbox
 from rossec.overlay.masters import OwnMasters
 from rossec.overlay.member import RelayMember
@@ -136,11 +137,22 @@ class Relay:
             self._failure.set_exception(error)
 
     async def _maintain(self) -> None:
+        router = self._network.router
         while True:
             await asyncio.sleep(_PERIOD)
+            router = self._note_router(router)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
+
+    def _note_router(self, before: str) -> str:
+        """Say when another router is in use than before, or none; returns which."""
+        router = self._network.router
+        if router and router != before:
+            _log.warning("router %s is in use now", router)
+        elif router != before:
+            _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
+        return router
 
     # -- peers
 
@@ -246,7 +258,8 @@ class Relay:
             return
         remote = RemoteRelay(peer.label, peer.domain or "", peer.name)
         dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
-        streams = Streams(stream, Role.CALLED, peer.label, dial)
+        round_trip = partial(idle_round_trip, stream)
+        streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])
         called.append(entry)

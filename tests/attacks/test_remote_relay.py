@@ -19,7 +19,7 @@ from rossec.errors import ChannelError
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import RpcClient
-from rossec.overlay.mux import MOST_CREDIT, STREAMS, YOUNG
+from rossec.overlay.mux import STREAMS, YOUNG
 from rossec.overlay.mux_units import (
     MASTER,
     MAX_DATA,
@@ -36,6 +36,7 @@ from rossec.overlay.mux_units import (
     read_units,
     reset_unit,
 )
+from rossec.overlay.stream_window import MOST
 from tests.support.relayedsites import RelayedSite, two_sites
 
 Link = SecureStream[Identity]
@@ -243,7 +244,7 @@ BREACHES = {
     "the reset of none": reset_unit(1 << 31),
     "data after the end": open_unit(0, THE_MASTER) + end_unit(0) + data(0, b"x"),
     "two ends": open_unit(0, THE_MASTER) + end_unit(0) * 2,
-    "more credit than a link has": open_unit(0, THE_MASTER) + credit_unit(0, MOST_CREDIT),
+    "more credit than a link has": open_unit(0, THE_MASTER) + credit_unit(0, MOST),
     "credit that grows": open_unit(0, THE_MASTER) + credit_unit(0, 1 << 31) * 3,
     "not deterministic": b"\x82\x00\x18\x03",
     "garbage": b"\xff" * 1000,

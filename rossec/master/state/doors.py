@@ -136,15 +136,19 @@ class Doors:
     def want(self, label: str, targets: Iterable[Target]) -> int:
         """All that the follower of a site wants from now on; returns how many are too many.
 
-        Those are wanted when it asks again and others are wanted no longer.
+        Those are wanted when it asks again and others are wanted no longer. The master of a site
+        always has a door; of others a site has at most as many as are left for all: none takes
+        them from the next one, whatever it says that it has.
         """
         wanted, held, before = set(targets), self._wants.setdefault(label, set()), self._version
         for target in held - wanted:
             held.discard(target)
             self._release(target)
-        missing = 0
+        missing, others = 0, sum(target.kind != MASTER for target in held)
         for target in sorted(wanted - held, key=_masters_first):
-            if target in self._wanted or len(self._wanted) < self._limit:
+            has_left = others < self._limit - len(self._wanted)
+            if target in self._wanted or target.kind == MASTER or has_left:
+                others += target.kind != MASTER
                 held.add(target)
                 self._begin(target)
             else:
