@@ -24,7 +24,7 @@ from tests.integration.foreignworld import (
     running_programs,
     world,
 )
-from tests.integration.sidecarworld import Running, World, wait
+from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support import relayprocess
 from tests.support.kinds import KINDS, SEEN
 from tests.support.ports import free_port
@@ -58,6 +58,13 @@ asyncio.run(main(sys.argv[1]))
 """
 
 
+VICTIM: Final = (
+    ROSSEC, "run", "--as", "/victim", "--", "sh", "-c",
+    "rosparam set /victim/speed 'speed is 7';"  # noqa: ISC004 - one script
+    " exec rostopic pub -r 1 /victim/word std_msgs/String word __name:=victim",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Sites:
     """The programs, and the relays of both sites by domain, which a test may kill."""
@@ -86,19 +93,34 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
     prepare(home, hospital)
     for name in ("/quick", "/slow"):
         share(hospital.site, home.site, name, Right.SUBSCRIBE, FRAMES)
+    prepare_victim(home, hospital)
     for here, there in ((home, hospital), (hospital, home)):
         prepare_roscpp(here, there)
     relayprocess.exchange(home, "home", hospital, "hospital")
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(relayprocess.router(home, port))
         for side, other in ((hospital, home), (home, hospital)):
-            stack.enter_context(side.master(*follow(other, f"via: {other.site.anchor.domain}")))
+            way = f"via: {other.site.anchor.domain}, parameters: [/victim/**]"
+            stack.enter_context(side.master(*follow(other, way)))
         running = {
             side.site.anchor.domain: stack.enter_context(relayprocess.relay(side))
             for side in (hospital, home)
         }
         cast = stack.enter_context(running_programs(home, hospital, directory / "never"))
         yield Sites(cast, stack, running, router, port)
+
+
+def prepare_victim(home: World, hospital: World) -> None:
+    """A node of the hospital with a parameter, and one of the home that may stop it."""
+    hospital.enroll("/victim", publish="/victim/word", provide="/victim/*", param_set="/victim/*")
+    home.enroll("/killer", wildcard=True)
+    home.enroll("/reader")
+    for name, right, pattern in (
+        ("/killer", Right.GRAPH, "/**"), ("/killer", Right.ADMIN, "/victim"),
+        ("/killer", Right.CALL, "/victim/*"), ("/reader", Right.PARAM_GET, "/victim/**"),
+        ("/master", Right.PARAM_GET, "/victim/**"),
+    ):  # fmt: skip
+        share(hospital.site, home.site, name, right, pattern)
 
 
 def prepare_roscpp(here: World, there: World) -> None:
@@ -148,6 +170,31 @@ def test_stock_tools_work_by_the_relays(sites: Sites) -> None:
     said = cast.tool("rosnode", "info", f"/{LABEL}/sidecar_speaker")
     assert f" * topic: /{LABEL}/sidecar/words\n    * to: /sidecar_listener\n" in said
     assert "Unable to communicate" not in said
+
+
+def test_nodes_are_pinged_and_stopped_and_parameters_read_by_the_relays(sites: Sites) -> None:
+    """Who may not is told why by its sidecar: stock rosnode says "killed" to everybody."""
+    cast, home, name = sites.cast, sites.cast.home, f"/{LABEL}/victim"
+    with cast.hospital.started(cast.hospital.hosts.near, *VICTIM) as victim:
+        ping = f"until rosnode ping -c 1 {name} | grep 'xmlrpc reply from'; do sleep 0.1; done"
+        said = tools(home, "/rostopic", ping, f"rosnode kill {name}")
+        assert "refuses shutdown: no grant for admin on /victim" in said
+        assert victim.process.poll() is None
+        tools(home, "/killer", f"rosnode kill {name}")
+        assert victim.process.wait(20) == 0
+        assert "shutdown request: user request" in victim.said
+    read = f"until rosparam get {name}/speed | grep 'speed is 7'; do sleep 0.1; done"
+    others = f"rosparam get /{LABEL}/other", f"rosparam set {name}/speed 1"
+    said = tools(home, "/reader", read, *others)
+    assert "needs the right param-get on hospital:/other" in said
+    assert "names below /remote are those of other masters" in said
+
+
+def tools(side: World, name: str, *lines: str) -> str:
+    """What stock tools behind one sidecar print."""
+    script = "sh", "-c", "; ".join(lines)
+    done = side.run(side.hosts.far, *script, options=("--as", name))
+    return done.stdout + done.stderr
 
 
 def test_roscpp_programs_work_by_the_relays(sites: Sites, request: pytest.FixtureRequest) -> None:

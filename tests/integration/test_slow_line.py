@@ -49,11 +49,11 @@ class Line:
         """How often a listener said so of a speaker."""
         return self.cast.listeners[sink].said.count(f"{about} {LABEL}/{source}")
 
-    def goes_on(self, calls: int = 1) -> None:
-        """Every listener hears every speaker, and calls it so often in either way."""
+    def goes_on(self) -> None:
+        """Every listener hears every speaker, and calls it in either way."""
         before = [self.counts(*pair) for pair in PAIRS]
         wait(lambda: all(
-            heard > first + 20 and called >= second + calls and kept >= third + calls
+            heard > first + 20 and called > second and kept > third
             for pair, (first, second, third) in zip(PAIRS, before, strict=True)
             for heard, called, kept in [self.counts(*pair)]
         ))  # fmt: skip
@@ -83,9 +83,8 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Line]:
             stack.enter_context(relayprocess.relay(side))
         cast = stack.enter_context(running_programs(home, hospital, directory / "never", PAUSE))
         line = Line(cast, wan)
-        line.goes_on()
         with wan.lossy(one_of=20):
-            line.goes_on(calls=2)
+            line.goes_on()
             with wan.without("home"):
                 time.sleep(CUT)
             line.goes_on()
@@ -109,4 +108,4 @@ def test_no_topic_was_connected_anew(line: Line, source: str, sink: str) -> None
 def test_no_call_over_a_kept_connection_failed(line: Line, source: str, sink: str) -> None:
     """A call that the cut met waits for its end."""
     assert line.count("NOT KEPT", source, sink) == 0
-    assert line.count("KEPT", source, sink) >= 3
+    assert line.count("KEPT", source, sink) >= 2
