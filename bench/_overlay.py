@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AsyncExitStack, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -24,6 +25,7 @@ from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, serve
 from rossec.net.aio.dial import dial
 from rossec.overlay.endpoint import LinkListener, dial_link
+from rossec.overlay.link_transport import idle_round_trip
 from rossec.overlay.mailboxes import mailbox
 from rossec.overlay.mux import Role
 from rossec.overlay.mux_units import NODE, Target
@@ -173,7 +175,8 @@ def _called_relay_process(folder: Path, router: str, port: int, ready: Connectio
 
     async def serve_streams(stream: SecureStream[Identity]) -> None:
         with suppress(ChannelError):
-            await Streams(stream, Role.CALLED, "near", dial_node).run()
+            round_trip = partial(idle_round_trip, stream)
+            await Streams(stream, Role.CALLED, "near", dial_node, round_trip=round_trip).run()
 
     async def main() -> None:
         carrier = await Carrier.open(Routers((router,), OPEN_SEAT))
@@ -190,7 +193,7 @@ def _calling_relay_process(folder: Path, router: str, ready: Connection) -> None
     async def main() -> None:
         carrier = await Carrier.open(Routers((router,), OPEN_SEAT))
         link = await dial_link(carrier, RELAY, OPEN_SEAT, context(folder, "client"))
-        streams = Streams(link, Role.CALLER, "far")
+        streams = Streams(link, Role.CALLER, "far", round_trip=partial(idle_round_trip, link))
         running = asyncio.ensure_future(streams.run())
         loop = asyncio.get_running_loop()
         with socket.create_server(("127.0.0.1", 0)) as door:

@@ -254,5 +254,9 @@ class StreamRefused(RossecError):
     """A stream of a link between relays is refused, or breaks its rules."""
 
 
+class LinkCrowded(StreamRefused):
+    """A link between relays has no room for another stream."""
+
+
 class RelayRefused(RossecError):
     """Another relay, a card or a door is refused."""

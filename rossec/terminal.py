@@ -6,7 +6,10 @@ hand allow what the policy denies, 5 waiting for the authority or for a person (
 interrupted.
 """
 
+import io
 import json
+import os
+import stat
 import sys
 from typing import Any
 
@@ -24,6 +27,19 @@ def say(text: str) -> None:
     """One line of result."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()  # a pipe must get each line at once
+
+
+def say_secret(text: str) -> None:
+    """Print a line that others must not read; a file that it is redirected to is closed to them."""
+    try:
+        output = sys.stdout.fileno()
+        if stat.S_ISREG(os.fstat(output).st_mode):  # the shell made it as its umask says
+            os.fchmod(output, 0o600)
+    except io.UnsupportedOperation:  # it is no file
+        pass
+    except OSError as error:  # another user's file, or of a file system without modes
+        note(f"others may read the file: {error.strerror}")
+    say(text)
 
 
 def say_json(value: Any) -> None:

@@ -80,10 +80,11 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
-    if is_reserved(pattern):
+    one = pattern if pattern.endswith("**") else pattern.replace("*", "name")
+    if is_reserved(one):  # `/relay/*` covers nothing else
         raise ConfigurationError(
             f"{pattern} is reserved: no invitation is for it",
-            f"enroll it in person: rossec node enroll {pattern}",
+            f"enroll it in person: rossec node enroll {one}",
         )
 
 

@@ -19,10 +19,13 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.errors import (
     AnswerRefused,
+    ChannelClosed,
     GraphHidden,
+    HandshakeFailed,
     IdentityRefused,
     ImportRefused,
     PeerRefused,
+    PeerUnreachable,
     SiteRefused,
 )
 from rossec.federation import exchange
@@ -46,6 +49,7 @@ _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
 _RANDOM: Final = SystemRandom().random
+_AT_DOOR: Final = (ChannelClosed, HandshakeFailed, PeerUnreachable)  # of a relay without a link
 Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 
 
@@ -280,6 +284,8 @@ class FollowedSite:
 
     def _advice(self, error: BaseException) -> str:
         """The hint of a failure; a stranger is not told why it is refused, but can guess."""
+        if self._doors is not None and isinstance(error, _AT_DOOR):
+            return "is there a link? rossec relay status"
         if isinstance(error, PeerRefused) and self._foreign is not None:
             return f"does {self.settings.domain} trust this domain? there: rossec domain list"
         return error.hint if isinstance(error, HintedError) else ""

@@ -101,7 +101,7 @@ class SiteDoors:
         missing = self._doors.want(self._settings.label, {self._master, *targets})
         if missing and not self._missing:
             _log.warning(
-                "site %s: %d nodes and services have no address here: there are at most %d doors",
+                "site %s: %d nodes and services have no address here: a site has half of %d doors",
                 self._settings.label, missing, MAX_DOORS,
             )  # fmt: skip
         self._missing = missing

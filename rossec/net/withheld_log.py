@@ -8,11 +8,13 @@ import logging
 from threading import Lock
 from typing import Final
 
+from ca.errors import HintedError
 from rossec.log_limits import CAUSE, LogRateLimit
 
 SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
 RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
 REFUSED: Final = "%(where)s: refused %(peer)s: %(cause)s"
+UNREACHED: Final = "%(where)s: not connected to %(peer)s: %(cause)s%(hint)s"
 RATE_LIMIT: Final = LogRateLimit()
 _LOCK: Final = Lock()  # rospy's connections have threads
 
@@ -26,7 +28,8 @@ def warn(log: logging.Logger, text: str, where: str, peer: str, cause: object) -
     if not log.isEnabledFor(logging.WARNING):
         return
     kind = type(cause).__name__ if isinstance(cause, Exception) else cause
-    args = {"where": where, "peer": peer, "cause": cause}
+    hint = f" ({cause.hint})" if isinstance(cause, HintedError) and cause.hint else ""
+    args = {"where": where, "peer": peer, "cause": cause, "hint": hint}
     record = log.makeRecord(log.name, logging.WARNING, "", 0, text, (args,), None)
     setattr(record, CAUSE, (f"{log.name} {where} {peer} {kind}", peer))
     with _LOCK:

@@ -1,9 +1,9 @@
 """Doors: local ports of the relay, each of which stands for one target at a peer's site.
 
 A door on loopback admits the programs of allowed users, as a sidecar's port does; one on a network
-address admits everybody, which harms nobody: behind it stands the handshake of the far node. The
-pool is bounded, and the least recently requested door without connections is given up for a new
-one.
+address admits everybody, who gets no further than the handshake of the far node, but can hold up
+new connections of others. The pool is bounded, and the least recently requested door without
+connections is given up for a new one.
 """
 
 import asyncio
@@ -14,6 +14,7 @@ from functools import partial
 from typing import Final, NamedTuple, TypeAlias
 
 from ca.errors import HintedError
+from rossec.errors import LinkCrowded
 from rossec.net import withheld_log
 from rossec.net.aio.tasks import TaskSet
 from rossec.overlay.mux_units import Target
@@ -117,7 +118,9 @@ class Doors:
         try:
             await self._carry(door, sock)
         except HintedError as error:
-            withheld_log.warn(_log, withheld_log.REFUSED, str(door.target), door.peer, error)
+            crowded = isinstance(error, LinkCrowded)  # one line for all that find no room
+            where = "a connection" if crowded else str(door.target)
+            withheld_log.warn(_log, withheld_log.UNREACHED, where, door.peer, error)
         finally:
             asyncio.get_running_loop().call_soon(self._close_idle)
 

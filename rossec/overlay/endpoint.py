@@ -9,8 +9,7 @@ import asyncio
 import logging
 import secrets
 from functools import partial
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from grants.token_bucket import TokenBucket
 from rossec.channel.edhoc.credentials import PeerT
@@ -162,18 +161,7 @@ class LinkListener(AcceptedStreams[PeerT]):
     async def close(self) -> None:
         """Read the mailbox no more, abort every link, wait until the handlers are gone."""
         self._reader.close()
-        await self._close_streams()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.close()
+        await super().close()
 
 
 def _now() -> float:

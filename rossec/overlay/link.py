@@ -341,6 +341,5 @@ class Link:
     def stats(self) -> LinkStats:
         """What was measured so far."""
         sender = self._sender
-        return LinkStats(
-            sender.round_trip.srtt_s, sender.retransmissions, sender.next, self._receiver.expected
-        )
+        trip, received = sender.round_trip, self._receiver.expected
+        return LinkStats(trip.srtt_s, sender.retransmissions, sender.next, received, trip.least_s)

@@ -30,9 +30,10 @@ NEXT: Final = {
 
 @dataclass(frozen=True, slots=True)
 class LinkStats:
-    """What a link measured: the smoothed round trip (0: none yet) and octets of its streams."""
+    """What a link measured: round trips (smoothed, least; 0: none yet), octets of its streams."""
 
     srtt_s: float
     retransmissions: int
     sent: int
     received: int
+    least_s: float = 0.0

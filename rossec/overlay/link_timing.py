@@ -23,27 +23,27 @@ _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so
 
 
 class RoundTrip:
-    """The smoothed round trip, in seconds; 0 until one was measured."""
+    """The smoothed and the shortest round trip, in seconds; 0 until one was measured."""
 
-    __slots__ = ("_least_s", "srtt_s")
+    __slots__ = ("least_s", "srtt_s")
 
     def __init__(self) -> None:
         self.srtt_s = 0.0
-        self._least_s = 0.0
+        self.least_s = 0.0
 
     def sample(self, seconds: float) -> None:
         """One round trip of a frame that was sent once (Karn's rule)."""
         self.srtt_s = seconds if self.srtt_s == 0.0 else self.srtt_s + (seconds - self.srtt_s) / 8
-        self._least_s = min(self._least_s or seconds, seconds)
+        self.least_s = min(self.least_s or seconds, seconds)
 
     @property
     def queued_s(self) -> float:
         """How long bytes wait on the way, by what the way takes at best."""
-        return self.srtt_s - self._least_s
+        return self.srtt_s - self.least_s
 
     def way_changed(self) -> None:
         """Another way may be as long at best as this one is now."""
-        self._least_s = self.srtt_s
+        self.least_s = self.srtt_s
 
     @property
     def wait(self) -> float:

@@ -243,6 +243,12 @@ class LinkTransport:
         self._flush()
 
 
+def idle_round_trip(stream: BaseStream) -> float:
+    """The shortest round trip of the link under a stream; 0: none yet, or it is not over a link."""
+    transport = stream.transport
+    return transport.link.stats.least_s if isinstance(transport, LinkTransport) else 0.0
+
+
 def stats_of(stream: BaseStream) -> LinkStats:
     """What the link under a stream measured.
 

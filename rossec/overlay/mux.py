@@ -28,10 +28,8 @@ from rossec.overlay.mux_units import (
     read_units,
     reset_unit,
 )
+from rossec.overlay.stream_window import FIRST, MOST, Fund, ReceiveWindow
 
-WINDOW: Final = 256 * 1024  # bytes of a direction that were sent and not taken: the first credit
-_GIVE_BACK: Final = WINDOW // 4  # taken bytes that are worth a unit with credit
-MOST_CREDIT: Final = 4 * 1024 * 1024  # what a peer may promise: the window of a link
 STREAMS: Final = 256
 FOR_ONE_NAME: Final = STREAMS // 2
 YOUNG: Final = 32
@@ -97,12 +95,12 @@ Event: TypeAlias = Opened | Refused | Data | Credit | End | Reset
 class _Stream:
     target: Target
     opened: float
+    window: ReceiveWindow
     phase: Phase = Phase.OPEN
-    may_send: int = WINDOW
-    may_receive: int = WINDOW
-    taken: int = 0  # received bytes whose credit was not given back yet
+    may_send: int = FIRST
     asked: bool = False  # the caller spoke last
     answers: int = 0
+    connecting: bool = False
 
     def spoke(self, *, to_target: bool) -> None:
         """Count how often the target answered: see `_ANSWERS`."""
@@ -117,6 +115,8 @@ class Mux:
     def __init__(self, role: Role, first: int = 0) -> None:
         self._streams: dict[int, _Stream] = {}
         self._for_name: Counter[Target] = Counter()
+        self._fund = Fund()
+        self._abandoned: set[int] = set()  # over, and still being connected at the called side
         self._next = first
         self._caller = role is Role.CALLER
         self._young_seconds = _CALLER_YOUNG_SECONDS if self._caller else YOUNG_SECONDS
@@ -134,9 +134,33 @@ class Mux:
 
     # -- opening
 
-    def has_room(self, target: Target, now: float) -> bool:
-        """Whether a stream to `target` may be opened now (`now`: seconds, monotonic)."""
-        return not self._crowded(target, now)
+    def crowded(self, target: Target, now: float) -> str:
+        """Why no stream to `target` may be opened now (seconds, monotonic); empty: one may."""
+        if len(self._streams) >= STREAMS:
+            return f"{STREAMS} streams are open"
+        if self._for_name[target] >= FOR_ONE_NAME:
+            return f"{FOR_ONE_NAME} streams to it are open"
+        new = len(self._abandoned) + self._young_since(now - self._young_seconds)
+        return f"{YOUNG} streams are new" if new >= YOUNG else ""
+
+    def _young_since(self, since: float) -> int:
+        """Streams that were opened after `since` and are not in use yet, up to `YOUNG`."""
+        young = 0
+        for each in reversed(self._streams.values()):  # the newest first
+            if each.opened <= since or young >= YOUNG:
+                break
+            young += each.answers < _ANSWERS
+        return young
+
+    def connected(self, stream: int) -> None:
+        """The called side is done with connecting the stream, whatever came of it.
+
+        Until then one that is over counts as new: a peer that opens streams and breaks them off
+        at once would have any number of targets looked for (as CVE-2023-44487, of HTTP/2).
+        """
+        self._abandoned.discard(stream)
+        if stream in self._streams:
+            self._streams[stream].connecting = False
 
     def open(self, target: Target, now: float) -> tuple[int, bytes]:
         """The number of a new stream, and the unit that opens it.
@@ -144,7 +168,7 @@ class Mux:
         Raises:
             StreamRefused: there is no room, or this side may open none.
         """
-        reason = self._crowded(target, now) if self._caller else "only the caller opens streams"
+        reason = self.crowded(target, now) if self._caller else "only the caller opens streams"
         if reason or self.used_up:
             raise StreamRefused(f"no stream to {target}: {reason or 'the link is used up'}")
         return self._add(target, now), open_unit(self._next - 1, target)
@@ -152,21 +176,11 @@ class Mux:
     def _add(self, target: Target, now: float) -> int:
         number = self._next
         self._next += 1
-        self._streams[number] = _Stream(target, now)
+        self._streams[number] = _Stream(
+            target, now, ReceiveWindow(self._fund), connecting=not self._caller
+        )
         self._for_name[target] += 1
         return number
-
-    def _crowded(self, target: Target, now: float) -> str:
-        """Why there is no room; empty: there is."""
-        if len(self._streams) >= STREAMS:
-            return f"{STREAMS} streams are open"
-        if self._for_name[target] >= FOR_ONE_NAME:
-            return f"{FOR_ONE_NAME} streams to it are open"
-        since = now - self._young_seconds
-        young = sum(
-            each.answers < _ANSWERS and each.opened > since for each in self._streams.values()
-        )
-        return f"{YOUNG} streams are new" if young >= YOUNG else ""
 
     # -- sending
 
@@ -190,17 +204,17 @@ class Mux:
         found.spoke(to_target=self._caller)
         return data_head(stream, length)
 
-    def took(self, stream: int, count: int) -> bytes:
-        """The program took `count` received bytes; the unit that gives credit, if it is time."""
+    def took(self, stream: int, count: int, now: float = 0.0, round_trip_s: float = 0.0) -> bytes:
+        """The program took `count` received bytes; the unit that gives credit, if it is time.
+
+        Args:
+            round_trip_s: of the link when it is idle; 0 (windows stay as they are) if not known.
+        """
         found = self._streams.get(stream)
         if found is None or found.phase is Phase.ENDED_THERE:
             return b""
-        found.taken += count
-        if found.taken < _GIVE_BACK:
-            return b""
-        amount, found.taken = found.taken, 0
-        found.may_receive += amount
-        return credit_unit(stream, amount)
+        credit = found.window.took(count, now, round_trip_s)
+        return credit_unit(stream, credit) if credit else b""
 
     def end(self, stream: int) -> bytes:
         """The unit that ends this direction; empty if it has ended."""
@@ -254,7 +268,7 @@ class Mux:
     def _opened(self, unit: Open, now: float) -> Event:
         if self._caller or unit.stream != self._next:
             raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
-        if self._crowded(unit.target, now):
+        if self.crowded(unit.target, now):
             self._next += 1
             return Refused(unit.stream, unit.target, reset_unit(unit.stream))
         return Opened(self._add(unit.target, now), unit.target)
@@ -263,14 +277,14 @@ class Mux:
         length = len(unit.payload)
         if found.phase is Phase.ENDED_THERE:
             raise StreamRefused(f"bytes in stream {unit.stream} after its end")
-        if length > found.may_receive:
+        if length > found.window.allowed:
             raise StreamRefused(f"{length} bytes in stream {unit.stream} beyond its credit")
-        found.may_receive -= length
+        found.window.arrived(length)
         found.spoke(to_target=not self._caller)
 
     def _credited(self, found: _Stream, unit: Credit) -> None:
-        if found.may_send + unit.amount > MOST_CREDIT:
-            raise StreamRefused(f"credit for stream {unit.stream} beyond {MOST_CREDIT} bytes")
+        if found.may_send + unit.amount > MOST:
+            raise StreamRefused(f"credit for stream {unit.stream} beyond {MOST} bytes")
         found.may_send += unit.amount
 
     def _end(self, stream: int, found: _Stream, side: Side) -> None:
@@ -283,7 +297,11 @@ class Mux:
             found.phase = phase
 
     def _remove(self, stream: int) -> None:
-        target = self._streams.pop(stream).target
+        found = self._streams.pop(stream)
+        found.window.close()
+        if found.connecting:
+            self._abandoned.add(stream)
+        target = found.target
         self._for_name[target] -= 1
         if not self._for_name[target]:
             del self._for_name[target]

@@ -11,13 +11,22 @@ import time
 from collections.abc import Awaitable, Callable
 from copy import copy
 from enum import Enum
+from functools import partial
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec.errors import ChannelError, RelayRefused, StreamRefused
+from rossec.errors import (
+    ChannelError,
+    HandshakeFailed,
+    HandshakeTimeout,
+    PeerRefused,
+    RelayRefused,
+    StreamRefused,
+)
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
+from rossec.overlay.link_transport import idle_round_trip
 from rossec.overlay.mux import Role
 from rossec.overlay.mux_units import Target
 from rossec.overlay.peers import Peer
@@ -66,6 +75,7 @@ class PeerLink:
         self._carrying: asyncio.Task[None] | None = None
         self._dialling: asyncio.Task[Streams | RelayRefused] | None = None
         self._pause = 0.0
+        self._said = ""  # in the log, of a failure that goes on
         self._not_before = 0.0
 
     @property
@@ -104,6 +114,7 @@ class PeerLink:
         """Close a link that was not used for long; called once in a second."""
         since = None if self._streams is None else self._streams.idle_since
         if since is not None and self._clock() - since > IDLE_FOR and self._carrying is not None:
+            self._settle()
             self._carrying.cancel()
 
     async def close(self) -> None:
@@ -129,15 +140,17 @@ class PeerLink:
         """The streams of a new link; or why there is none, for all who wait."""
         try:
             stream = await self._dial(self.peer)
-        except TimeoutError:
+        except (TimeoutError, HandshakeTimeout):  # nobody reads that mailbox
             return self._failed(f"{self.peer.label} does not answer", _SILENT)
         except HintedError as error:
             return self._failed(str(error), error.hint)
         except OSError as error:
             return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
         self.error = self.hint = ""
-        self._pause = self._not_before = 0.0
-        streams = Streams(stream, Role.CALLER, self.peer.label)
+        self._not_before = 0.0
+        streams = Streams(
+            stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream)
+        )
         self._stream, self._streams = stream, streams
         self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
         _log.info("link to %s", self.peer.label)
@@ -149,18 +162,27 @@ class PeerLink:
     def _failed(self, text: str, hint: str) -> RelayRefused:
         self._pause = min(max(2 * self._pause, _FIRST_PAUSE), _LONGEST_PAUSE)
         self._not_before = self._clock() + self._pause
-        if printable(text) != self.error:
-            _log.warning("no link to %s: %s (%s)", self.peer.label, printable(text), hint)
         self.error, self.hint = printable(text), printable(hint)
+        if self.error != self._said:
+            _log.warning("no link to %s: %s (%s)", self.peer.label, self.error, self.hint)
+        self._said = self.error
         return RelayRefused(self.error, self.hint)
+
+    def _settle(self) -> None:
+        """There was a link: a failure from now on is another one."""
+        self._pause, self._said = 0.0, ""
 
     async def _run(self, stream: SecureStream[Identity], streams: Streams) -> None:
         try:
             await streams.run()
+        except (HandshakeFailed, PeerRefused) as error:  # whoever is called judges last
+            if self._stream is stream:
+                self._failed(str(error), _ENDED)
         except (ChannelError, StreamRefused) as error:
             _log.warning("the link to %s ended: %s", self.peer.label, printable(error))
             if self._stream is stream:
-                self.error, self.hint = printable(error), ""
+                self.error, self.hint = printable(error), _ENDED
+                self._settle()
         finally:
             if self._stream is stream:
                 self._stream = self._streams = self._carrying = None
@@ -168,4 +190,8 @@ class PeerLink:
 
 _SILENT: Final = (
     "does its relay run, does it have the newest card of this one, and is a router in reach?"
+)
+_ENDED: Final = (
+    "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
+    " this relay's card (there: rossec relay list)"
 )

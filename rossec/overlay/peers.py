@@ -5,22 +5,22 @@ else, so that each peer is cut alone. A link that arrives in it must come from t
 and relay, and a link to that peer must be answered by it (docs/spec/overlay.md).
 """
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import alias_of, check_label, display_name, split_alias
 from ca.errors import NameRefused
 from ca.names import is_relay_name
 from rossec.errors import ConfigurationError, RelayRefused
+from rossec.overlay.documents import read_document, write_document
 from rossec.overlay.mailboxes import BOX, is_mailbox
 
 MAX_PEERS: Final = 64
 MAX_FILE: Final = 64 * 1024
-_FORM: Final = 1
+_FORM: Final = "rossec-overlay"
 _BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
 _HINT: Final = "it is written by rossec relay card, add and remove: use these"
 
@@ -132,23 +132,20 @@ def read_peers(data: bytes, name: str) -> dict[str, Peer]:
     Raises:
         ConfigurationError: anything else.
     """
-    if len(data) > MAX_FILE:
-        raise ConfigurationError(f"{name} is longer than {MAX_FILE} bytes")
     try:
-        found = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{name} is not JSON", _HINT) from error
-    match found:
-        case {"rossec-overlay": 1, "peers": list() as rows, **rest} if not rest:
-            return checked_peers(_peer(row, name) for row in rows)
-        case _:
-            raise ConfigurationError(f"{name} is not a list of peers of this form", _HINT)
+        found = read_document(data, _FORM, frozenset({"peers"}), limit=MAX_FILE, hint=_HINT)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}", error.hint) from error
+    rows = found["peers"]
+    if not isinstance(rows, list):
+        raise ConfigurationError(f"{name} is not a list of peers of this form", _HINT)
+    return checked_peers(_peer(row, name) for row in rows)
 
 
 def write_peers(peers: Peers) -> bytes:
     """The content of the file."""
-    rows: list[dict[str, Any]] = [asdict(each) for _, each in sorted(peers.items())]
-    return json.dumps({"rossec-overlay": _FORM, "peers": rows}, indent=1).encode() + b"\n"
+    rows = [asdict(each) for _, each in sorted(peers.items())]
+    return write_document(_FORM, {"peers": rows})
 
 
 def _peer(row: object, name: str) -> Peer:

@@ -15,7 +15,9 @@ from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown
+from ca.domains.lists import ForeignDomain
 from ca.errors import HintedError
+from ca.names import RELAY, is_master_name
 from ca.patterns import covers
 from rossec.errors import ChannelError, OverlayUnavailable, RelayRefused, StreamRefused
 from rossec.master.state.doors import Way
@@ -24,6 +26,7 @@ from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.overlay.door_table import DoorTable
 from rossec.overlay.doors import Door
+from rossec.overlay.link_transport import idle_round_trip
 from rossec.overlay.mailboxes import mailbox
 from rossec.overlay.masters import OwnMasters
 from rossec.overlay.member import RelayMember
@@ -134,11 +137,22 @@ class Relay:
             self._failure.set_exception(error)
 
     async def _maintain(self) -> None:
+        router = self._network.router
         while True:
             await asyncio.sleep(_PERIOD)
+            router = self._note_router(router)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
+
+    def _note_router(self, before: str) -> str:
+        """Say when another router is in use than before, or none; returns which."""
+        router = self._network.router
+        if router and router != before:
+            _log.warning("router %s is in use now", router)
+        elif router != before:
+            _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
+        return router
 
     # -- peers
 
@@ -222,7 +236,8 @@ class Relay:
         if not any(covers(pattern, peer.relay) for pattern in listed.entry.admitted):
             raise RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
-                f"at this side's authority: rossec domain limit {peer.domain} --admit '/**'",
+                "at this side's authority: rossec domain limit"
+                f" {peer.domain} {_admit(listed.entry)}",
             )
 
     def _admit(self, peer: Peer, stream: SecureStream[Identity]) -> None:
@@ -243,7 +258,8 @@ class Relay:
             return
         remote = RemoteRelay(peer.label, peer.domain or "", peer.name)
         dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
-        streams = Streams(stream, Role.CALLED, peer.label, dial)
+        round_trip = partial(idle_round_trip, stream)
+        streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])
         called.append(entry)
@@ -285,6 +301,12 @@ class Relay:
             "label": label, "relay": link.peer.shown, **self._way(link)._asdict(),
             "called": len(called), "error": link.error, "hint": link.hint,
         }  # fmt: skip
+
+
+def _admit(entry: ForeignDomain) -> str:
+    """The options that admit whom the list admits, and so its relays too, but nobody else."""
+    nodes = [each for each in entry.admitted if not is_master_name(each.replace("*", "x"))]
+    return " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
 
 
 def measured(stream: SecureStream[Identity]) -> tuple[float, int]:

@@ -6,17 +6,17 @@ leads to a mailbox where that proof fails. Whoever reads a card can send to that
 more, so it is handed to its receiver alone. Routers are not in it: each site has its own.
 """
 
-import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Final, Self
 
 from ca.errors import NameRefused
 from ca.names import check_domain, is_relay_name
-from rossec.errors import RelayRefused
+from rossec.errors import ConfigurationError, RelayRefused
+from rossec.overlay.documents import is_texts, read_document, write_document
 from rossec.overlay.mailboxes import is_mailbox
 
 MAX_CARD: Final = 4 * 1024
-_FORM: Final = 1
+_FORM: Final = "rossec-relay-card"
 _HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
 
 
@@ -49,19 +49,16 @@ class RelayCard:
         Raises:
             RelayRefused: anything else.
         """
+        keys = frozenset(each.name for each in fields(cls))
+        refused = RelayRefused("this is not the card of a relay", _HINT)
         try:
-            found = json.loads(data) if len(data) <= MAX_CARD else None
-        except (ValueError, RecursionError):
-            found = None
-        match found:
-            case {
-                "rossec-relay-card": 1, "domain": str() as domain, "relay": str() as relay,
-                "mailbox": str() as mailbox, **rest,
-            } if not rest:  # fmt: skip
-                return cls(domain, relay, mailbox)
-        raise RelayRefused("this is not the card of a relay", _HINT)
+            found = read_document(data, _FORM, keys, limit=MAX_CARD, hint=_HINT)
+        except ConfigurationError as error:
+            raise refused from error
+        if not is_texts(list(found.values())):
+            raise refused
+        return cls(**found)
 
     def write(self) -> str:
         """The text of the card."""
-        entries = {"domain": self.domain, "relay": self.relay, "mailbox": self.mailbox}
-        return json.dumps({"rossec-relay-card": _FORM, **entries}, indent=1) + "\n"
+        return write_document(_FORM, asdict(self)).decode()

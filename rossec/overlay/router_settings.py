@@ -152,6 +152,7 @@ def zenoh_settings(
     _check_joined(settings)
     return {
         **found,
+        **_regions(seats.region),
         "access_control": seats.access_control(),
         "transport/auth/usrpwd/user": ROUTER_USER,
         "transport/auth/usrpwd/password": seats.router,
@@ -188,6 +189,17 @@ def _tls(settings: RouterSettings, files: RouterFiles) -> dict[str, object]:
         "transport/link/tls/listen_certificate": str(files.certificate),
         "transport/link/tls/verify_name_on_connect": True,
     }
+
+
+def _regions(own: str) -> dict[str, object]:
+    """Customers and what they connect as routers are below; their routes are not the routers' own.
+
+    Else one who connects as a router to two of them, and claims that the way is short, would be
+    sent what they have for each other, which the access control then drops.
+    """
+    below = [{"modes": ["client", "peer"]}], [{"region_names": [own], "negated": True}]
+    south = [{"filters": filters} for filters in below]
+    return {"region_name": own, "gateway": {"south": south}}
 
 
 def _check_joined(settings: RouterSettings) -> None:

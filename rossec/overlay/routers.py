@@ -20,7 +20,6 @@ from rossec.overlay.mailboxes import is_seat
 MAX_FILE: Final = 16 * 1024
 MAX_LOCATORS: Final = 16
 OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
-PROTOCOLS: Final = ("quic", "tls", "tcp")
 _PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
 _LOCATOR: Final = re.compile(
     r"(?P<protocol>quic|tls|tcp)/"
@@ -29,7 +28,7 @@ _LOCATOR: Final = re.compile(
     re.ASCII,
 )
 _FORM: Final = "rossec-seat"
-_AGAIN: Final = "ask the operator of the router for it again: rossec router seats add"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show"
 
 
 @dataclass(frozen=True)

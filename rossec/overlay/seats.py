@@ -6,6 +6,7 @@ routers know each other by a user that no seat can be called, and by their TLS a
 that connects is not told a user (`rossec.overlay.router_settings`).
 """
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
@@ -49,6 +50,11 @@ class Seats:
         for seat, password in self.passwords.items():
             _check_own(seat)
             check_password(password)
+
+    @property
+    def region(self) -> str:
+        """The name of the region of the operator's routers, which all of them derive alike."""
+        return hashlib.sha256(b"rossec region " + self.router.encode()).hexdigest()[:32]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -15,10 +15,10 @@ from typing import Final, Protocol, TypeAlias
 
 from ca.errors import HintedError
 from rossec.channel.records import Bytes
-from rossec.errors import ChannelError, StreamRefused
+from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.net import withheld_log
 from rossec.net.aio.tasks import TaskSet
-from rossec.overlay.mux import Mux, Opened, Refused, Role
+from rossec.overlay.mux import FOR_ONE_NAME, STREAMS, YOUNG, Mux, Opened, Refused, Role
 from rossec.overlay.mux_units import HEADROOM, MAX_DATA, Credit, Data, End, Reset, Target
 from rossec.overlay.pump import Pump
 
@@ -28,6 +28,10 @@ CONNECT_SECONDS: Final = (
 MOST_WAITING: Final = 256  # connections that wait for room
 MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
 _CROWDED: Final = "it has too many streams"
+_FEWER: Final = (
+    f"a link carries {STREAMS} connections, {FOR_ONE_NAME} to one name and {YOUNG} new ones at a "
+    "time: nodes try again, or let one subscribe from there and publish for the others"
+)
 _log = logging.getLogger("rossec.overlay")
 
 Dial: TypeAlias = Callable[[Target, Pump], Awaitable[socket.socket]]
@@ -73,6 +77,7 @@ class Streams:
         peer: the label of the relay at the other end, for the log.
         dial: connects the called side to targets.
         clock: monotonic, in seconds.
+        round_trip: of the link when it is idle, in seconds; 0 if that is not known.
     """
 
     def __init__(
@@ -82,11 +87,14 @@ class Streams:
         peer: str,
         dial: Dial = refuse_streams,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        round_trip: Callable[[], float] = float,
     ) -> None:
         self._link = link
         self._peer = peer
         self._dial = dial
         self._clock = clock
+        self._round_trip = round_trip
         self._mux = Mux(role)
         self._pumps: dict[int, Pump] = {}
         self._buffer = memoryview(bytearray(HEADROOM + MAX_DATA))
@@ -130,7 +138,8 @@ class Streams:
         """Open a stream to `target` for this connection; returns when it is over. Owns `sock`.
 
         Raises:
-            StreamRefused: there was no room, or the link has ended; `sock` is closed.
+            LinkCrowded: there was no room; `sock` is closed.
+            StreamRefused: the link has ended; `sock` is closed.
         """
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
@@ -138,9 +147,8 @@ class Streams:
             number, unit = self._mux.open(target, self._clock())
         except TimeoutError as error:
             sock.close()
-            raise StreamRefused(
-                f"no room for {target} at {self._peer}", "its relay carries too many connections"
-            ) from error
+            why = self._mux.crowded(target, self._clock())
+            raise LinkCrowded(f"no room for {target} at {self._peer}: {why}", _FEWER) from error
         except BaseException:
             sock.close()
             raise
@@ -154,8 +162,8 @@ class Streams:
 
     async def _room_for(self, target: Target) -> None:
         if len(self._openers) >= MOST_WAITING:
-            raise StreamRefused(f"too many connections wait for {self._peer}")
-        while not self._over.done() and not self._mux.has_room(target, self._clock()):
+            raise LinkCrowded(f"too many connections wait for {self._peer}", _FEWER)
+        while not self._over.done() and self._mux.crowded(target, self._clock()):
             opener = asyncio.get_running_loop().create_future()
             self._openers.add(opener)
             try:
@@ -172,7 +180,7 @@ class Streams:
 
     # -- the called side
 
-    async def _connect(self, pump: Pump, target: Target) -> None:
+    async def _connect(self, number: int, pump: Pump, target: Target) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 sock = await self._dial(target, pump)
@@ -180,6 +188,7 @@ class Streams:
         except (HintedError, OSError, TimeoutError) as error:
             withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, error)
         finally:
+            self._mux.connected(number)
             if not pump.connected:
                 pump.break_off()
 
@@ -210,7 +219,7 @@ class Streams:
     def _handle(self, event: Opened | Refused | Data | Credit | End | Reset) -> None:
         match event:
             case Opened(number, target):
-                self._tasks.spawn(self._connect(self._add(number), target), str(target))
+                self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
             case Refused(_, target, reply):
                 withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
@@ -254,7 +263,7 @@ class Streams:
 
     def took(self, stream: int, count: int) -> None:
         """As of `StreamEnd`."""
-        self._write(self._mux.took(stream, count))
+        self._write(self._mux.took(stream, count, self._clock(), self._round_trip()))
 
     def end(self, stream: int) -> bool:
         """As of `StreamEnd`."""

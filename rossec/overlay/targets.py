@@ -4,7 +4,7 @@ A relay connects to nothing but what its own master says is registered there and
 peer, exported to it; an address is never the peer's. A target on this host is dialled from an
 address that says by whom: through a relay nobody is near (`rossec.net.host.relayed`). The first
 bytes show whether the caller speaks rossec, without which nothing is connected, and which of a
-node's two ports is meant.
+node's two ports is meant. A program that is no node is not connected either (`topic_ports`).
 """
 
 import asyncio
@@ -51,10 +51,13 @@ Raises a `HintedError` where the master refuses, or cannot be asked.
 
 
 class NodePorts(Protocol):
-    """As `rossec.overlay.topic_ports.TopicPorts`."""
+    """As `rossec.overlay.topic_ports.TopicPorts`: numeric addresses, at which it was looked."""
 
-    async def of(self, name: str, host: str, port: int) -> int:
-        """The TCPROS port of the node whose slave API is there. Raises a `HintedError`."""
+    async def of(self, name: str, host: str, port: int) -> tuple[str, int]:
+        """Where the node's topics are whose slave API is there. Raises a `HintedError`."""
+
+    async def provider(self, host: str, port: int) -> tuple[str, int]:
+        """Where the service is that is there. Raises a `HintedError`."""
 
     def forget(self, name: str, host: str, port: int) -> None:
         """Ask again next time."""
@@ -76,15 +79,23 @@ class Targets:
         if protocol not in _PROTOCOLS[target.kind]:
             raise RelayRefused(f"a caller of the {target.kind} {target.name} in {protocol.value}")
         host, port = await self._resolve(peer.domain, target.kind, target.name)
-        source = source_for(peer.name)
-        if target.kind != NODE:
-            return await dial_from(source, host, port)
-        topics = await self._node_ports.of(target.name, host, port)
+        place = await self._place(target, protocol, host, port)
         try:
-            return await dial_from(source, host, topics if protocol is TCPROS else port)
+            return await dial_from(source_for(peer.name), *place)
         except OSError:
             self._node_ports.forget(target.name, host, port)
             raise
+
+    async def _place(
+        self, target: Target, protocol: WireProtocol, host: str, port: int
+    ) -> tuple[str, int]:
+        """Where to connect to, of what is registered at this address."""
+        if target.kind == MASTER:  # it says where it is itself
+            return host, port
+        if target.kind == SERVICE:
+            return await self._node_ports.provider(host, port)
+        address, topics = await self._node_ports.of(target.name, host, port)
+        return address, topics if protocol is TCPROS else port
 
 
 def _protocol(first: bytes) -> WireProtocol | None:

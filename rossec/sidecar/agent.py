@@ -35,6 +35,7 @@ from rossec.sidecar.egress import Egress
 from rossec.sidecar.executor import SlaveApiClient, run_layer
 from rossec.sidecar.host_types import known_type
 from rossec.sidecar.ingress import Ingress
+from rossec.sidecar.refusals import log_refusal
 from rossec.sidecar.resubscriber import Resubscriber
 
 _log = logging.getLogger("rossec.sidecar")
@@ -155,11 +156,7 @@ class Agent:
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer; refusals are logged, since a program may not print them."""
         answer = await self._membership.session.forward(method, *params)
-        match answer:
-            case [code, str(status), *_] if code != 1 and status.startswith("rossec: "):
-                _log.warning("the master refuses %s: %s", method, status.removeprefix("rossec: "))
-            case _:
-                pass
+        log_refusal("the master", method, answer)
         return answer
 
     def proof(self, right: Right, name: str) -> bytes:

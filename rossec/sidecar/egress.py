@@ -38,6 +38,7 @@ from rossec.sidecar.loopback_port import LoopbackPort
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
+from rossec.sidecar.refusals import log_refusal
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
@@ -110,9 +111,10 @@ class Egress:
         executor = CommandExecutor(self._services)
 
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
-            return await executor.run(
-                slave_calls.handle_program_call(self._agent, remote, method, params)
-            )
+            layer = slave_calls.handle_program_call(self._agent, remote, method, params)
+            answer = await executor.run(layer)
+            log_refusal(remote.uri, method, answer)
+            return answer
 
         try:
             await serve_calls(program, dispatch)

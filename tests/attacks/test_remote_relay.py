@@ -19,7 +19,7 @@ from rossec.errors import ChannelError
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import RpcClient
-from rossec.overlay.mux import MOST_CREDIT, STREAMS, YOUNG
+from rossec.overlay.mux import STREAMS, YOUNG
 from rossec.overlay.mux_units import (
     MASTER,
     MAX_DATA,
@@ -36,6 +36,7 @@ from rossec.overlay.mux_units import (
     read_units,
     reset_unit,
 )
+from rossec.overlay.stream_window import MOST
 from tests.support.relayedsites import RelayedSite, two_sites
 
 Link = SecureStream[Identity]
@@ -159,6 +160,32 @@ async def test_a_node_that_registers_anothers_address_brings_nobody_there(sites:
 
 
 @pytest.mark.attack("relay-beyond-exports")
+async def test_a_service_registered_at_a_program_brings_nobody_there(sites: Sites) -> None:
+    """The accomplice registers a name that means loopback at the relay: no check of URIs sees it.
+
+    Behind its opening the attacker would say what it likes to a program that skips what it does
+    not know, as many do.
+    """
+    _, office = sites
+    office.site.publish("/robot", "/robot/pose")
+    with listening() as program:
+        uri = f"rosrpc://localhost:{program.getsockname()[1]}"
+        node = NodeRef("/robot", "http://10.0.0.3:4711/", b"robot")
+        office.master.server.state.registry.register_service("/robot/stop", uri, node)
+        async with attacker(sites) as link:
+            opening = first_bytes(WireProtocol.TCPROS)
+            await link.send(open_unit(0, Target(SERVICE, "/robot/stop")))
+            await link.send(data(0, opening + b"\nFLUSHALL\n"))
+            sock, _ = await asyncio.get_running_loop().sock_accept(program)
+            with sock:
+                assert b"FLUSHALL" not in await asyncio.get_running_loop().sock_recv(sock, 4096)
+            assert await answers(link, 1) == [Reset(0)]
+            with pytest.raises(BlockingIOError):
+                program.accept()
+    await honest_call(sites)
+
+
+@pytest.mark.attack("relay-beyond-exports")
 async def test_only_callers_of_rossec_are_brought(sites: Sites) -> None:
     _, office = sites
     openings = {
@@ -189,6 +216,26 @@ async def test_a_flood_of_streams_is_refused_beyond_the_first(sites: Sites) -> N
     assert len(office.master.server.context.half_open) == 0
 
 
+@pytest.mark.attack("relay-floods")
+async def test_streams_that_are_broken_off_at_once_have_few_targets_looked_for(
+    sites: Sites,
+) -> None:
+    """Opened, answered with an opening, reset: it would cost the attacker 40 bytes each."""
+    _, office = sites
+    before = len(asyncio.all_tasks())
+    most = 0
+    async with attacker(sites) as link:
+        for number in range(2000):
+            await link.send(open_unit(number, Target(NODE, f"/n{number}")) + data(number, HTTP))
+            await link.send(reset_unit(number))
+            most = max(most, len(asyncio.all_tasks()) - before)
+        await answers(link, 1)
+        most = max(most, len(asyncio.all_tasks()) - before)
+        assert most < 3 * YOUNG
+        await honest_call(sites)
+    assert office.relay.ways()["home"].streams == 0
+
+
 BREACHES = {
     "a number left out": open_unit(1, THE_MASTER),
     "a number again": open_unit(0, THE_MASTER) * 2,
@@ -197,7 +244,7 @@ BREACHES = {
     "the reset of none": reset_unit(1 << 31),
     "data after the end": open_unit(0, THE_MASTER) + end_unit(0) + data(0, b"x"),
     "two ends": open_unit(0, THE_MASTER) + end_unit(0) * 2,
-    "more credit than a link has": open_unit(0, THE_MASTER) + credit_unit(0, MOST_CREDIT),
+    "more credit than a link has": open_unit(0, THE_MASTER) + credit_unit(0, MOST),
     "credit that grows": open_unit(0, THE_MASTER) + credit_unit(0, 1 << 31) * 3,
     "not deterministic": b"\x82\x00\x18\x03",
     "garbage": b"\xff" * 1000,

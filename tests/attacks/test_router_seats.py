@@ -6,6 +6,8 @@ The attacker uses Zenoh itself, as any customer can, in every mode that it has.
 import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from rossec.overlay.routers import Routers
 from rossec.overlay.zenoh_carrier import Carrier, open_session
 from rossec.overlay.zenoh_settings import client_settings
 from tests.support.overlay import until
+from tests.support.ports import free_port
 from tests.support.routerprocess import RouterProcess, home_with, running
 
 pytestmark = pytest.mark.attack("router-seats")
@@ -167,6 +170,37 @@ async def test_it_takes_the_identifier_of_another_session(
         await asyncio.sleep(0.2)
         await exchange(pair)
     assert got == []
+
+
+async def test_it_claims_to_be_the_shortest_way_between_two_routers(tmp_path: Path) -> None:
+    """As a router with links of the least weight; what it was sent, it could only drop."""
+    one = home_with(tmp_path / "one", "home", "clinic", "evil")
+    two = RouterHome(tmp_path / "two")
+    two.take(one.share())
+    two.tell(listen=(f"tls/127.0.0.1:{free_port()}",))
+    ways = [each.settings().listen[0] for each in (one, two)]
+    with running(one), running(two):
+        seats = one.seat_file("home"), replace(one.seat_file("clinic"), locators=(ways[1],))
+        alice, bob = opened = [await Carrier.open(each) for each in seats]
+        await exchange((alice, bob))
+        evil = client_settings(replace(one.seat_file("evil"), locators=tuple(ways)))
+        evil |= {"mode": "router", "connect/timeout_ms": -1, "connect/exit_on_failure": False}
+        zids: list[str] = []
+
+        def both_are_known(session: Any) -> bool:
+            zids[:] = map(str, session.info.routers_zid())
+            return len(zids) == len(ways)
+
+        for _ in range(2):  # once to know the routers, and with links to them
+            links = [{"dst_zid": zid, "weight": 1} for zid in zids]
+            evil["routing/router/linkstate/transport_weights"] = links
+            with await asyncio.to_thread(open_session, evil) as session:
+                await until(partial(both_are_known, session))
+                await asyncio.sleep(1.0)  # the routers are told
+                async with asyncio.timeout(5):
+                    await exchange((alice, bob))
+        for each in opened:
+            await each.close()
 
 
 @pytest.mark.parametrize("seat", ["clinic", "nobody", "_router"])

@@ -43,9 +43,9 @@ class Cast:
         return self.home.tool(*words, options=TOOL)
 
 
-def world(directory: Path, domain: str) -> World:
-    """A site on this host."""
-    loopback = Host((), "127.0.0.1", "::1")
+def world(directory: Path, domain: str, host: Host | None = None) -> World:
+    """A site on this host, or on that one."""
+    loopback = host or Host((), "127.0.0.1", "::1")
     logs = directory / f"{domain}.logs"
     logs.mkdir()
     return World(Hosts(loopback, loopback, real=False), Site(directory / domain, domain), logs)
@@ -86,15 +86,17 @@ def follow(other: World, way: str) -> tuple[str, ...]:
 
 
 @contextlib.contextmanager
-def running_programs(home: World, hospital: World, never: Path) -> Iterator[Cast]:
-    """The programs of both sites, whose masters run."""
+def running_programs(
+    home: World, hospital: World, never: Path, pause: float = 0.1
+) -> Iterator[Cast]:
+    """The programs of both sites, whose masters run; `pause`: seconds between messages."""
     with contextlib.ExitStack() as stack:
 
         def start(side: World, kind: str, source: str, *more: str) -> Running:
             line = command(kind, sys.executable, ROSSEC, source, *more)
             return stack.enter_context(side.started(side.hosts.near, *line))
 
-        speakers = {kind: start(hospital, kind, SPEAKERS[kind]) for kind in KINDS}
+        speakers = {kind: start(hospital, kind, SPEAKERS[kind], str(pause)) for kind in KINDS}
         for speaker in speakers.values():
             speaker.wait_for("READY")
         for kind in KINDS:  # until then they refuse a foreigner, and `wait_for_service` ends

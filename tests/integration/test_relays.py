@@ -4,6 +4,7 @@ A relay that is killed breaks connections as any host that goes; nodes come back
 """
 
 import contextlib
+import re
 import signal
 import sys
 import time
@@ -23,11 +24,12 @@ from tests.integration.foreignworld import (
     running_programs,
     world,
 )
-from tests.integration.sidecarworld import Running, World, wait
+from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support import relayprocess
 from tests.support.kinds import KINDS, SEEN
 from tests.support.ports import free_port
-from tests.support.trust import share
+from tests.support.roscpp import compiled
+from tests.support.trust import carry, share
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 FRAMES: Final = "/camera/frames"
@@ -54,6 +56,13 @@ async def main(name):
             print("FRAME", len(frame.data), flush=True)
 asyncio.run(main(sys.argv[1]))
 """
+
+
+VICTIM: Final = (
+    ROSSEC, "run", "--as", "/victim", "--", "sh", "-c",
+    "rosparam set /victim/speed 'speed is 7';"  # noqa: ISC004 - one script
+    " exec rostopic pub -r 1 /victim/word std_msgs/String word __name:=victim",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -84,17 +93,49 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sites]:
     prepare(home, hospital)
     for name in ("/quick", "/slow"):
         share(hospital.site, home.site, name, Right.SUBSCRIBE, FRAMES)
+    prepare_victim(home, hospital)
+    for here, there in ((home, hospital), (hospital, home)):
+        prepare_roscpp(here, there)
     relayprocess.exchange(home, "home", hospital, "hospital")
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(relayprocess.router(home, port))
         for side, other in ((hospital, home), (home, hospital)):
-            stack.enter_context(side.master(*follow(other, f"via: {other.site.anchor.domain}")))
+            way = f"via: {other.site.anchor.domain}, parameters: [/victim/**]"
+            stack.enter_context(side.master(*follow(other, way)))
         running = {
             side.site.anchor.domain: stack.enter_context(relayprocess.relay(side))
             for side in (hospital, home)
         }
         cast = stack.enter_context(running_programs(home, hospital, directory / "never"))
         yield Sites(cast, stack, running, router, port)
+
+
+def prepare_victim(home: World, hospital: World) -> None:
+    """A node of the hospital with a parameter, and one of the home that may stop it."""
+    hospital.enroll("/victim", publish="/victim/word", provide="/victim/*", param_set="/victim/*")
+    home.enroll("/killer", wildcard=True)
+    home.enroll("/reader")
+    for name, right, pattern in (
+        ("/killer", Right.GRAPH, "/**"), ("/killer", Right.ADMIN, "/victim"),
+        ("/killer", Right.CALL, "/victim/*"), ("/reader", Right.PARAM_GET, "/victim/**"),
+        ("/master", Right.PARAM_GET, "/victim/**"),
+    ):  # fmt: skip
+        share(hospital.site, home.site, name, right, pattern)
+
+
+def prepare_roscpp(here: World, there: World) -> None:
+    """A talker here, and programs there that may hear and call it."""
+    here.enroll("/cpp_talker", publish="/cpp/words", provide="/cpp_talker/say")
+    share(here.site, there.site, "/master", Right.GRAPH, "/cpp/**")
+    share(here.site, there.site, "/master", Right.GRAPH, "/cpp_talker/**")
+    for name, right, pattern in (
+        ("/cpp_listener", Right.SUBSCRIBE, "/cpp/words"),
+        ("/cpp_caller", Right.CALL, "/cpp_talker/say"),
+    ):
+        there.enroll(name, provide=f"{name}/say")
+        share(here.site, there.site, name, right, pattern)
+    for side in (here, there):
+        carry(side.site)
 
 
 @pairs
@@ -129,6 +170,61 @@ def test_stock_tools_work_by_the_relays(sites: Sites) -> None:
     said = cast.tool("rosnode", "info", f"/{LABEL}/sidecar_speaker")
     assert f" * topic: /{LABEL}/sidecar/words\n    * to: /sidecar_listener\n" in said
     assert "Unable to communicate" not in said
+
+
+def test_nodes_are_pinged_and_stopped_and_parameters_read_by_the_relays(sites: Sites) -> None:
+    """Who may not is told why by its sidecar: stock rosnode says "killed" to everybody."""
+    cast, home, name = sites.cast, sites.cast.home, f"/{LABEL}/victim"
+    with cast.hospital.started(cast.hospital.hosts.near, *VICTIM) as victim:
+        ping = f"until rosnode ping -c 1 {name} | grep 'xmlrpc reply from'; do sleep 0.1; done"
+        said = tools(home, "/rostopic", ping, f"rosnode kill {name}")
+        assert "refuses shutdown: no grant for admin on /victim" in said
+        assert victim.process.poll() is None
+        tools(home, "/killer", f"rosnode kill {name}")
+        assert victim.process.wait(20) == 0
+        assert "shutdown request: user request" in victim.said
+    read = f"until rosparam get {name}/speed | grep 'speed is 7'; do sleep 0.1; done"
+    others = f"rosparam get /{LABEL}/other", f"rosparam set {name}/speed 1"
+    said = tools(home, "/reader", read, *others)
+    assert "needs the right param-get on hospital:/other" in said
+    assert "names below /remote are those of other masters" in said
+
+
+def tools(side: World, name: str, *lines: str) -> str:
+    """What stock tools behind one sidecar print."""
+    script = "sh", "-c", "; ".join(lines)
+    done = side.run(side.hosts.far, *script, options=("--as", name))
+    return done.stdout + done.stderr
+
+
+def test_roscpp_programs_work_by_the_relays(sites: Sites, request: pytest.FixtureRequest) -> None:
+    """Both ways at once, unmodified behind sidecars; then a service, once and persistent."""
+    probe = str(compiled(request.config.cache.mkdir("roscpp")))
+    sides = sites.cast.home, sites.cast.hospital
+    with contextlib.ExitStack() as stack:
+
+        def start(side: World, role: str, *words: str) -> Running:
+            line = probe, role, *words, f"__name:=cpp_{role}"
+            return stack.enter_context(side.secured(side.hosts.near, *line))
+
+        talkers = [start(side, "talker", "/cpp/words") for side in sides]
+        labels = [f"/remote/{other.site.anchor.domain}" for other in reversed(sides)]
+        listeners = [
+            start(side, "listener", f"{label}/cpp/words", "20")
+            for side, label in zip(sides, labels, strict=True)
+        ]
+        callers = [
+            start(side, "caller", f"{label}/cpp_talker/say", "3")
+            for side, label in zip(sides, labels, strict=True)
+        ]
+        for listener in listeners:
+            assert listener.process.wait(40) == 0, listener.said
+            heard = re.findall(r"HEARD hello (\d+)", listener.said)
+            assert list(map(int, heard)) == list(range(int(heard[0]), int(heard[0]) + 20))
+        for caller, talker in zip(callers, reversed(talkers), strict=True):
+            assert caller.process.wait(40) == 0, caller.said
+            talker.wait_for("ASKED kept 2")
+            assert re.findall("ASKED (.*) ", talker.said) == ["once", "kept 0", "kept 1", "kept 2"]
 
 
 def test_a_subscriber_that_stands_still_slows_no_other(sites: Sites) -> None:

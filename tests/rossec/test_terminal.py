@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pytest
 
 from rossec import terminal
@@ -30,3 +32,33 @@ def test_errors_and_notes_go_to_stderr(capsys: pytest.CaptureFixture[str]) -> No
 )
 def test_names_of_peers_cannot_control_the_terminal(hostile: str, shown: str) -> None:
     assert terminal.printable(hostile) == shown
+
+
+def test_what_is_secret_is_printed_to_a_file_of_this_user_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "home.seat"
+    path.touch(mode=0o644)
+    with path.open("w") as file:
+        monkeypatch.setattr("sys.stdout", file)
+        terminal.say_secret("a password")
+    assert path.read_text() == "a password\n"
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_what_is_secret_is_printed_to_a_pipe_as_it_is(capfd: pytest.CaptureFixture[str]) -> None:
+    terminal.say_secret("a password")
+    assert capfd.readouterr().out == "a password\n"
+
+
+def test_a_file_that_cannot_be_closed_to_others_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse(_file: int, _mode: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("os.fchmod", refuse)
+    with (tmp_path / "home.seat").open("w") as file:
+        monkeypatch.setattr("sys.stdout", file)
+        terminal.say_secret("a password")
+    assert "others may read the file: Operation not permitted" in capsys.readouterr().err

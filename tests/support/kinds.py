@@ -4,9 +4,9 @@ The rospy sources are used twice: in-process with two more lines, and unmodified
 
 A publisher KIND publishes /KIND/words and /KIND/brief (strings that count), /KIND/latched (one
 string) and /KIND/pose (every second one in a frame that no grant allows), and provides
-/KIND/switch. A subscriber subscribes to those of all kinds and calls them in a loop, over a
-connection for each call (CALLED) and over a persistent one (KEPT); it subscribes to /KIND/brief
-once the given file exists.
+/KIND/switch; between messages it waits the seconds it is told, or 0.1. A subscriber subscribes to
+those of all kinds and calls them in a loop, over a connection for each call (CALLED) and over a
+persistent one (KEPT); it subscribes to /KIND/brief once the given file exists.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ import sys, time, rospy
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolResponse
-kind = sys.argv[1]
+kind, pause = sys.argv[1], float((*sys.argv, 0.1)[2])
 rospy.init_node(f"{kind}_speaker")
 words = rospy.Publisher(f"/{kind}/words", String, queue_size=10)
 brief = rospy.Publisher(f"/{kind}/brief", String, queue_size=10)
@@ -45,7 +45,7 @@ while not rospy.is_shutdown():
     if count != known:
         print("LISTENERS words %d brief %d" % count, flush=True)
     number, known = number + 1, count
-    time.sleep(0.1)
+    time.sleep(pause)
 """
 
 _ROSPY_LISTENER: Final = """
@@ -93,7 +93,7 @@ while not rospy.is_shutdown():
 _BUILTIN_SPEAKER: Final = """
 import asyncio, sys
 from rossec.node import Node
-async def main(kind):
+async def main(kind, pause):
     async with Node(f"/{kind}_speaker") as node:
         words = await node.publisher(f"/{kind}/words", "std_msgs/String")
         brief = await node.publisher(f"/{kind}/brief", "std_msgs/String")
@@ -117,8 +117,8 @@ async def main(kind):
             if count != known:
                 print("LISTENERS words %d brief %d" % count, flush=True)
             number, known = number + 1, count
-            await asyncio.sleep(0.1)
-asyncio.run(main(sys.argv[1]))
+            await asyncio.sleep(pause)
+asyncio.run(main(sys.argv[1], float((*sys.argv, 0.1)[2])))
 """
 
 _BUILTIN_LISTENER: Final = """
@@ -140,7 +140,7 @@ async def call(about, other, client):
 async def main(kind, kinds, signal):
     async with Node(f"/{kind}_listener") as node, asyncio.TaskGroup() as group:
         async def follow(other, topic, form, hear):
-            subscriber = await node.subscriber(f"/{other}/{topic}", form)
+            subscriber = await node.subscriber(f"/{other}/{topic}", form, queue_size=2000)
             group.create_task(hear(subscriber, f"{other} {topic}"))
         for other in kinds:
             await follow(other, "words", "std_msgs/String", word)

@@ -2,6 +2,7 @@
 //   talker TOPIC [SIZE RATE]   publishes the parameter ~word and a number, padded to SIZE
 //   listener TOPIC [COUNT]     prints what it hears, the first 40 characters
 //   both TOPIC [COUNT]         subscribes to what it publishes itself
+//   caller SERVICE COUNT       calls a ~say: once, then so often over one connection
 // All offer the service ~say; not one of roscpp's own, which crash with Debian's log4cxx.
 #include <ros/ros.h>
 #include <roscpp/SetLoggerLevel.h>
@@ -21,12 +22,26 @@ static bool say(roscpp::SetLoggerLevelRequest& asked, roscpp::SetLoggerLevelResp
   return true;
 }
 
+static int call(ros::NodeHandle& node, const std::string& name, int count) {
+  if (!ros::service::waitForService(name, ros::Duration(30))) return 4;
+  roscpp::SetLoggerLevel words;
+  words.request.logger = "once";
+  if (!ros::service::call(name, words)) return 5;
+  auto kept = node.serviceClient<roscpp::SetLoggerLevel>(name, true);
+  for (int number = 0; number < count; ++number) {
+    words.request.logger = "kept " + std::to_string(number);
+    if (!kept.call(words)) return 6;
+  }
+  return kept.isValid() ? 0 : 7;
+}
+
 int main(int argc, char** argv) {
   const std::string mode = argc > 1 ? argv[1] : "";
-  ros::init(argc, argv, mode == "listener" ? "listener" : "talker");
+  ros::init(argc, argv, mode == "listener" || mode == "caller" ? mode : "talker");
   ros::NodeHandle node, own("~");
   const std::string topic = argc > 2 ? argv[2] : "/chatter";
   ros::ServiceServer service = own.advertiseService("say", say);
+  if (mode == "caller") return call(node, topic, std::atoi(argv[3]));
   ros::Subscriber subscriber;
   if (mode != "talker") {
     wanted = argc > 3 ? std::atoi(argv[3]) : 0;

@@ -3,33 +3,36 @@
 import contextlib
 import subprocess
 from collections.abc import Iterator
+from typing import Final
 
 from rossec.overlay.routers import OPEN_SEAT, Routers
 from tests.integration.sidecarworld import ROSSEC, Running, World
+from tests.support.hosts import Host
 
 RELAY = "/relay"
+LOOPBACK: Final = Host((), "127.0.0.1", "::1")
 
 
-def locator(port: int) -> str:
-    """Of a router on this host."""
-    return f"tcp/127.0.0.1:{port}"
+def locator(port: int, host: Host = LOOPBACK) -> str:
+    """Of a router on this host, or on that one."""
+    return f"tcp/{host.ipv4}:{port}"
 
 
 @contextlib.contextmanager
-def router(world: World, port: int) -> Iterator[Running]:
-    """A router without seats on this host; its own files are in `world`'s directory."""
+def router(world: World, port: int, host: Host = LOOPBACK) -> Iterator[Running]:
+    """A router without seats; its own files are in `world`'s directory."""
     home = str(world.directory / "router")
-    command = ROSSEC, "router", "--home", home, "--listen", locator(port), "--open"
-    with world.started(world.hosts.near, *command) as running:
+    command = ROSSEC, "router", "--home", home, "--listen", locator(port, host), "--open"
+    with world.started(host, *command) as running:
         running.wait_for(str(port))
         yield running
 
 
-def seated(world: World, port: int) -> None:
+def seated(world: World, port: int, host: Host = LOOPBACK) -> None:
     """Enroll the relay of a site, and keep its seat at that router."""
     world.site.enroll(RELAY)
     file = world.directory / "seat.json"
-    file.write_bytes(Routers((locator(port),), OPEN_SEAT).write())
+    file.write_bytes(Routers((locator(port, host),), OPEN_SEAT).write())
     told(world, "seat", str(file))
 
 

@@ -12,7 +12,7 @@ import click
 
 from ca.domains.aliases import display_name, shown
 from ca.errors import HintedError
-from ca.names import is_master_name
+from ca.names import is_master_name, is_relay_name
 from ca.renewal import signed_at
 from ca.revocation.state import Revocations, open_timestamp
 from grants.model import Grant
@@ -91,7 +91,9 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
             until = format_time(grant.expires)
             pattern = display_name(label, permission.pattern)
             yield f"may {permission.rights.label} {pattern} until {until}"
-    if not held and is_master_name(home.name):
+    if not held and is_relay_name(home.name):
+        yield "no grants: a relay needs none"
+    elif not held and is_master_name(home.name):
         yield "no grants: within its own domain a master needs none"
     elif not held:
         raise ConfigurationError("no grants: it may do nothing", f"rossec grant sign {home.name}")

@@ -105,7 +105,12 @@ def _name(code: InvitationCode, given: str | None) -> str:
                 f"give it: --name {pattern.replace('**', 'robot07').replace('*', 'robot07')}",
             )
         return pattern
-    if not covers(pattern, given) or is_reserved(given):
+    if is_reserved(given):
+        raise ConfigurationError(
+            f"{given} is reserved: no invitation is for it",
+            f"enroll it in person: rossec node enroll {given}",
+        )
+    if not covers(pattern, given):
         raise ConfigurationError(
             f"the invitation is not for {given}, but for {pattern}",
             "give another name, or ask for another invitation: rossec ca invite",

@@ -57,6 +57,8 @@ def relay(
 
         context.obj = environment = Environment({**environment.variables, OWN_RELAY: name})
     if context.invoked_subcommand is not None:
+        if doors or seat_file is not None or as_json:
+            raise click.UsageError("only --name stands before a verb")
         return
     from rossec.cli.relay.serve import run  # noqa: PLC0415 - imported when it runs
 

@@ -1,7 +1,6 @@
 """`rossec relay card | add | list | remove`: with which relays of other sites there are links."""
 
 import secrets
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from rossec.errors import ConfigurationError
 from rossec.overlay.mailboxes import BOX, mailbox
 from rossec.overlay.peers import Peer
 from rossec.overlay.relay_cards import MAX_CARD, RelayCard
-from rossec.terminal import note, printable, say, say_json
+from rossec.terminal import note, printable, say, say_json, say_secret
 
 _LISTED = "at the authority: rossec domain accept; then the master has the list, and the relay"
 
@@ -53,7 +52,7 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
 
     store.change(put)
     box = bytes.fromhex(store.peers()[label].box)
-    sys.stdout.write(RelayCard(own, store.home.name, mailbox(routers.seat, box)).write())
+    say_secret(RelayCard(own, store.home.name, mailbox(routers.seat, box)).write().rstrip())
     if not store.peers()[label].is_complete:
         note(f"for the relay {label} alone; there: rossec relay add LABEL FILE")
         note(f"here, its card: rossec relay add {label} FILE")

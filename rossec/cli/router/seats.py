@@ -8,7 +8,7 @@ import click
 from rossec.cli.router.home import pass_home
 from rossec.overlay.router_home import RouterHome, new_password
 from rossec.overlay.routers import check_seat
-from rossec.terminal import note, say, say_json
+from rossec.terminal import note, say, say_json, say_secret
 
 
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,4 +98,4 @@ def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, .
 
 
 def _print_file(home: RouterHome, name: str) -> None:
-    say(home.seat_file(name).write().decode().rstrip())
+    say_secret(home.seat_file(name).write().decode().rstrip())

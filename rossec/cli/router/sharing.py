@@ -10,7 +10,7 @@ from rossec.cli.router.home import pass_home
 from rossec.errors import ConfigurationError
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.router_share import MAX_FILE, Share
-from rossec.terminal import note, say
+from rossec.terminal import note, say, say_secret
 
 
 @click.command()
@@ -22,7 +22,7 @@ def share(home: RouterHome) -> None:
     the passwords of all seats: bring it to the other host by ssh, and remove it there. Do it again
     when seats were added or removed.
     """
-    say(home.share().write().decode().rstrip())
+    say_secret(home.share().write().decode().rstrip())
     note("this holds every password of the routers: keep it to yourself")
 
 

@@ -25,6 +25,10 @@ _UNREACHABLE: Final = (
     "a relay on another host than the master needs doors that others reach: "
     "rossec relay --doors ADDRESS"
 )
+_ANOTHER: Final = (
+    "another relay with this name has come since: end one of them, "
+    "or give it a name of its own (rossec relay --name)"
+)
 _ON_THIS_HOST: Final = (
     "this is registered at a loopback address, and the relay is on another host: "
     "set ROS_IP or ROS_HOSTNAME where it runs"
@@ -63,6 +67,8 @@ class RelayCalls:
                 raise Refused(_UNREACHABLE)
         if not self._doors.has_room_for(request.caller.name):
             raise Refused("this master has too many relays")
+        if self._doors.is_superseded(request.caller.name, report.instance):
+            raise Refused(_ANOTHER)
         change = self._doors.hear(request.caller.name, report, request.now)
         answer = {
             "version": change.version,

@@ -3,7 +3,7 @@
 Followers say what they want, relays poll for it, open doors and tell where they are. A door is one
 of the own relay's, so nothing that another site says decides where it is. A relay that was started
 again has no doors: it is told anew of all that is wanted. Of two relays that know a peer, one
-serves it, and the other when that one falls silent.
+serves it, and the other when that one falls silent. Of two with one name the newer one counts.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -125,6 +125,7 @@ class Doors:
         self._wanted: dict[Target, int] = {}  # since which version, the oldest first
         self._gone: dict[Target, int] = {}
         self._relays: dict[str, _Relay] = {}
+        self._superseded: dict[str, str] = {}  # the run before that of now, by relay
         self._serving: dict[str, str] = {}  # which relay serves a peer
         self._listeners: dict[str, Callable[[], None]] = {}
 
@@ -135,15 +136,19 @@ class Doors:
     def want(self, label: str, targets: Iterable[Target]) -> int:
         """All that the follower of a site wants from now on; returns how many are too many.
 
-        Those are wanted when it asks again and others are wanted no longer.
+        Those are wanted when it asks again and others are wanted no longer. The master of a site
+        always has a door; of others a site has at most as many as are left for all: none takes
+        them from the next one, whatever it says that it has.
         """
         wanted, held, before = set(targets), self._wants.setdefault(label, set()), self._version
         for target in held - wanted:
             held.discard(target)
             self._release(target)
-        missing = 0
+        missing, others = 0, sum(target.kind != MASTER for target in held)
         for target in sorted(wanted - held, key=_masters_first):
-            if target in self._wanted or len(self._wanted) < self._limit:
+            has_left = others < self._limit - len(self._wanted)
+            if target in self._wanted or target.kind == MASTER or has_left:
+                others += target.kind != MASTER
                 held.add(target)
                 self._begin(target)
             else:
@@ -176,10 +181,16 @@ class Doors:
         """Whether one more relay is within the limits."""
         return relay in self._relays or len(self._relays) < MAX_RELAYS
 
+    def is_superseded(self, relay: str, instance: str) -> bool:
+        """Whether a newer run of this relay has polled, so that this one must not."""
+        return self._superseded.get(relay) == instance
+
     def hear(self, relay: str, report: Report, now: int) -> WantedChange:
         """Take over what a relay reports, and answer it."""
         held = self._relays.get(relay)
         if held is None or held.instance != report.instance:
+            if held is not None:
+                self._superseded[relay] = held.instance
             self._drop_relay(relay)
             held = self._relays[relay] = _Relay(report.instance)
         held.heard = now
@@ -196,6 +207,7 @@ class Doors:
         """Forget relays that are silent for too long; returns their names."""
         silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
         for name in silent:
+            self._superseded.pop(name, None)
             self._drop_relay(name)
         if silent:
             self._assign()

@@ -9,7 +9,8 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Final, Generic, TypeAlias
+from types import TracebackType
+from typing import Final, Generic, Self, TypeAlias
 
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
@@ -114,8 +115,19 @@ class AcceptedStreams(Generic[PeerT]):
             raise  # a crash is logged by the task's owner
         await stream.close()
 
-    async def _close_streams(self) -> None:
+    async def close(self) -> None:
         """Abort every connection, wait until the handlers are gone."""
         await self._tasks.close()
         for stream in [*self._streams, *self._slots]:
             stream.abort("the server was closed")
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()

@@ -4,8 +4,7 @@ import logging
 import socket
 from contextlib import suppress
 from functools import partial
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
@@ -107,18 +106,7 @@ class SecureServer(AcceptedStreams[PeerT]):
             self._loop.remove_reader(listener.fileno())
             listener.close()
         self._listeners.clear()
-        await self._close_streams()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.close()
+        await super().close()
 
 
 def serve(

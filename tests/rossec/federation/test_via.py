@@ -104,6 +104,14 @@ async def test_without_a_relay_it_is_said_what_is_missing(
         assert pair.state["error"] == ""
 
 
+async def test_a_door_that_leads_nowhere_is_the_relays_matter(pair: Pair) -> None:
+    await pair.office.stop()
+    pair.hall.follow(OFFICE)
+    async with relayed(pair.here, pair.there):
+        await until(lambda: pair.state["error"], within=10)
+        assert pair.state["hint"] == "is there a link? rossec relay status"
+
+
 async def test_another_master_behind_the_door_is_refused(pair: Pair) -> None:
     pair.hall.follow(replace(OFFICE, master="/master/cellar"))
     pair.office.name = "/master/cellar"

@@ -59,6 +59,14 @@ def test_other_causes_peers_and_places_are_logged(
     ]  # fmt: skip
 
 
+def test_a_line_about_what_is_not_reached_has_the_hint(caplog: pytest.LogCaptureFixture) -> None:
+    for peer, cause in (("a", MessageError("no", "100 % sure?")), ("b", MessageError("no"))):
+        withheld_log.warn(LOG, withheld_log.UNREACHED, "/map", peer, cause)
+    assert caplog.messages == [
+        "/map: not connected to a: no (100 % sure?)", "/map: not connected to b: no",
+    ]  # fmt: skip
+
+
 def test_threads(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     threads = [threading.Thread(target=warn, args=("one",)) for _ in range(8)]
     for thread in threads:

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from rossec.errors import ConfigurationError, StreamRefused
+from rossec.errors import ConfigurationError, LinkCrowded, StreamRefused
 from rossec.net.aio.dial import dial
 from rossec.overlay import doors as module
 from rossec.overlay.doors import Door, Doors, OpenDoors
@@ -25,14 +25,14 @@ class Carrier:
 
     def __init__(self) -> None:
         self.doors: list[Door] = []
-        self.refuse = False
+        self.error: StreamRefused | None = None
 
     async def carry(self, door: Door, sock: socket.socket) -> None:
         self.doors.append(door)
         sock.setblocking(False)
         with sock:
-            if self.refuse:
-                raise StreamRefused("no link to it", "rossec relay status")
+            if self.error is not None:
+                raise self.error
             loop = asyncio.get_running_loop()
             await loop.sock_sendall(sock, b"!")
             await loop.sock_recv(sock, 1)
@@ -48,6 +48,12 @@ async def doors(
         yield found, given_up
     finally:
         await found.close_all()
+
+
+async def turned_away(where: tuple[str, int]) -> None:
+    sock = await dial(*where, 10)
+    with sock, contextlib.suppress(ConnectionResetError):
+        assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
 
 
 async def enter(where: tuple[str, int]) -> socket.socket:
@@ -140,12 +146,27 @@ async def test_a_connection_that_cannot_be_carried_is_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     carrier = Carrier()
-    carrier.refuse = True
+    carrier.error = StreamRefused("no link to it", "rossec relay status")
     async with doors(carrier) as (found, _):
-        sock = await dial(*found.open(ROBOT), 10)
-        with sock, contextlib.suppress(ConnectionResetError):
-            assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
-    assert "node /robot: refused hospital: no link to it" in caplog.text
+        for door in (ROBOT, CLOCK):
+            await turned_away(found.open(door))
+    assert caplog.messages == [
+        "node /robot: not connected to hospital: no link to it (rossec relay status)",
+        "service /clock: not connected to hospital: no link to it (rossec relay status)",
+    ]
+
+
+async def test_all_that_find_no_room_are_one_line_of_the_log(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    carrier = Carrier()
+    async with doors(carrier) as (found, _):
+        for door in (ROBOT, CLOCK, ROBOT):
+            carrier.error = LinkCrowded(f"no room for {door.target}", "have fewer")
+            await turned_away(found.open(door))
+    assert caplog.messages == [
+        "a connection: not connected to hospital: no room for node /robot (have fewer)"
+    ]
 
 
 def test_the_pool_is_as_large_as_the_master_allows() -> None:

@@ -29,7 +29,7 @@ from rossec.overlay.link_frames import (
     return_address,
     split_return_address,
 )
-from rossec.overlay.link_transport import stats_of
+from rossec.overlay.link_transport import idle_round_trip, stats_of
 from rossec.overlay.mailboxes import is_mailbox
 from tests.support.contexts import context
 from tests.support.frame_carriers import MemoryCarrier
@@ -72,7 +72,8 @@ async def test_both_are_authenticated_and_bytes_pass() -> None:
             assert listener.connections == 1
             stats = stats_of(stream)
             assert stats.sent > len(data) < stats.received
-            assert stats.srtt_s > 0
+            assert 0 < stats.least_s <= stats.srtt_s
+            assert idle_round_trip(stream) == stats_of(stream).least_s
         with pytest.raises(ChannelClosed):
             await stream.receive()
         await until(lambda: listener.connections == 0 and memory.readers.keys() == {KEY})
@@ -265,6 +266,7 @@ async def test_only_a_stream_over_a_link_has_its_figures() -> None:
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server, await call(server) as stream:
         with pytest.raises(TypeError, match="not over a link"):
             stats_of(stream)
+        assert idle_round_trip(stream) == 0
 
 
 async def test_a_slow_receiver_leaves_other_links_at_their_pace() -> None:

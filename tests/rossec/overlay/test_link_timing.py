@@ -21,6 +21,9 @@ def test_the_round_trip_is_smoothed() -> None:
     assert trip.srtt_s == 0.08
     trip.sample(0.16)
     assert trip.srtt_s == pytest.approx(0.09)
+    assert trip.least_s == 0.08
+    trip.way_changed()
+    assert trip.least_s == trip.srtt_s
 
 
 @pytest.mark.parametrize(("srtt", "wait"), [(0.0, 0.2), (0.01, 0.2), (0.1, 0.4), (9.0, MOST_WAIT)])

@@ -1,19 +1,12 @@
 """Streams as numbers, credit and limits: both sides agree, and no peer gets beyond its limits."""
 
-from collections import deque
-
 import pytest
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from rossec.errors import StreamRefused
 from rossec.overlay.mux import (
     FOR_ONE_NAME,
     LAST_STREAM,
-    MOST_CREDIT,
     STREAMS,
-    WINDOW,
     YOUNG,
     YOUNG_SECONDS,
     Mux,
@@ -36,6 +29,8 @@ from rossec.overlay.mux_units import (
     open_unit,
     reset_unit,
 )
+from rossec.overlay.stream_window import FIRST as WINDOW
+from rossec.overlay.stream_window import MOST
 
 ROBOT = Target(NODE, "/robot")
 
@@ -106,7 +101,7 @@ def test_credit_is_spent_and_given_back_in_quarters() -> None:
     assert caller.receive(unit, 0) == [Credit(0, WINDOW // 4)]
     assert caller.credit(0) == WINDOW // 4
     caller.end(0)
-    assert caller.receive(called.took(0, WINDOW), 0) == [Credit(0, WINDOW)]
+    assert caller.receive(called.took(0, WINDOW * 3 // 4), 0) == [Credit(0, WINDOW * 3 // 4)]
     assert caller.credit(0) == 0
 
 
@@ -118,8 +113,8 @@ def test_no_credit_is_given_after_the_end() -> None:
 
 def test_a_peer_may_give_more_credit_up_to_a_link() -> None:
     caller, _ = opened()
-    caller.receive(credit_unit(0, MOST_CREDIT - WINDOW), 0)
-    assert caller.credit(0) == MOST_CREDIT
+    caller.receive(credit_unit(0, MOST - WINDOW), 0)
+    assert caller.credit(0) == MOST
     with pytest.raises(StreamRefused, match="credit for stream 0 beyond"):
         caller.receive(credit_unit(0, 1), 0)
 
@@ -175,10 +170,25 @@ def test_new_streams_are_few_until_they_grow_old_or_end() -> None:
     refused = Target(NODE, f"/n{YOUNG}")
     assert fill(called, 1, first=YOUNG) == [Refused(YOUNG, refused, reset_unit(YOUNG))]
     assert YOUNG not in called
+    called.connected(3)
     called.receive(reset_unit(3), 0)
     (event,) = fill(called, 1, first=YOUNG + 1)
     assert isinstance(event, Opened)
     (event,) = fill(called, 1, now=YOUNG_SECONDS + 0.1, first=YOUNG + 2)
+    assert isinstance(event, Opened)
+
+
+def test_a_stream_that_is_over_counts_until_its_target_is_looked_for_no_more() -> None:
+    called = Mux(Role.CALLED)
+    for number in range(YOUNG):
+        (event,) = fill(called, 1, first=number)
+        assert isinstance(event, Opened)
+        called.receive(reset_unit(number), 0)
+    assert len(called) == 0
+    (event,) = fill(called, 1, now=2 * YOUNG_SECONDS, first=YOUNG)
+    assert isinstance(event, Refused)
+    called.connected(7)
+    (event,) = fill(called, 1, first=YOUNG + 1)
     assert isinstance(event, Opened)
 
 
@@ -201,10 +211,10 @@ def test_the_caller_waits_longer_than_the_other_side_counts() -> None:
     caller, _ = pair()
     for number in range(YOUNG):
         caller.open(Target(NODE, f"/n{number}"), 0)
-    assert not caller.has_room(ROBOT, YOUNG_SECONDS + 0.1)
+    assert caller.crowded(ROBOT, YOUNG_SECONDS + 0.1) == "32 streams are new"
     with pytest.raises(StreamRefused, match=f"{YOUNG} streams are new"):
         caller.open(ROBOT, YOUNG_SECONDS + 0.1)
-    assert caller.has_room(ROBOT, YOUNG_SECONDS + 5.1)
+    assert caller.crowded(ROBOT, YOUNG_SECONDS + 5.1) == ""
 
 
 def test_streams_are_bounded_and_those_to_one_name() -> None:
@@ -213,7 +223,7 @@ def test_streams_are_bounded_and_those_to_one_name() -> None:
     for _ in range(FOR_ONE_NAME):
         caller.open(ROBOT, now)
         now += 1
-    assert not caller.has_room(ROBOT, now)
+    assert caller.crowded(ROBOT, now)
     with pytest.raises(StreamRefused, match=f"{FOR_ONE_NAME} streams to it"):
         caller.open(ROBOT, now)
     for number in range(STREAMS - FOR_ONE_NAME):
@@ -222,7 +232,7 @@ def test_streams_are_bounded_and_those_to_one_name() -> None:
     with pytest.raises(StreamRefused, match=f"{STREAMS} streams are open"):
         caller.open(Target(SERVICE, "/other"), now)
     caller.reset(0)
-    assert caller.has_room(ROBOT, now + 100)
+    assert caller.crowded(ROBOT, now + 100) == ""
 
 
 def test_numbers_are_never_used_again() -> None:
@@ -237,111 +247,3 @@ def test_numbers_are_never_used_again() -> None:
     assert last.used_up
     with pytest.raises(StreamRefused, match="used up"):
         last.open(ROBOT, 0)
-
-
-class BothSides(RuleBasedStateMachine):
-    """Two sides that keep the rules, and a link between that delivers late, but in order.
-
-    The oracle: nobody ever breaks a rule, and of each stream the bytes that arrive are those sent.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now = 0.0
-        self.sides = dict(zip(("caller", "called"), pair(), strict=True))
-        self.wire: dict[str, deque[bytes]] = {side: deque() for side in self.sides}
-        self.sent: dict[tuple[str, int], bytearray] = {}
-        self.got: dict[tuple[str, int], bytearray] = {}
-        self.not_taken: dict[tuple[str, int], int] = {}
-        self.opened = 0
-
-    def put(self, side: str, unit: bytes) -> None:
-        if unit:
-            self.wire[side].append(unit)
-
-    def deliver(self, side: str, other: str) -> None:
-        """Deliver one unit that `other` sent."""
-        for event in self.sides[side].receive(self.wire[other].popleft(), self.now):
-            match event:
-                case Data(stream, payload):
-                    self.got.setdefault((other, stream), bytearray()).extend(payload)
-                    key = side, stream
-                    self.not_taken[key] = self.not_taken.get(key, 0) + len(payload)
-                case Refused():
-                    pytest.fail("a caller that keeps the limits is refused")
-                case _:
-                    pass
-
-    @precondition(lambda self: self.sides["caller"].has_room(ROBOT, self.now))
-    @rule()
-    def open(self) -> None:
-        _, unit = self.sides["caller"].open(ROBOT, self.now)
-        self.put("caller", unit)
-        self.opened += 1
-
-    @precondition(lambda self: self.opened)
-    @rule(
-        side=st.sampled_from(["called", "caller"]),
-        pick=st.integers(0),
-        size=st.integers(1, MAX_DATA),
-    )
-    def send(self, side: str, pick: int, size: int) -> None:
-        stream = pick % self.opened
-        mux = self.sides[side]
-        size = min(size, mux.credit(stream))
-        if stream in mux and size:
-            payload = bytes((len(self.sent),)) * size
-            self.put(side, mux.data(stream, size) + payload)
-            self.sent.setdefault((side, stream), bytearray()).extend(payload)
-
-    @precondition(lambda self: self.opened)
-    @rule(
-        side=st.sampled_from(["called", "caller"]),
-        pick=st.integers(0),
-        count=st.integers(1, WINDOW),
-    )
-    def take(self, side: str, pick: int, count: int) -> None:
-        key = side, pick % self.opened
-        count = min(count, self.not_taken.get(key, 0))
-        if count:
-            self.not_taken[key] -= count
-            self.put(side, self.sides[side].took(key[1], count))
-
-    @precondition(lambda self: self.opened)
-    @rule(side=st.sampled_from(["called", "caller"]), pick=st.integers(0), broken=st.booleans())
-    def finish(self, side: str, pick: int, broken: bool) -> None:
-        mux = self.sides[side]
-        stream = pick % self.opened
-        self.put(side, mux.reset(stream) if broken else mux.end(stream))
-
-    @rule(side=st.sampled_from(["called", "caller"]), count=st.integers(1, 20))
-    def arrive(self, side: str, count: int) -> None:
-        other = "caller" if side == "called" else "called"
-        for _ in range(min(count, len(self.wire[other]))):
-            self.deliver(side, other)
-
-    @rule(seconds=st.floats(0, 4))
-    def wait(self, seconds: float) -> None:
-        """Less than what the caller waits longer: everything has arrived by then."""
-        for side, other in (("called", "caller"), ("caller", "called")):
-            while self.wire[other]:
-                self.deliver(side, other)
-        self.now += seconds
-
-    @invariant()
-    def bytes_arrive_in_order(self) -> None:
-        for key, got in self.got.items():
-            assert self.sent[key].startswith(got)
-
-    @invariant()
-    def no_side_holds_more_than_the_credit(self) -> None:
-        assert all(count <= WINDOW for count in self.not_taken.values())
-
-    def teardown(self) -> None:
-        self.wait(0)
-        self.wait(0)
-        assert len(self.sides["caller"]) == len(self.sides["called"])
-
-
-BothSides.TestCase.settings = settings(max_examples=60, stateful_step_count=60, deadline=None)
-TestBothSides = BothSides.TestCase

@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from ca.certificates import Identity
-from rossec.errors import ChannelError, PeerUnreachable, RelayRefused
+from rossec.errors import ChannelError, HandshakeTimeout, PeerUnreachable, RelayRefused
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.overlay.mux import Role
 from rossec.overlay.mux_units import NODE, Target
@@ -32,11 +32,15 @@ class FarRelay:
         self._dial = to_port(port)
         self.links: list[SecureStream[Any]] = []
         self.failure: Exception | None = None
+        self.refuses = False
         self.dialled = 0
         self.writers: list[asyncio.StreamWriter] = []
 
     async def serve(self, stream: SecureStream[Any]) -> None:
         self.links.append(stream)
+        if self.refuses:
+            stream.abort("not this one")
+            return
         with contextlib.suppress(ChannelError):
             await Streams(stream, Role.CALLED, "home", self._dial).run()
 
@@ -103,9 +107,10 @@ async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() 
     [
         (TimeoutError(), "office does not answer"),
         (OSError("no route"), "no link to office: no route"),
+        (HandshakeTimeout("late", "a plain node?"), "office does not answer"),
         (PeerUnreachable("nobody", "hint"), "nobody"),
     ],
-    ids=["silent", "network", "refused"],
+    ids=["silent", "network", "mailbox", "refused"],
 )
 async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
     failure: Exception, error: str
@@ -155,6 +160,32 @@ async def test_a_link_that_breaks_is_made_anew_for_the_next_connection() -> None
         writer.write(b"y")
         assert await reader.readexactly(1) == b"y"
         assert (far.dialled, link.error) == (2, "")
+
+
+async def test_a_peer_that_refuses_after_the_handshake_is_not_dialled_at_once_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    now = [0.0]
+    async with linked(lambda: now[0]) as (link, far):
+        far.refuses = True
+        for attempt in range(1, 5):
+            reader, writer, carrying = await used(link, far)
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+            writer.close()
+            with contextlib.suppress(RelayRefused):
+                await carrying
+            await until(lambda: link.state is LinkState.FAILED)
+            with pytest.raises(RelayRefused):
+                await (await used(link, far))[2]
+            assert far.dialled == attempt
+            assert "there: rossec relay list" in link.hint
+            now[0] += 5
+        assert caplog.text.count("no link to office") == 1
+        far.refuses = False
+        reader, writer, _ = await used(link, far)
+        writer.write(b"x")
+        assert await reader.readexactly(1) == b"x"
 
 
 async def test_a_link_that_is_not_used_is_closed_after_a_while() -> None:

@@ -46,10 +46,14 @@ def test_a_peer_in_another_form_is_refused(changes: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("data", [b"[]", b"{}", b'{"rossec-overlay": 2, "peers": []}'])
 def test_another_file_is_refused(data: bytes) -> None:
-    with pytest.raises(ConfigurationError, match="not a list of peers"):
+    with pytest.raises(ConfigurationError, match=r"^overlay\.json: th"):
         read_peers(data, "overlay.json")
-    with pytest.raises(ConfigurationError, match="longer than"):
+    with pytest.raises(ConfigurationError, match="at most 65536 bytes"):
         read_peers(b" " * (MAX_FILE + 1), "overlay.json")
+    with pytest.raises(ConfigurationError, match="not a list of peers"):
+        read_peers(b'{"rossec-overlay": 1, "peers": {}}', "overlay.json")
+    with pytest.raises(ConfigurationError, match="not JSON"):
+        read_peers(b'{"rossec-overlay": 1, "peers": [], "peers": []}', "overlay.json")
 
 
 @pytest.mark.parametrize(

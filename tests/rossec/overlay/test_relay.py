@@ -191,7 +191,8 @@ async def test_a_domain_that_was_accepted_before_there_were_relays(sites: Sites)
     with pytest.raises(ChannelError):
         await home.through(door)
     assert "office:/relay is not admitted" in str(peer_of(home)["error"])
-    assert "rossec domain limit office" in str(peer_of(home)["hint"])
+    hint = str(peer_of(home)["hint"])
+    assert hint.endswith("rossec domain limit office --admit '/rounds/*'"), "and nobody else"
 
 
 async def test_a_relay_may_come_before_its_domain_has_said_anything(tmp_path: Path) -> None:
@@ -218,11 +219,22 @@ async def test_the_file_of_peers_may_be_damaged_for_a_while(
     path = home.files.home.path / "overlay.json"
     before = path.read_bytes()
     path.write_bytes(b"{}")
-    await until(lambda: "is not a list of peers" in str(home.relay.status()["problem"]))
+    await until(lambda: "this is no rossec-overlay file" in str(home.relay.status()["problem"]))
     assert peer_of(home)["label"] == "office"
     path.write_bytes(before)
     await until(lambda: home.relay.status()["problem"] == "")
-    assert caplog.text.count("is not a list of peers") == 1
+    assert caplog.text.count("this is no rossec-overlay file") == 1
+
+
+async def test_a_router_that_is_gone_is_told_once(
+    sites: Sites, caplog: pytest.LogCaptureFixture
+) -> None:
+    home, _ = sites
+    home.network.router = ""
+    await until(lambda: f"no router takes the seat {home.network.seat}" in caplog.text)
+    home.network.router = "tls/203.0.113.11:7447"
+    await until(lambda: "router tls/203.0.113.11:7447 is in use now" in caplog.text)
+    assert caplog.text.count("no router takes the seat") == 1
 
 
 async def test_a_service_has_a_door_of_its_own(sites: Sites) -> None:

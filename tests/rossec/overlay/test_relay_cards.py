@@ -39,3 +39,11 @@ def test_a_card_in_another_form_is_refused(changes: dict[str, Any]) -> None:
     found = json.loads(CARD.write()) | changes
     with pytest.raises(RelayRefused, match="card"):
         RelayCard.read(json.dumps(found).encode())
+
+
+def test_an_entry_that_occurs_twice_is_refused() -> None:
+    twice = CARD.write().replace("{", '{"mailbox": "rossec/1/other/' + "b" * 32 + '",', 1)
+    with pytest.raises(RelayRefused, match="not the card of a relay"):
+        RelayCard.read(twice.encode())
+    with pytest.raises(RelayRefused):
+        RelayCard.read(CARD.write().replace('card": 1', 'card": true').encode())

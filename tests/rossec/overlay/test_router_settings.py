@@ -71,6 +71,18 @@ def test_a_router_with_seats_knows_them_by_password() -> None:
     assert found["connect/endpoints"] == list(JOIN)
 
 
+def test_customers_are_in_no_region_of_the_routers() -> None:
+    found = zenoh_settings(RouterSettings(), SEATS, FILES)
+    clients, others = (
+        {"modes": ["client", "peer"]},
+        {"region_names": [SEATS.region], "negated": True},
+    )
+    assert found["region_name"] == SEATS.region == SEATS.add("clinic", "c" * 43).region
+    assert found["gateway"] == {"south": [{"filters": [clients]}, {"filters": [others]}]}
+    assert Seats("s" * 43).region != SEATS.region
+    assert SEATS.router not in str(found["gateway"])
+
+
 def test_an_open_router_asks_for_no_password_and_still_allows_mailboxes_alone() -> None:
     found = zenoh_settings(RouterSettings(listen=("tcp/[::]:7447",)), None, FILES)
     assert not [path for path in found if "usrpwd" in path or "tls" in path]

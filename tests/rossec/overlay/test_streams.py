@@ -8,9 +8,9 @@ import struct
 
 import pytest
 
-from rossec.errors import ChannelError, StreamRefused
+from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.overlay import streams as module
-from rossec.overlay.mux import WINDOW, YOUNG, Role
+from rossec.overlay.mux import YOUNG, Role
 from rossec.overlay.mux_units import (
     SERVICE,
     Target,
@@ -19,6 +19,7 @@ from rossec.overlay.mux_units import (
     open_unit,
 )
 from rossec.overlay.pump import Pump
+from rossec.overlay.stream_window import FIRST as WINDOW
 from rossec.overlay.streams import Streams
 from tests.support.relays import (
     ROBOT,
@@ -222,9 +223,12 @@ async def test_connections_wait_for_room_and_give_up(monkeypatch: pytest.MonkeyP
         many = [await stack.enter_async_context(carried(link.caller)) for _ in range(YOUNG)]
         await ask(many[-1], b"x")  # all are open, and none has answered twice
         mine, theirs = await tcp_pair()
-        with mine, pytest.raises(StreamRefused, match="no room") as caught:
+        with (
+            mine,
+            pytest.raises(LinkCrowded, match=f"no room.*: {YOUNG} streams are new") as caught,
+        ):
             await link.caller.carry(ROBOT, theirs)
-        assert "too many connections" in caught.value.hint
+        assert "256 connections" in caught.value.hint
         for each in many[:2]:
             assert await ask(each, b"1") == b"1"
         async with carried(link.caller) as late:
@@ -236,7 +240,7 @@ async def test_too_many_that_wait_are_refused_at_once(monkeypatch: pytest.Monkey
     monkeypatch.setattr(module, "MOST_WAITING", 0)
     async with linked(to_port(1)) as link:
         mine, theirs = await tcp_pair()
-        with mine, pytest.raises(StreamRefused, match="too many connections wait"):
+        with mine, pytest.raises(LinkCrowded, match="too many connections wait"):
             await link.caller.carry(ROBOT, theirs)
 
 

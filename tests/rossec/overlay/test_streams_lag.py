@@ -11,7 +11,8 @@ from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, ConnectionTruncated
 from rossec.overlay import streams as module
 from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import MAX_DATA, Data, Unit, data_head, read_units
+from rossec.overlay.mux_units import MAX_DATA, Credit, Data, Unit, data_head, read_units
+from rossec.overlay.stream_window import FIRST, MOST
 from rossec.overlay.streams import Streams
 from tests.support.relays import ROBOT, tcp_pair
 
@@ -104,6 +105,33 @@ async def test_connections_wait_their_turn_while_the_link_lags() -> None:
             await link.until(3 + count)
         last = link.streams()[4:]
         assert all(set(last[at : at + 3]) == {0, 1, 2} for at in (0, 1))
+
+
+async def test_a_program_that_takes_all_in_a_round_trip_may_be_sent_more() -> None:
+    link, now = SlowLink(1000), [100.0]
+    loop = asyncio.get_running_loop()
+    streams = Streams(link, Role.CALLER, "hospital", clock=lambda: now[-1], round_trip=lambda: 0.1)
+    running = asyncio.ensure_future(streams.run())
+    await asyncio.sleep(0)
+    near, far = await tcp_pair()
+    carrying = asyncio.ensure_future(streams.carry(ROBOT, far))
+    await link.until(1)
+    assert link.take is not None
+    sent = 0
+    for _ in range(16):
+        link.take(data_head(0, MAX_DATA) + bytes(MAX_DATA))
+        sent += MAX_DATA
+        got = 0
+        while got < MAX_DATA:
+            got += len(await loop.sock_recv(near, MAX_DATA))
+        now.append(now[-1] + 0.04)
+    units = [unit for data in link.units for unit in read_units(data)]
+    given = sum(unit.amount for unit in units if isinstance(unit, Credit))
+    assert FIRST < given + FIRST - sent <= MOST, "what it may be sent now"
+    near.close()
+    for task in (carrying, running):
+        task.cancel()
+    await asyncio.gather(carrying, running, return_exceptions=True)
 
 
 async def test_a_link_that_ends_while_it_lags() -> None:

@@ -26,6 +26,7 @@ class SiteOfTargets:
     def __init__(self) -> None:
         self.asked: list[tuple[str, str, str]] = []
         self.forgotten: list[str] = []
+        self.host = "127.0.0.1"
         self.api = socket.create_server(("127.0.0.1", 0))
         self.topics = socket.create_server(("127.0.0.1", 0))
         for each in (self.api, self.topics):
@@ -36,13 +37,20 @@ class SiteOfTargets:
         self.asked.append((domain, kind, name))
         if name == "/hidden":
             raise StreamRefused("/master: no such target")
-        return "127.0.0.1", self.api.getsockname()[1]
+        listener = self.topics if name == "/database" else self.api
+        return self.host, listener.getsockname()[1]
 
-    async def of(self, name: str, host: str, port: int) -> int:
-        assert (host, port) == ("127.0.0.1", self.api.getsockname()[1])
+    async def of(self, name: str, host: str, port: int) -> tuple[str, int]:
+        assert (host, port) == (self.host, self.api.getsockname()[1])
         if name == "/impostor":
             raise RelayRefused("/other answers at the address that /impostor registered")
-        return self.topics_port
+        return "127.0.0.1", self.topics_port
+
+    async def provider(self, host: str, port: int) -> tuple[str, int]:
+        assert host == self.host
+        if port == self.topics_port:
+            raise RelayRefused("nobody speaks rossec there")
+        return "127.0.0.1", port
 
     def forget(self, name: str, host: str, port: int) -> None:
         self.forgotten.append(name)
@@ -110,10 +118,12 @@ async def test_the_first_bytes_say_which_port(
         (Target(NODE, "/hidden"), first_bytes(HTTP)),
         (Target(NODE, "/impostor"), first_bytes(HTTP)),
         (Target(NODE, "/impostor"), first_bytes(TCPROS)),
+        (Target(SERVICE, "/database"), first_bytes(TCPROS)),
     ],
     ids=[
         "master by TCPROS", "service by HTTP", "plain XML-RPC", "plain TCPROS", "another protocol",
         "what the master refuses", "another node at the address", "its topics",
+        "a service where no node is",
     ],
 )  # fmt: skip
 async def test_nothing_is_connected_for(
@@ -122,6 +132,20 @@ async def test_nothing_is_connected_for(
     with pytest.raises(ConnectionResetError):
         await site.reach(target, opening)
     assert site.forgotten == []
+
+
+@pytest.mark.parametrize(
+    ("target", "protocol"),
+    [(Target(NODE, "/robot"), HTTP), (Target(NODE, "/robot"), TCPROS),
+     (Target(SERVICE, "/clock"), TCPROS)],
+    ids=["slave API", "topics", "service"],
+)  # fmt: skip
+async def test_a_host_is_resolved_once_and_then_it_is_connected_where_the_node_was(
+    site: SiteOfTargets, target: Target, protocol: WireProtocol
+) -> None:
+    site.host = "rebound.invalid"  # resolved anew, it would be somewhere else
+    got, _ = await site.reach(target, first_bytes(protocol))
+    assert got.endswith(first_bytes(protocol))
 
 
 async def test_a_node_that_is_gone_is_asked_again_next_time(site: SiteOfTargets) -> None:

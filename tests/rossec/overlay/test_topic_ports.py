@@ -1,5 +1,6 @@
 """Where a node's topics are: the node itself says so, to a relay that made sure who it is."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -61,7 +62,9 @@ def ports_of(site: Site, *, revoked: bool = False) -> TopicPorts:
 
 
 async def ask(ports: TopicPorts, robot: Robot, name: str = "/robot") -> int:
-    return await ports.of(name, "127.0.0.1", robot.api.port)
+    address, port = await ports.of(name, "localhost", robot.api.port)
+    assert address == "127.0.0.1"
+    return port
 
 
 async def test_the_node_is_asked_once_in_a_while(
@@ -71,13 +74,52 @@ async def test_the_node_is_asked_once_in_a_while(
     assert await ask(ports, robot) == await ask(ports, robot) == 4711
     assert robot.calls == [(PORTS, "/relay", "/relay")]
     robot.answer = [1, "", [4712]]
-    ports.forget("/robot", "127.0.0.1", robot.api.port)
+    ports.forget("/robot", "localhost", robot.api.port)
     assert await ask(ports, robot) == 4712
     robot.answer = [1, "", [4713]]
     monkeypatch.setattr(module, "KEPT_SECONDS", -1.0)
-    ports.forget("/robot", "127.0.0.1", robot.api.port)
+    ports.forget("/robot", "localhost", robot.api.port)
     assert await ask(ports, robot) == await ask(ports, robot) == 4713
     assert len(robot.calls) == 4
+
+
+async def provided(site: Site, name: str = "/robot", *, revoked: bool = False) -> object:
+    """What is found at the address of a service that this node provides."""
+    called: list[str] = []
+
+    async def note(stream: SecureStream[Identity]) -> None:
+        called.append(stream.peer.name)
+
+    context = SecureContext(site.enroll(name).credentials(), site.anchor.verify)
+    ports = ports_of(site, revoked=revoked)
+    async with serve(note, "127.0.0.1", 0, context, WireProtocol.TCPROS) as server:
+        place = await ports.provider("localhost", server.port)
+        assert place == await ports.provider("localhost", server.port)
+        assert called == ["/relay"]
+        ports.forget("/clock", "localhost", server.port)
+        assert place == await ports.provider("localhost", server.port)
+        assert called == ["/relay"] * 2
+        return place == ("127.0.0.1", server.port)
+
+
+async def test_at_the_address_of_a_service_some_node_answered(site: Site) -> None:
+    assert await provided(site)
+
+
+async def test_the_provider_of_a_service_is_not_revoked(site: Site) -> None:
+    with pytest.raises(Revoked):
+        await provided(site, revoked=True)
+
+
+async def test_a_program_at_the_address_of_a_service_is_no_provider(site: Site) -> None:
+    async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(await reader.read(100))
+        writer.close()
+
+    server = await asyncio.start_server(echo, "127.0.0.1", 0)
+    async with server:
+        with pytest.raises(RossecError):
+            await ports_of(site).provider("127.0.0.1", server.sockets[0].getsockname()[1])
 
 
 async def test_what_is_known_of_nodes_is_bounded(

@@ -64,6 +64,19 @@ async def test_a_program_that_may_not_is_told_why(
     assert "no connection to http" in caplog.text or "no connection to rosrpc" in caplog.text
 
 
+async def test_a_refusal_of_a_call_is_logged_here_too(
+    pair: SidecarPair, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Stock `rosnode kill` says that it killed a node that refused."""
+    await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
+    uris = await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
+    assert isinstance(uris, list)
+    answer = await pair.listener.ask(uris[0], "shutdown", "because")
+    assert isinstance(answer, list)
+    assert answer[0] == -1
+    assert "refuses shutdown: no grant for admin on /talker" in caplog.text
+
+
 async def test_a_program_without_a_header_in_time_is_disconnected(
     pair: SidecarPair, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

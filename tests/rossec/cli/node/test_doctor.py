@@ -45,6 +45,10 @@ async def test_a_node_in_order_and_its_faults(
         code, said = await doctor("/robot")
         assert code == 1
         assert "not ok  no grants: it may do nothing" in said
+        site.enroll("/relay")
+        code, said = await doctor("/relay")
+        assert code == 0, said
+        assert "ok      no grants: a relay needs none" in said
         site.publish("/robot", "/x")
         code, said = await doctor("/robot", ROSSEC_ALLOW_PLAIN="/open")
         assert code == 0

@@ -113,8 +113,10 @@ def test_the_name_is_required_for_a_pattern(shell: Shell, pasted: Pasted) -> Non
     for name in ("/other", "/fleet"):
         pasted(code)
         refused(shell("node", "join", "--name", name), f"not for {name}, but for /fleet/**")
-    pasted(invited(shell, None, "/*"))
-    refused(shell("node", "join", "--name", "/master"), "not for /master")
+    for name in ("/master", "/relay"):
+        pasted(invited(shell, None, "/*"))
+        said = shell("node", "join", "--name", name)
+        refused(said, f"{name} is reserved: no invitation", f"rossec node enroll {name}")
     assert not (shell.root / "nodes").exists()
 
 

@@ -1,4 +1,6 @@
 import io
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -49,3 +51,17 @@ def test_what_cannot_be_taken(empty: Shell, shared: Path) -> None:
 
 def test_a_router_that_was_never_told_its_name_shares_nothing(empty: Shell) -> None:
     refused(empty("router", "share"), "there is no")
+
+
+@pytest.mark.parametrize("words", [("share",), ("seats", "show", "home")], ids=" ".join)
+def test_what_a_shell_writes_of_it_is_read_by_this_user_alone(
+    empty: Shell, words: tuple[str, ...]
+) -> None:
+    assert empty("router", "seats", "add", "home", *HOST).code == 0
+    path = empty.root / "written"
+    path.touch(mode=0o644)
+    with path.open("w") as file:
+        command = [sys.executable, "-I", "-m", "rossec", "router", *words]
+        subprocess.run(command, stdout=file, env=empty.environ, check=True, timeout=60)
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert "password" in path.read_text() or "authority_key" in path.read_text()

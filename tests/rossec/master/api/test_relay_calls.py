@@ -176,3 +176,14 @@ def test_there_are_at_most_so_many_relays(calls: Calls) -> None:
         other = calls.site.enroll(f"/relay/r{number}")
         assert calls.ask("rossec.relayDoors", "x", 0, [], {}, by=other)[0] == 1
     assert calls.poll()[1] == "rossec: this master has too many relays"
+
+
+def test_the_older_one_of_two_relays_with_one_name_is_refused(calls: Calls) -> None:
+    def poll(instance: str) -> Any:
+        return calls.ask("rossec.relayDoors", instance, 0, [], {"office": WAY})
+
+    assert [poll(each)[0] for each in ("one", "two", "two")] == [1, 1, 1]
+    code, status, _ = poll("one")
+    assert code == -1
+    assert "another relay with this name" in status
+    assert poll("two")[0] == 1

@@ -158,7 +158,7 @@ def test_a_relay_without_the_peer_has_no_door_there() -> None:
 
 
 def test_many_targets_are_told_in_parts() -> None:
-    site = Site(limit=3 * AT_ONCE)
+    site = Site(limit=5 * AT_ONCE)
     many = {Target("office", "node", f"/n{number}") for number in range(2 * AT_ONCE + 10)}
     site.doors.want("office", many)
     parts = [site.poll().wanted for _ in range(4)]
@@ -173,6 +173,19 @@ def test_more_than_a_relay_has_doors_is_not_wanted() -> None:
     site.doors.want("office", [MASTER])
     assert site.doors.want("office", [MASTER, CLOCK]) == 0
     assert site.poll().wanted == (CLOCK,)
+
+
+def test_no_site_takes_the_doors_of_the_next_one() -> None:
+    """What there is at a site, it says itself."""
+    site = Site(limit=64)
+    for number in range(1, 4):
+        peer = f"s{number}"
+        claimed = {Target(peer, "node", f"/n{each}") for each in range(1000)}
+        master = Target(peer, "master", "/master")
+        assert site.doors.want(peer, claimed | {master}) < 1000
+        assert master in site.poll(peers=(peer,)).wanted
+    honest = [Target("honest", kind, "/master") for kind in ("master", "node", "service")]
+    assert site.doors.want("honest", honest) == 0
 
 
 def test_what_was_wanted_is_forgotten_within_limits() -> None:
@@ -198,3 +211,16 @@ def test_nobody_is_told_after_it_is_followed_no_longer() -> None:
     before = site.changed
     site.poll()
     assert site.changed == before
+
+
+def test_of_two_relays_with_one_name_the_newer_one_is_heard() -> None:
+    site = Site()
+    site.doors.want("office", [ROBOT])
+    site.poll(instance="one")
+    assert not site.doors.is_superseded("/relay", "one")
+    site.poll(opened={ROBOT: AT}, instance="two", now=1)
+    assert site.doors.is_superseded("/relay", "one")
+    assert not site.doors.is_superseded("/relay", "two")
+    assert not site.doors.is_superseded("/relay/attic", "one")
+    assert site.doors.expire(2 + SILENCE) == ("/relay",)
+    assert not site.doors.is_superseded("/relay", "one"), "it may serve again"
