@@ -9,6 +9,7 @@ connection of their own at rossec's.
 """
 
 import asyncio
+import sys
 import time
 import xmlrpc.client
 from contextlib import AsyncExitStack
@@ -17,6 +18,8 @@ from typing import Any, Final
 
 from bench._sites import Slave, enroll_masters, slave
 from bench.thesis.programs import Program, Programs, programs
+from bench.thesis.talk import TOPIC
+from grants.model import Right
 from rossec.overlay.routers import OPEN_SEAT, Routers
 from rossec.ros.names import MASTER
 from rossec.sidecar.processes import descendants, parents
@@ -26,6 +29,7 @@ from tests.support.site import Site
 
 PLAIN_NODES: Final = 1000  # a node is less than a page there
 NODES: Final = 100
+PROGRAMS: Final = 8  # rospy nodes behind the sidecar
 _HERE: Final = Host((), "127.0.0.1", "::1")
 _TYPE: Final = "std_msgs/String"
 _SETTLED: Final = 3.0  # seconds
@@ -58,7 +62,7 @@ def measure(directory: Path) -> dict[str, Any]:
 def _stock(running: Programs) -> dict[str, Any]:
     """`full`: roscore with rosmaster and rosout."""
     port, folder = free_port(), str(running.directory)
-    uri = f"http://127.0.0.1:{port}/"
+    uri = uri_at(port)
     environ = {
         "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1", "ROS_HOME": folder, "ROS_LOG_DIR": folder,
     }  # fmt: skip
@@ -93,7 +97,7 @@ def _ours(running: Programs) -> dict[str, Any]:
     site.enroll("/relay")
     environ = {
         "ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1",
-        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
+        "ROS_MASTER_URI": uri_at(port),
     }  # fmt: skip
     master = running.rossec(_HERE, environ, "master", "--json", "-p", str(port))
     master.line()
@@ -102,8 +106,35 @@ def _ours(running: Programs) -> dict[str, Any]:
     sidecar = running.rossec(_HERE, environ, "sidecar", "-p", str(sidecar_port))
     time.sleep(_SETTLED)
     found = {"master": used(master), "sidecar": used(sidecar), "relay": used(relay)}
+    _start_programs(running, site, {**environ, "ROS_MASTER_URI": uri_at(sidecar_port)})
+    behind = used(sidecar)
+    before = used(master)
     after = asyncio.run(_with_nodes(site, port, master))
-    return {**found, "master_kb_a_node": _each(found["master"], after, NODES)}
+    return {
+        **found,
+        "sidecar_kb_a_node": _each(found["sidecar"], behind, PROGRAMS),
+        "master_kb_a_node": _each(before, after, NODES),
+    }
+
+
+def _start_programs(running: Programs, site: Site, environ: dict[str, str]) -> None:
+    """Start rospy nodes with a topic each, whose master is the sidecar."""
+    names = [f"/program{number}" for number in range(PROGRAMS)]
+    for name in names:
+        site.publish(name, TOPIC)
+        site.grant(name, Right.PROVIDE, f"{name}/*")  # every rospy node has two services
+    folder = str(running.directory)
+    own = {**environ, "ROS_HOME": folder, "ROS_LOG_DIR": folder}
+    command = (sys.executable, "-m", "bench.thesis.stock")
+    started = [running.start("program", _HERE, own, *command, name, "publish") for name in names]
+    for each in started:
+        each.answer()
+    time.sleep(_SETTLED)
+
+
+def uri_at(port: int) -> str:
+    """Of a master on this host."""
+    return f"http://127.0.0.1:{port}/"
 
 
 def _relay(running: Programs, environ: dict[str, str]) -> Program:
