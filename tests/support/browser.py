@@ -82,7 +82,12 @@ class Window:
     def open(self, path: str) -> Page:
         """Go to a page of the site."""
         self.sizes.clear()
-        self.page.goto(self.origin + path)
+        try:
+            self.page.goto(self.origin + path)
+        except Error as error:
+            if "ERR_ABORTED" not in str(error):
+                raise
+            self.page.goto(self.origin + path)  # the old page loaded itself again just then
         return self.page
 
     def add_authenticator(self) -> None:
