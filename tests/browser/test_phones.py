@@ -124,6 +124,7 @@ def test_a_phone_that_is_removed_logs_in_no_more(
         press(first, "Remove Eve's phone")
         third.open("/")
         assert third.page.url == site.origin + "/login"
+        third.faults = [f for f in third.faults if "/news" not in f]  # asked in between, and 401
         press(third, "Log in with this phone")
         expect(third.page.locator("[data-problem]:visible")).not_to_be_empty()
         assert heading(third) == "Who is there?"
