@@ -98,6 +98,8 @@ def wan_of(
         try:
             wan = _Builder(stack).build(sites, routers, delay_ms)
         except (OSError, subprocess.CalledProcessError) as error:
+            if os.environ.get("CI"):  # there they must be: a broken set-up is no skip
+                raise
             pytest.skip(f"NOT RUN: needs network namespaces and nftables: {error}")
         yield wan
 
