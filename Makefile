@@ -5,7 +5,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help demo test attacks check static cover bench ros format clean
+.PHONY: help demo test attacks check static cover bench man ros format clean
 help:
 	@echo "make demo    the main job, end to end, in under 30 s (no ROS needed)"
 	@echo "make test    the whole suite and its coverage gates (installs Debian's ROS packages and Chromium when it can)"
@@ -13,6 +13,7 @@ help:
 	@echo "make static  formatting, lint, types, import contracts, wheel contents"
 	@echo "make cover   the unit tests with their coverage gates"
 	@echo "make check   make static and make cover"
+	@echo "make man     the manual pages, in build/man (the wheel has them)"
 	@echo "make bench   measurements beside plain TCPROS and TLS (BENCH=name for one)"
 
 $(READY): pyproject.toml constraints.txt tools/venv.sh
@@ -55,6 +56,9 @@ check: static cover
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
+
+man: $(READY)
+	@$(BIN)/python -m rossec.cli.manual build/man
 
 format: $(READY)
 	$(BIN)/ruff format .

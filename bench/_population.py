@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import multiprocessing
+import queue
 import resource
+import time
 from collections.abc import Iterator, Sequence
 from multiprocessing.queues import Queue
 
@@ -16,6 +18,7 @@ from rossec.net.rpc.client import RpcClient, serve_calls
 
 TYPE = "std_msgs/String"
 _ATTEMPTS = 10
+_WITHIN = 300  # seconds until all have come
 
 
 async def _answer(method: str, params: tuple[object, ...], peer: Identity) -> object:  # noqa: ARG001
@@ -77,6 +80,18 @@ def _nodes(members: Sequence[EnrolledNode], port: int, anchor: bytes, ready: "Qu
     asyncio.run(main())
 
 
+def _wait(process: multiprocessing.Process, ready: "Queue[int]") -> None:
+    """Wait for the nodes, but not for a process that has failed."""
+    end = time.monotonic() + _WITHIN
+    while time.monotonic() < end:
+        with contextlib.suppress(queue.Empty):
+            ready.get(timeout=1)
+            return
+        if not process.is_alive():
+            break
+    raise RuntimeError("not all nodes came")
+
+
 @contextlib.contextmanager
 def secure(members: Sequence[EnrolledNode], port: int, anchor: bytes) -> Iterator[None]:
     """Nodes at our master."""
@@ -86,8 +101,7 @@ def secure(members: Sequence[EnrolledNode], port: int, anchor: bytes) -> Iterato
     )
     process.start()
     try:
-        if ready.get(timeout=300) != len(members):
-            raise RuntimeError("not all nodes came")
+        _wait(process, ready)
         yield
     finally:
         process.kill()

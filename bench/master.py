@@ -3,6 +3,9 @@
 `ops_vs_rosmaster` is ours through stock's calls per second of wall clock, `..._cpu` the same per
 second of processor time, which others on the machine do not disturb. A closed loop of eight
 connections (one with one node); every figure is the median of the rounds' ratios.
+`compact_*`: the same calls in the compact form, `compact_cpu_vs_xmlrpc` its processor time through
+XML-RPC's at our master (wanted: 0.5), `compact_caller_cpu_vs_xmlrpc` the same of its caller,
+`compact_bytes` what is in the channel.
 Wanted: at least 2 times stock; memory at most 1.3 times stock's plus 10 kB a node; updates below
 50 ms with 50 dead nodes; 99 of 100 of 100 connections cut within 250 ms of a revocation.
 """
@@ -12,13 +15,14 @@ import resource
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from bench import _population
+from bench._callers import caller_cpu
 from bench._latency import (
     node_environ,
     percentile,
@@ -26,7 +30,7 @@ from bench._latency import (
     revocation,
     secure_updates,
 )
-from bench._lines import Line, SecureLine, drive, request
+from bench._lines import Call, CompactLine, Line, SecureLine, drive, request
 from bench._masters import EnrolledNode, Master, enroll, ours, stock
 from rossec.master.server.server import TIMESTAMP_EVERY
 from rossec.ros import xmlrpc
@@ -39,7 +43,7 @@ SETTLED = 60  # seconds, at most
 EACH = 60  # requests of one line in one block
 TYPE = "std_msgs/String"
 
-Work = Callable[[int, int], bytes]
+Work = Callable[[int, int], Call]
 
 
 def works(names: list[str], count: int) -> dict[str, Work]:
@@ -52,18 +56,18 @@ def works(names: list[str], count: int) -> dict[str, Work]:
         return f"/n{(37 * i + k) % count}"
 
     return {
-        "registerPublisher": lambda k, i: request(
+        "registerPublisher": lambda k, i: (
             "registerPublisher", names[k], f"{names[k]}/t{i}", TYPE, uri(k)
         ),
-        "unregisterPublisher": lambda k, i: request(
+        "unregisterPublisher": lambda k, i: (
             "unregisterPublisher", names[k], f"{names[k]}/t{i}", uri(k)
         ),
-        "lookupNode": lambda k, i: request("lookupNode", names[k], other(k, i)),
-        "lookupService": lambda k, i: request("lookupService", names[k], f"{other(k, i)}/reset"),
-        "setParam": lambda k, i: request("setParam", names[k], f"{names[k]}/p{i % 20}", i),
-        "getParam": lambda k, i: request("getParam", names[k], f"{other(k, i)}/rate"),
-        "getSystemState": lambda k, _: request("getSystemState", names[k]),
-    }
+        "lookupNode": lambda k, i: ("lookupNode", names[k], other(k, i)),
+        "lookupService": lambda k, i: ("lookupService", names[k], f"{other(k, i)}/reset"),
+        "setParam": lambda k, i: ("setParam", names[k], f"{names[k]}/p{i % 20}", i),
+        "getParam": lambda k, i: ("getParam", names[k], f"{other(k, i)}/rate"),
+        "getSystemState": lambda k, _: ("getSystemState", names[k]),
+    }  # fmt: skip
 
 
 class Side:
@@ -77,7 +81,9 @@ class Side:
 
     def run(self, name: str, work: Work, each: int) -> None:
         """One block: calls per second of wall clock and of the master's processor time."""
-        requests = [[work(k, i) for i in range(each)] for k in range(len(self.lines))]
+        requests = [
+            [line.write(work(k, i)) for i in range(each)] for k, line in enumerate(self.lines)
+        ]
         calls, used = each * len(self.lines), self.master.cpu()
         self.wall[name].append(calls / drive(self.lines, requests))
         self.cpu[name].append((self.master.cpu() - used) / calls)
@@ -91,6 +97,23 @@ def ratios(first: Side, second: Side) -> tuple[dict[str, float], dict[str, float
     }
     cpu = {name: sum(second.cpu[name]) / sum(first.cpu[name]) for name in first.cpu}
     return _rounded(wall), _rounded(cpu)
+
+
+def sizes(lines: Sequence[Line], work: Work) -> dict[str, int]:
+    """Bytes of a call and of its answer, inside the channel, with XML-RPC and the compact form."""
+    found: dict[str, int] = {}
+    for kind, line in zip(("xmlrpc", "compact"), lines, strict=True):
+        call = line.write(work(0, 0))
+        for each in line.ready([call]):
+            line.sock.sendall(each)
+        while (answer := line.answer()) is None:
+            pass
+        assert isinstance(line, SecureLine)
+        unit = line.unit(answer)
+        if isinstance(line, CompactLine):
+            line.check(unit)
+        found |= {f"{kind}_call": len(call), f"{kind}_answer": len(unit)}
+    return found
 
 
 def _rounded(figures: dict[str, float]) -> dict[str, float]:
@@ -111,6 +134,7 @@ def operations(site: Site, folder: Path, count: int, seconds: float) -> dict[str
         sides = (
             Side(secured, [_secure_line(secured.port, site, caller) for caller in callers]),
             Side(plain, [Line(plain.port) for _ in callers]),
+            Side(secured, [_compact_line(secured.port, site, caller) for caller in callers]),
         )
         end = time.monotonic() + seconds
         while True:
@@ -120,12 +144,31 @@ def operations(site: Site, folder: Path, count: int, seconds: float) -> dict[str
                     side.run(name, work, each)
             if time.monotonic() > end:
                 break
-        wall, cpu = ratios(*sides)
-        ours_wall = {name: round(median(rates)) for name, rates in sides[0].wall.items()}
+        xml, stock_side, small = sides
+        wall, cpu = ratios(xml, stock_side)
+        small_wall, small_cpu = ratios(small, stock_side)
+        ours_wall = {name: round(median(rates)) for name, rates in xml.wall.items()}
+        lines = xml.lines[0], small.lines[0]
         return {
             "ops_vs_rosmaster": wall,
             "ops_vs_rosmaster_cpu": cpu,
             "ops_per_s": ours_wall,
+            "compact_vs_rosmaster": small_wall,
+            "compact_vs_rosmaster_cpu": small_cpu,
+            "compact_per_s": {name: round(median(rates)) for name, rates in small.wall.items()},
+            "compact_cpu_vs_xmlrpc": _rounded(
+                {name: sum(used) / sum(xml.cpu[name]) for name, used in small.cpu.items()}
+            ),
+            "compact_bytes": {
+                name: sizes(lines, work) for name, work in works(names, count).items()
+            },
+            "compact_caller_cpu_vs_xmlrpc": caller_cpu(
+                secured,
+                callers[0],
+                site.anchor,
+                {name: work(0, 0) for name, work in works(names, count).items()},
+                count,
+            ),
             "rss_kb": memory[0],
             "rss_kb_rosmaster": memory[1],
             "rss_vs_rosmaster": round(memory[0] / memory[1], 2),
@@ -149,6 +192,11 @@ def _secure_line(port: int, site: Site, member: EnrolledNode) -> SecureLine:
     body = line.ask(request("rossec.presentGrants", member.name, [member.grant]))
     assert xmlrpc.load_response(body) == [1, "grants accepted", 1]
     return line
+
+
+def _compact_line(port: int, site: Site, member: EnrolledNode) -> CompactLine:
+    """Its grants were presented on the other connection: they count for the key."""
+    return CompactLine(member.name, port, member.credentials, site.anchor.verify)
 
 
 def updates(site: Site, folder: Path) -> dict[str, Any]:
@@ -184,6 +232,9 @@ def measure(seconds: float) -> dict[str, Any]:
     usual = found[100]
     return {
         "ops_vs_rosmaster": usual["ops_vs_rosmaster"],
+        "compact_cpu_vs_xmlrpc": usual["compact_cpu_vs_xmlrpc"],
+        "compact_caller_cpu_vs_xmlrpc": usual["compact_caller_cpu_vs_xmlrpc"],
+        "compact_bytes": usual["compact_bytes"],
         "rss_vs_rosmaster": usual["rss_vs_rosmaster"],
         **latency,
         "by_nodes": found,

@@ -94,6 +94,14 @@ class CardRefused(CAError):
     """A domain's card that is malformed, forged or expired, or not the one that is meant."""
 
 
+class ThingRefused(CAError):
+    """A thing's credential, or a statement about a thing, that is malformed or forged."""
+
+
+class ThingOutdated(ThingRefused):
+    """A statement about a thing that has expired, or is not valid yet."""
+
+
 class NotAdmitted(CertificateRefused):
     """A node of a foreign domain that is not listed, not any more, or not with this name."""
 
@@ -184,6 +192,14 @@ class RecordUnusable(StoreError):
 
 class DomainUnknown(StoreError):
     """No foreign domain is trusted under this label."""
+
+
+class ThingChanged(StoreError):
+    """A thing that has another name, key or border router than its statement in force says."""
+
+
+class ThingUnknown(StoreError):
+    """There is no statement in force about a thing of this name."""
 
 
 class NameCovered(StoreError):

@@ -18,9 +18,11 @@ MAX_NAME: Final = 255
 AUTHORITY: Final = "/ca"  # the authority's own node
 MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
 RELAY: Final = "/relay"  # a domain's first relay; others are `/relay/<segment>`
+GATEWAY: Final = "/gateway"  # a domain's first gateway; others are `/gateway/<segment>`
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
 _OTHER_MASTER: Final = re.compile(r"/master/[A-Za-z][A-Za-z0-9_]*")
 _OTHER_RELAY: Final = re.compile(r"/relay/[A-Za-z][A-Za-z0-9_]*")
+_OTHER_GATEWAY: Final = re.compile(r"/gateway/[A-Za-z][A-Za-z0-9_]*")
 _TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
 _DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
 _SCHEME: Final = "spiffe://"
@@ -87,16 +89,21 @@ def is_relay_name(name: str) -> bool:
     return name == RELAY or _OTHER_RELAY.fullmatch(name) is not None
 
 
+def is_gateway(name: str) -> bool:
+    """Whether a gateway is certified for `name`: `/gateway`, or `/gateway` and one segment."""
+    return name == GATEWAY or _OTHER_GATEWAY.fullmatch(name) is not None
+
+
 def is_reserved(name: str) -> bool:
     """Whether nodes trust the holder of `name`, so that no wildcard covers it."""
-    return name == AUTHORITY or is_master_name(name) or is_relay_name(name)
+    return name == AUTHORITY or is_master_name(name) or is_relay_name(name) or is_gateway(name)
 
 
 def check_wildcard(name: str) -> str:
     """Return `name` if an identity for it may have a wildcard tail.
 
     Raises:
-        NameRefused: it is the name of a master, of a relay or of the authority.
+        NameRefused: it is the name of a master, relay or gateway, or of the authority.
     """
     if is_reserved(name):
         raise NameRefused(

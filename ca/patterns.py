@@ -3,6 +3,10 @@
 Segments are compared whole, so `/a` never covers `/ab` (the prefix confusion of ROSRV), and a
 wildcard never stands for part of a segment. Names are absolute: relative and private (`~`)
 names must be resolved by the caller, or they are refused. Names are ASCII: homoglyphs are refused.
+
+A tail pattern is `/rviz~/get_loggers`: `rviz~` stands for `rviz` and all that a wildcard tail of
+`/rviz` covers (`ca.names`), in the last segment of one node's name and nowhere else. Only grants
+to an identity with that tail have them; `check_pattern` refuses them.
 """
 
 from collections.abc import Sequence
@@ -10,8 +14,9 @@ from functools import lru_cache
 from typing import Final
 
 from ca.errors import NameRefused, PatternRefused
-from ca.names import check_name
+from ca.names import check_name, check_wildcard
 
+TAIL: Final = "~"
 _WILDCARDS = ("*", "**")
 _HINT: Final = "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**"
 _HINT_LABEL: Final = "a pattern is of one domain's own names, which have no label: /robot1/**"
@@ -32,15 +37,56 @@ def check_pattern(text: str) -> str:
     return text
 
 
+def check_tail_pattern(text: str) -> str:
+    """Return `text` if it is a pattern, or a tail pattern.
+
+    Raises:
+        PatternRefused: neither; also a tail of a reserved name, which nothing may have.
+    """
+    base, mark, rest = text.partition(TAIL)
+    if not mark:
+        return check_pattern(text)
+    try:
+        check_wildcard(check_name(base))
+    except NameRefused as error:
+        raise PatternRefused(f"not a tail pattern: {error}", error.hint) from None
+    if rest and not rest.startswith("/"):
+        raise PatternRefused(f"not a tail pattern: {text[:80]!a}", "for example /rviz~/get_loggers")
+    check_pattern(base + rest)
+    return text
+
+
+def tail_base(pattern: str) -> str | None:
+    """The node whose tail a tail pattern is about; None for any other pattern."""
+    base, mark, _ = pattern.partition(TAIL)
+    return base if mark else None
+
+
+def fits(segment: str, found: str) -> bool:
+    """Whether one segment of a pattern, other than `**`, stands for the segment `found`.
+
+    `found` may be one of a tail pattern: then whether it stands for all of its names.
+    """
+    if segment in ("*", found):
+        return True
+    return segment.endswith(TAIL) and _in_tail(segment[:-1], found.removesuffix(TAIL))
+
+
+def _in_tail(base: str, segment: str) -> bool:
+    """As `ca.names.covers` for an identity with a tail, of one segment of a checked name."""
+    rest = segment.removeprefix(base)
+    return segment == base or (rest != segment and len(rest) > 1 and rest.startswith("_"))
+
+
 def covers(pattern: str, name: str) -> bool:
-    """Whether `pattern` covers `name`, segment by segment.
+    """Whether `pattern` covers `name`, segment by segment; it may be a tail pattern.
 
     Raises:
         PatternRefused, NameRefused: invalid pattern or name.
     """
-    check_pattern(pattern)
+    check_tail_pattern(pattern)
     check_name(name)
-    if "*" not in pattern:
+    if "*" not in pattern and TAIL not in pattern:
         return pattern == name
     segments = _segments(name)
     return len(segments) in _match_ends(_segments(pattern), segments)
@@ -95,7 +141,7 @@ def _segments(text: str) -> list[str]:
 @lru_cache(maxsize=4096)
 def _pattern_segments(pattern: str) -> tuple[str, ...]:
     """The segments of a pattern, cached: a pattern is compared with thousands of names."""
-    return (*_segments(check_pattern(pattern)),)
+    return (*_segments(check_tail_pattern(pattern)),)
 
 
 def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
@@ -113,4 +159,4 @@ def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
 def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
     if segment == "**":
         return set(range(min(ends, default=len(name)) + 1, len(name) + 1))
-    return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}
+    return {at + 1 for at in ends if at < len(name) and fits(segment, name[at])}

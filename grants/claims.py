@@ -37,6 +37,7 @@ _CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `i
 _TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE = 0, 1, 2, 3, 4
 _RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE}
 _RATE: Final = "rate"
+_SLOT: Final = "slot"
 _KEEP: Final = "keep"
 
 _UINT, _BYTES, _TEXT, _MAP = 0x00, 0x40, 0x60, 0xA0  # major types
@@ -78,8 +79,13 @@ def _restriction_claims(restriction: Restriction) -> Value:
         claims[_CONDITIONS] = list(restriction.conditions)
     if restriction.filters:
         claims[_FILTERS] = {rule.path: _filter_claim(rule) for rule in restriction.filters}
+    limits: dict[int | str, Value] = {}
     if restriction.rate is not None:
-        claims[_LIMITS] = {_RATE: restriction.rate}
+        limits[_RATE] = restriction.rate
+    if restriction.slot is not None:
+        limits[_SLOT] = restriction.slot
+    if limits:
+        claims[_LIMITS] = limits
     if restriction.keep_when_stale:
         claims[_ON_STALE] = _KEEP
     return claims
@@ -249,17 +255,19 @@ def _restriction(value: Value) -> Restriction:
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
     if claims.get(_ON_STALE, _KEEP) != _KEEP:
         raise GrantMalformed("on_stale of a grant is not keep")
-    return Restriction(kind, texts, rules, _rate(claims), _ON_STALE in claims)
+    rate, slot = _limits(claims)
+    return Restriction(kind, texts, rules, rate, _ON_STALE in claims, slot=slot)
 
 
-def _rate(claims: dict[Any, Any]) -> float | None:
+def _limits(claims: dict[Any, Any]) -> tuple[float | None, int | None]:
     limits = _optional(claims, _LIMITS, dict)
-    if unknown := limits.keys() - {_RATE}:
+    if unknown := limits.keys() - {_RATE, _SLOT}:
         raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
     rate: float | None = limits.get(_RATE)
     if rate is not None and type(rate) not in (int, float):
         raise GrantMalformed("rate of a grant is of a wrong type")
-    return rate
+    slot = _typed(limits[_SLOT], int, "slot") if _SLOT in limits else None
+    return rate, slot
 
 
 def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:

@@ -1,11 +1,11 @@
-"""The restrictions for one receiver: expiry, conditions, rate, filters, in this order.
+"""The restrictions for one receiver: expiry, conditions, limits, filters, in this order.
 
 Those of narrowings come after, layer by layer: the conditions and filters of one see what the
 filters before it left. Else whoever may narrow its right could ask, by conditions of its own, what
 the filters hide from it. Conditions that read no message are checked first, whoever wrote them.
 
 Built once per connection from the layout the wire proved and the decision; then called for every
-message. Its state (a rate, hysteresis) belongs to the holder and outlives the connection
+message. Its state (limits, hysteresis) belongs to the holder and outlives the connection
 (`grants.memory`). It fails closed: a message it cannot process is not sent.
 """
 
@@ -19,10 +19,11 @@ from grants.decision import Decision
 from grants.errors import GrantError, GrantExpired, MessageRefused, RestrictionMismatch
 from grants.filters.codegen import Buffer
 from grants.filters.compile import Filter, compile_filter
-from grants.filters.hashing import Keys, key_names
+from grants.filters.hashing import Keys, is_personal, key_names, receiver_keys
 from grants.filters.layout import Layout
-from grants.memory import FieldKey, HysteresisState, Memory, RateBucket
-from grants.model import FilterRule, Restriction
+from grants.limits import RateBucket, SlotGate
+from grants.memory import FieldKey, HysteresisState, Memory
+from grants.model import KEY_SIZE, FilterRule, Restriction
 from grants.validity import format_time
 
 
@@ -68,12 +69,16 @@ class Guard:
         self._find_memory = Memory if find_memory is None else partial(find_memory, decision)
         ordered = sorted(decision.restrictions, key=lambda each: each.layer)
         blind = _compile_conditions(None, (each for each in ordered if each.type is None))
-        first, *later = [*self._compile_layers(layout, ordered, keys or {})] or [_Layer()]
+        own = receiver_keys(keys or {}, _receiver(decision))
+        first, *later = [*self._compile_layers(layout, ordered, own)] or [_Layer()]
         self._conditions = (*blind, *first.conditions)
         self._layers = (first._replace(conditions=()), *later)
         self._bucket = self._rate_bucket(decision.restrictions)
+        self._gate = self._slot_gate(decision.restrictions)
         shape = layout.digest if layout is not None else None
-        self.key: Hashable = (self.memory, shape, decision.restrictions)
+        personal = any(is_personal(restriction.filters) for restriction in decision.restrictions)
+        receiver = _receiver(decision) if personal else None
+        self.key: Hashable = (self.memory, shape, decision.restrictions, receiver)
 
     def _require_memory(self) -> Memory:
         if self.memory is None:
@@ -105,7 +110,12 @@ class Guard:
         rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
         return self._require_memory().bucket(min(rates)) if rates else None
 
-    def check(self, now: int) -> None:
+    def _slot_gate(self, restrictions: Iterable[Restriction]) -> SlotGate | None:
+        """The longest of the slots."""
+        slots = [restriction.slot for restriction in restrictions if restriction.slot is not None]
+        return self._require_memory().gate(max(slots)) if slots else None
+
+    def check(self, now: float) -> None:
         """Return if the right still holds at `now`.
 
         Raises:
@@ -116,19 +126,20 @@ class Guard:
                 f"the grant expired at {format_time(self.expires)}", "ask the authority to renew it"
             )
 
-    def ready(self, now: int) -> bool:
-        """Whether the rate, if there is one, admits a message at `now`."""
-        if self.memory is None or self._bucket is None:
+    def ready(self, now: float) -> bool:
+        """Whether the limits, if there are any, admit a message at `now`."""
+        if self.memory is None:
             return True
         with self.memory.lock:
-            return self.memory.ready(self._bucket, now)
+            opened = self._gate is None or self._gate.ready(now)
+            return opened and (self._bucket is None or self._bucket.refill(now))
 
-    def apply(self, message: Buffer, now: int, message_id: object = None) -> list[Buffer] | None:
+    def apply(self, message: Buffer, now: float, message_id: object = None) -> list[Buffer] | None:
         """Return `message` in pieces, filtered for the receiver; None if it must not be sent.
 
         Args:
             message: without its length prefix.
-            now: seconds since the epoch.
+            now: seconds since the epoch; limits count its fractions.
             message_id: the same object for the same message on all connections of the holder, so
                 that the rate counts it once. None: a new message.
 
@@ -143,7 +154,7 @@ class Guard:
             # Fail closed on programming errors too: an exception never lets a message through.
             raise MessageRefused(f"applying restrictions failed: {type(error).__name__}") from error
 
-    def __call__(self, message: Buffer, now: int) -> list[Buffer] | None:
+    def __call__(self, message: Buffer, now: float) -> list[Buffer] | None:
         """`check`, then `apply`.
 
         Raises:
@@ -152,15 +163,26 @@ class Guard:
         self.check(now)
         return self.apply(message, now)
 
-    def _apply(self, message: Buffer, now: int, message_id: object) -> list[Buffer] | None:
-        if not all(condition(message, now) is True for condition in self._conditions):
+    def _apply(self, message: Buffer, now: float, message_id: object) -> list[Buffer] | None:
+        whole = int(now)  # as conditions see it
+        if not all(condition(message, whole) is True for condition in self._conditions):
             return None
         if self.memory is None:
-            return self._filter(message, now)
+            return self._filter(message, whole)
         with self.memory.lock:
-            if self._bucket is not None and not self.memory.take(self._bucket, message_id, now):
+            if not self._admits(self.memory, message_id, now):
                 return None
-            return self._filter(message, now)
+            return self._filter(message, whole)
+
+    def _admits(self, memory: Memory, message_id: object, now: float) -> bool:
+        gate = self._gate
+        if gate is not None and not gate.note(message_id, now):
+            return False
+        if self._bucket is not None and not memory.take(self._bucket, message_id, now):
+            return False
+        if gate is not None:
+            gate.charge(message_id)
+        return True
 
     def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
         """The message after all layers; None: one that sees the work of another refuses it."""
@@ -176,6 +198,11 @@ class Guard:
 
 
 _Stage: TypeAlias = dict[str, FilterRule]
+
+
+def _receiver(decision: Decision) -> bytes:
+    """The key of whoever receives the messages; zeros in a trial, which has no grants."""
+    return decision.grants[0].holder if decision.grants else bytes(KEY_SIZE)
 
 
 def check_type(name: str, restriction: Restriction) -> None:

@@ -1,4 +1,4 @@
-"""State of rights that are limited over time: rates and hysteresis. Pure.
+"""State of rights that are limited over time: rates, slots and hysteresis. Pure.
 
 It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
 hundred connections, continues with the same state. For a chain the key is its first holder's: who
@@ -16,11 +16,11 @@ from weakref import WeakValueDictionary
 
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
+from grants.limits import RateBucket, SlotGate
 from grants.model import Right
-from grants.token_bucket import TokenBucket
 
 MAX_MEMORIES: Final = 16_384  # about 700 bytes each
-_MAX_RATES: Final = 64  # of one memory; a grant has one
+_MAX_RATES: Final = 64  # of one memory, and as many slots; a grant has one
 _MAX_FIELDS: Final = 4096  # of one memory: as many fields as a definition may have
 
 FieldKey: TypeAlias = tuple[object, ...]  # path of the field, and how it is rounded
@@ -37,32 +37,17 @@ class HysteresisState:
         self.value: float | None = None
 
 
-class RateBucket(TokenBucket):
-    """`rate` messages a second, and bursts of at most `max(1, rate)`."""
-
-    __slots__ = ("last_message",)
-
-    def __init__(self, rate: float, tokens: float) -> None:
-        super().__init__(rate, max(1.0, rate), tokens)
-        self.last_message: object = None
-
-    def charge(self, message_id: object) -> None:
-        """Take a token for a message admitted by this rate or by another of the same key."""
-        if self.tokens >= 1:
-            self.last_message = message_id
-        self.tokens = max(self.tokens - 1, 0.0)
-
-
 class Memory:
     """The state of one key, one right and one name.
 
     Args:
-        lock: held around `take`, `ready` and the use of hysteresis state; one thread needs none.
+        lock: held around `take` and the use of any other state; one thread needs none.
     """
 
     def __init__(self, lock: AbstractContextManager[Any] | None = None) -> None:
         self.lock: Final = nullcontext() if lock is None else lock
         self._buckets: dict[float, RateBucket] = {}
+        self._gates: dict[int, SlotGate] = {}
         self._hysteresis: dict[FieldKey, HysteresisState] = {}
 
     def bucket(self, rate: float) -> RateBucket:
@@ -78,6 +63,18 @@ class Memory:
                 self._buckets[rate] = RateBucket(rate, left)
             return self._buckets[rate]
 
+    def gate(self, seconds: int) -> SlotGate:
+        """The gate for slots of so many seconds.
+
+        Raises:
+            MemoryExhausted: there are too many.
+        """
+        with self.lock:
+            if seconds not in self._gates:
+                _check_limit(len(self._gates), _MAX_RATES, "slots")
+                self._gates[seconds] = SlotGate(seconds)
+            return self._gates[seconds]
+
     def hysteresis(self, field: FieldKey) -> HysteresisState:
         """The hysteresis state of a field.
 
@@ -90,7 +87,7 @@ class Memory:
                 self._hysteresis[field] = HysteresisState()
             return self._hysteresis[field]
 
-    def take(self, bucket: RateBucket, message_id: object, now: int) -> bool:
+    def take(self, bucket: RateBucket, message_id: object, now: float) -> bool:
         """Whether the message with this id is admitted at `now`; all rates of the key count it.
 
         So two grants with rates, presented on two connections, admit no more messages than the
@@ -100,34 +97,33 @@ class Memory:
             return True
         for each in self._buckets.values():
             each.refill(now)
-        if bucket.tokens < 1:
+        if bucket.left < bucket.interval:
             return False
         for each in self._buckets.values():
             each.charge(message_id)
         return True
 
-    def ready(self, bucket: RateBucket, now: int) -> bool:
-        """Whether a new message would be admitted at `now`."""
-        return bucket.refill(now) >= 1
-
-    def is_fresh(self, now: int) -> bool:
+    def is_fresh(self, now: float) -> bool:
         """Whether it equals a new memory; a stored hysteresis value never expires."""
         with self.lock:
-            full = all(each.refill(now) >= each.capacity for each in self._buckets.values())
-            return full and all(state.value is None for state in self._hysteresis.values())
+            full = all(each.is_full(now) for each in self._buckets.values())
+            unused = all(each.is_fresh(now) for each in self._gates.values())
+            return (
+                full and unused and all(state.value is None for state in self._hysteresis.values())
+            )
 
 
 class MemoryStore:
     """All memories of one process.
 
     Args:
-        clock: the present time, seconds since the epoch.
+        clock: the present time, seconds since the epoch, as the guards are given it.
         lock: makes the locks, if threads share the store.
         limit: the maximum number of memories.
     """
 
     def __init__(
-        self, clock: Callable[[], int], lock: MakeLock = nullcontext, limit: int = MAX_MEMORIES
+        self, clock: Callable[[], float], lock: MakeLock = nullcontext, limit: int = MAX_MEMORIES
     ) -> None:
         self._clock = clock
         self._make_lock = lock
@@ -153,8 +149,8 @@ class MemoryStore:
 
     def _evict_fresh(self) -> None:
         now = self._clock()
-        if len(self._stored) >= self._limit and now != self._evicted_at:
-            self._evicted_at = now
+        if len(self._stored) >= self._limit and int(now) != self._evicted_at:
+            self._evicted_at = int(now)
             for key in [key for key, item in self._stored.items() if item.is_fresh(now)]:
                 del self._stored[key]
             # Memories that connections still use must stay stored: they will change again.

@@ -12,8 +12,9 @@ from enum import IntFlag
 from typing import Any, Final, Self, TypeAlias
 
 from ca.names import check_name
-from ca.patterns import check_pattern, covers, covers_tree
+from ca.patterns import check_tail_pattern, covers, covers_tree, tail_base
 from grants.errors import FilterRefused, GrantMalformed
+from grants.limits import MAX_SLOT, MIN_SLOT
 
 Scalar: TypeAlias = bool | int | float | str
 
@@ -23,6 +24,7 @@ MAX_NARROWINGS: Final = 3  # how many may follow a grant
 MAX_CONDITION: Final = 1000  # characters
 MAX_RATE: Final = 1_000_000
 _MAX_TIME: Final = 1 << 53
+_RARE: Final = 0.1  # a second: below it an interval is easier to read
 KEEP_WHEN_STALE: Final = "kept while revocation data is stale"
 
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -128,6 +130,7 @@ class Restriction:
         conditions: texts in `grants.conditions.compile`; all of them must hold.
         filters: the operators applied to the fields of each message.
         rate: at most so many messages a second, on average.
+        slot: one message in each slot of so many seconds, in its beginning (`grants.limits`).
         keep_when_stale: an established connection may stay open while revocation data is stale.
         layer: in a decision, how many links of a chain stand before its own: it is applied to what
             the restrictions of these let through. 0 as signed.
@@ -139,6 +142,7 @@ class Restriction:
     rate: float | None = None
     keep_when_stale: bool = False
     layer: int = 0
+    slot: int | None = None
 
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
@@ -153,26 +157,39 @@ class Restriction:
             raise GrantMalformed(f"a condition is empty or longer than {MAX_CONDITION} characters")
         if self.rate is not None and not 0 < self.rate <= MAX_RATE:
             raise GrantMalformed(f"a rate must be above zero and at most {MAX_RATE} a second")
+        if self.slot is not None and not MIN_SLOT <= self.slot <= MAX_SLOT:
+            raise GrantMalformed(f"a slot must have {MIN_SLOT} to {MAX_SLOT} seconds")
 
     @property
     def restricts_messages(self) -> bool:
         """Whether it applies to messages; a caller without messages has nothing to apply."""
-        return bool(self.conditions or self.filters) or self.rate is not None
+        limited = self.rate is not None or self.slot is not None
+        return bool(self.conditions or self.filters) or limited
 
     def lines(self) -> list[str]:
         """The restriction as text, one line per condition, filter and limit."""
         lines = [f"only when {text}" for text in self.conditions]
         lines += [str(rule) for rule in self.filters]
         if self.rate is not None:
-            lines.append(f"at most {self.rate:g} messages a second")
+            lines.append(rate_text(self.rate))
+        if self.slot is not None:
+            lines.append(f"one message at the start of each {self.slot} s")
         return [*lines, KEEP_WHEN_STALE] if self.keep_when_stale else lines
+
+
+def rate_text(rate: float) -> str:
+    """A rate as text: `at most 5 messages a second`, `at most one message every 30 s`."""
+    if rate < _RARE:
+        return f"at most one message every {1 / rate:.3g} s"
+    return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
 @dataclass(frozen=True)
 class Permission:
     """Rights over the names a pattern covers, with the restriction *inside* (as in RFC 9237).
 
-    A restriction in a sibling claim would be ignored by a verifier that does not know it.
+    A restriction in a sibling claim would be ignored by a verifier that does not know it. The
+    pattern may be a tail pattern (`/rviz~/pose`), in a grant to the node of that tail only.
     """
 
     pattern: str
@@ -180,7 +197,7 @@ class Permission:
     restriction: Restriction | None = None
 
     def __post_init__(self) -> None:
-        check_pattern(self.pattern)
+        check_tail_pattern(self.pattern)
         if not 0 < int(self.rights) <= int(ALL_RIGHTS):
             raise GrantMalformed(f"unknown or no right: {int(self.rights)}")
         if self.restriction is not None and self.rights & ~MESSAGE_RIGHTS:
@@ -237,6 +254,22 @@ class Draft:
             raise GrantMalformed("a grant that permits nothing")
         if not 0 <= self.may_narrow <= MAX_NARROWINGS:
             raise GrantMalformed(f"a grant allows at most {MAX_NARROWINGS} narrowings")
+        bases = {tail_base(permission.pattern) for permission in self.permissions}
+        if not bases <= {None, self.subject}:
+            raise GrantMalformed(
+                f"a grant to {self.subject} with a tail pattern of another node",
+                f"its own is {self.subject}~/...",
+            )
+        if self.may_narrow and bases != {None}:
+            raise GrantMalformed(
+                "a grant with a tail pattern that may be narrowed",
+                "the names of anonymous nodes are handed on to nobody",
+            )
+
+    @property
+    def has_tail_patterns(self) -> bool:
+        """Whether it gives rights on the names of anonymous nodes, which only its subject has."""
+        return any(tail_base(permission.pattern) for permission in self.permissions)
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether one of its permissions gives `right` on `name` (restricted or not)."""

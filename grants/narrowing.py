@@ -141,7 +141,7 @@ def _links(grant: Grant, narrowings: Sequence[bytes]) -> tuple[Grant, ...]:
     if not 0 < len(narrowings) <= min(grant.may_narrow, MAX_NARROWINGS):
         raise NarrowingNotAllowed(
             f"grant {grant.short_id} allows {grant.may_narrow} narrowings, not {len(narrowings)}",
-            "at the authority: rossec grant sign --may-narrow",
+            "at the authority: rossec grant sign NODE --may-narrow N",
         )
     links = [grant]
     for data in narrowings:
@@ -229,13 +229,16 @@ def _read(claims: Value, body: bytes) -> tuple[Grant, bytes]:
             raise GrantMalformed("a narrowing has missing or unknown claims")
     end = _number(exp)
     try:
-        return Grant(
+        link = Grant(
             aud, sub, ckt, _number(nbf), end, end, cti, read_scope(scope),
             hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE], read_issuer(iss),
             may_narrow=_number(count),
-        ), parent  # fmt: skip
+        )  # fmt: skip
     except CAError as error:
         raise GrantMalformed(f"in a narrowing: {error}", error.hint) from None
+    if link.has_tail_patterns:
+        raise GrantMalformed("a narrowing with a tail pattern", "name the anonymous node")
+    return link, parent
 
 
 def _number(value: Any) -> int:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from ca import patterns
 from ca.errors import NameRefused
 from ca.names import check_name
+from ca.patterns import TAIL
 from grants.model import TREE_RIGHTS, Grant, Permission, Right
 
 
@@ -153,7 +154,7 @@ def _name_sets(permissions: tuple[Permission, ...], right: Right) -> _NameSets:
         if right not in permission.rights:
             continue
         plain = permission.pattern.removesuffix("/**")
-        if "*" in plain:
+        if "*" in plain or TAIL in plain:
             others.append((right, permission))
         elif plain != permission.pattern:
             prefixes.add(f"{plain}/")

@@ -17,7 +17,7 @@ from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, NameRefused, SignatureError
 from ca.keys.signer import Signer
 from ca.names import check_name
-from ca.patterns import check_pattern
+from ca.patterns import check_tail_pattern, tail_base
 from grants.errors import GrantForged, GrantMalformed
 from grants.model import ALL_RIGHTS, Right
 
@@ -59,7 +59,9 @@ class GrantRequest:
         if not 0 < len(self.rights) <= MAX_RIGHTS:
             raise GrantMalformed(f"a request names 1 to {MAX_RIGHTS} rights")
         for requested in self.rights:
-            check_pattern(requested.pattern)
+            check_tail_pattern(requested.pattern)
+            if tail_base(requested.pattern) not in (None, self.node):
+                raise GrantMalformed(f"{self.node} asks for names of another's anonymous nodes")
             if requested.right not in list(ALL_RIGHTS):
                 raise GrantMalformed(f"{int(requested.right)} is not one right")
         if len(self.why) > MAX_REASON:

@@ -94,11 +94,22 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
             yield event
     except MarkedYAMLError as error:
         raise YamlRefused(
-            f"not YAML: {error.problem or error.context}", "check the indentation",
+            f"not YAML: {error.problem or error.context}", _remedy(error.problem or ""),
             *position(error.problem_mark or error.context_mark),
         ) from error  # fmt: skip
     except (YAMLError, RecursionError, ValueError) as error:
         raise YamlRefused(f"not YAML: {str(error).splitlines()[0]}") from error
+
+
+def _remedy(problem: str) -> str:
+    """What to do about what the parser says, for the mistakes that people make most."""
+    if "'\\t'" in problem:
+        return "indent with spaces: YAML allows no tabs"
+    if problem.startswith("expected alphabetic or numeric character"):
+        return 'put text that begins with * or & in quotes: "*"'
+    if "mapping values are not allowed" in problem or "got ':'" in problem:
+        return "check the indentation, and put text with a colon in quotes"
+    return "check the indentation"
 
 
 def load(text: str, bounds: Bounds | None = None) -> object:

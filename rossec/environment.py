@@ -1,15 +1,16 @@
-"""From the environment: ROSSEC_HOME, the directory of all files, ROSSEC_MASTER, ROSSEC_RELAY."""
+"""From the environment: ROSSEC_HOME, the directory of all files, and names of own services."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 from ca.keys import ownership
-from ca.names import MASTER, RELAY, is_master_name, is_relay_name
+from ca.names import GATEWAY, MASTER, RELAY, is_gateway, is_master_name, is_relay_name
 from rossec.errors import ConfigurationError
 
 OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
 OWN_RELAY: Final = "ROSSEC_RELAY"  # the name of the relay of this host
+OWN_GATEWAY: Final = "ROSSEC_GATEWAY"  # the name of the gateway of this host
 
 
 def rossec_home(environ: Mapping[str, str]) -> Path:
@@ -48,13 +49,7 @@ def own_master(environ: Mapping[str, str]) -> str:
     Raises:
         ConfigurationError: not the name of a master.
     """
-    name = environ.get(OWN_MASTER) or MASTER
-    if not is_master_name(name):
-        raise ConfigurationError(
-            f"{name!r} is not the name of a master",
-            f"{OWN_MASTER} and --name take {MASTER}, or {MASTER}/kitchen with a word of one's own",
-        )
-    return name
+    return _own(environ, OWN_MASTER, MASTER, is_master_name)
 
 
 def own_relay(environ: Mapping[str, str]) -> str:
@@ -63,10 +58,25 @@ def own_relay(environ: Mapping[str, str]) -> str:
     Raises:
         ConfigurationError: not the name of a relay.
     """
-    name = environ.get(OWN_RELAY) or RELAY
-    if not is_relay_name(name):
+    return _own(environ, OWN_RELAY, RELAY, is_relay_name)
+
+
+def own_gateway(environ: Mapping[str, str]) -> str:
+    """ROSSEC_GATEWAY, the certified name of the gateway of this host; by default `/gateway`.
+
+    Raises:
+        ConfigurationError: not the name of a gateway.
+    """
+    return _own(environ, OWN_GATEWAY, GATEWAY, is_gateway)
+
+
+def _own(
+    environ: Mapping[str, str], variable: str, first: str, is_one: Callable[[str], bool]
+) -> str:
+    name = environ.get(variable) or first
+    if not is_one(name):
         raise ConfigurationError(
-            f"{name!r} is not the name of a relay",
-            f"{OWN_RELAY} and --name take {RELAY}, or {RELAY}/attic with a word of one's own",
+            f"{name!r} is not the name of a {first[1:]}",
+            f"{variable} and --name take {first}, or {first}/attic with a word of one's own",
         )
     return name

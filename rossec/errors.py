@@ -138,6 +138,10 @@ class XmlRpcRefused(WireError):
     """XML that is not one bounded XML-RPC call or response, or a value XML-RPC cannot carry."""
 
 
+class CompactRefused(WireError):
+    """A unit of calls in the compact form that is malformed, too long or out of its turn."""
+
+
 class AnswerMalformed(WireError):
     """An answer that is not ROS's `[code, status, value]`."""
 
@@ -234,6 +238,10 @@ class FederationError(RossecError):
     """A step that following another master does not have."""
 
 
+class GatewayError(RossecError):
+    """A step that serving another domain's topic does not have."""
+
+
 class GraphHidden(RossecError):
     """Another master shows nothing of its graph to this one."""
 
@@ -260,3 +268,55 @@ class LinkCrowded(StreamRefused):
 
 class RelayRefused(RossecError):
     """Another relay, a card or a door is refused."""
+
+
+class RulesRefused(RossecError):
+    """Rules for names that are malformed, fail, or use what rules may not."""
+
+
+class MetadataRefused(RossecError):
+    """Metadata, or a launch file, that is malformed or too long, or a question about none of it."""
+
+
+class NameUndefined(RossecError):
+    """Rules that give no name for what was asked, or several."""
+
+
+class ProposedNameRefused(RossecError):
+    """A text that rules gave as a name, and that is not one, or a reserved one."""
+
+
+class RulesExceeded(RossecError):
+    """Rules that took more time, memory or output than allowed."""
+
+
+class RulesNotConfined(RossecError):
+    """The process for rules cannot be started here, or cannot be confined."""
+
+
+class NamesExtraMissing(RossecError):
+    """The library that applies rules is not installed."""
+
+
+class ThingError(RossecError):
+    """A constrained thing, or whoever sends to a border router, that does not keep its protocol."""
+
+
+class DatagramRefused(ThingError):
+    """Bytes that are not a CoAP message, or that no key of a thing has protected."""
+
+
+class ThingUnauthenticated(ThingError):
+    """A handshake that did not prove the key of a thing that is served here."""
+
+
+class ThingLinksRefused(ThingError):
+    """A list of resources that is malformed, or names something that a thing cannot have."""
+
+
+class BodyRefused(ThingError):
+    """The body of a resource that is not a message of its type, or is too long."""
+
+
+class ThingUnreachable(ThingError):
+    """A thing that did not answer in time, or answered with an error."""

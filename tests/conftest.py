@@ -23,6 +23,9 @@ from rossec.net import withheld_log
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
+# What tests read is the same on every terminal.
+os.environ["NO_COLOR"] = "1"
+
 # A background shell ignores Ctrl-C, and what it starts inherits that, with what a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs the ROS 1 packages the tests run against (Debian and Ubuntu ship them), and the browser
-# that opens the console's pages (Debian ships it). Without them the tests that need them are
+# that opens the console's pages, the shells that complete commands and what reads manual pages
+# (Debian ships them). Without them the tests that need them are
 # reported as not run; with CI set they fail.
 set -euo pipefail
 ros=(
@@ -13,6 +14,7 @@ ros=(
     libnodeletlib-tools libnodeletlib-dev tf2-tools rviz xvfb
     tcpdump iproute2 nftables openssl stunnel4 softhsm2 fonts-dejavu-core librsvg2-bin
 )
+shells=(zsh fish mandoc groff-base man-db)
 browser=(chromium libnss3-tools fonts-inter fonts-dejavu-core)
 
 not_run() { echo "rossec: the $1 tests will be reported as not run: $2" >&2; }
@@ -39,3 +41,4 @@ ensure() {  # KIND PACKAGE...
 export DEBIAN_FRONTEND=noninteractive
 ensure ROS "${ros[@]}"
 ensure browser "${browser[@]}"
+ensure shell "${shells[@]}"

@@ -1,8 +1,17 @@
 #!/usr/bin/env bash
-# Builds the wheel and checks that it holds exactly the three packages.
+# Builds the wheel twice and checks that both are the same, that it holds exactly the three packages,
+# and that the manual pages and the outlines for completion are in it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
-.venv/bin/python -m build --wheel --outdir "$out" . >"$out/log" 2>&1 || { cat "$out/log"; exit 1; }
-.venv/bin/check-wheel-contents "$out"/*.whl
+for build in first second; do
+    .venv/bin/python -m build --wheel --outdir "$out/$build" . >"$out/log" 2>&1 ||
+        { cat "$out/log"; exit 1; }
+done
+cmp "$out"/first/*.whl "$out"/second/*.whl
+.venv/bin/check-wheel-contents "$out"/first/*.whl
+.venv/bin/python -m zipfile -l "$out"/first/*.whl >"$out/files"
+for file in rossec/cli/completion/outlines.json data/share/man/man1/rossec{,-ca}.1; do
+    grep -q "$file " "$out/files" || { echo "not in the wheel: $file" >&2; exit 1; }
+done

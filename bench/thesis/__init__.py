@@ -2,9 +2,9 @@
 
 `5.1` memory, `5.2.1` to `5.2.4` latencies and the largest message at 1 Hz, directly and routed, on
 links of 100 Mbit/s and 300 kbit/s; `failures` and `mesh` are not in the thesis. Without names all
-of them, in less than four minutes; `--full` goes through sizes and rates, for hours. What the
-thesis says stands beside each figure; its statements of 5.2.5 are ratios, which `--check` demands.
-`docs/evaluation.md` says what the figures mean and which are missing.
+of them, in less than four minutes; `--sweep` goes through sizes and rates in half an hour, `--full`
+through more of them, for hours. What the thesis says stands beside each figure; its statements of
+5.2.5 are ratios, which `--check` demands. `docs/evaluation.md` says what the figures mean.
 """
 
 import argparse
@@ -16,17 +16,21 @@ from typing import Any, Final
 
 from bench.thesis import failures, latency, memory, meshes, report
 from bench.thesis.claims import failed, judged
-from bench.thesis.setups import Relayed, setup
+from bench.thesis.table import setup
 
 EXPERIMENTS: Final = {
-    "5.1": (), "5.2.1": ("direct_100m", "plain_100m"), "5.2.2": ("relay_100m",),
-    "5.2.3": ("direct_300k",), "5.2.4": ("relay_300k",), "failures": ("relay_100m",), "mesh": (),
+    "5.1": (), "5.2.1": ("direct_100m", "plain_100m"), "5.2.2": ("gateway_100m", "relay_100m"),
+    "5.2.3": ("direct_300k",), "5.2.4": ("gateway_300k", "relay_300k"),
+    "failures": ("relay_100m", "gateway_100m"), "mesh": (),
 }  # fmt: skip
 SHORT_MESHES: Final = (2, 3, 4)
 WHOLE_MESHES: Final = (2, 3, 4, 6, 8, 10)
 
 PARSER: Final = argparse.ArgumentParser(prog="python -m bench thesis", description=__doc__)
 PARSER.add_argument("experiments", nargs="*", choices=[[], *EXPERIMENTS], help="default: all")
+PARSER.add_argument(
+    "--sweep", action="store_true", help="powers of ten of sizes and rates: half an hour"
+)
 PARSER.add_argument("--full", action="store_true", help="all sizes, rates and meshes: hours")
 PARSER.add_argument("--plot", metavar="DIR", type=Path, help="draw the figures (extra bench)")
 PARSER.add_argument(
@@ -41,6 +45,7 @@ def measure(
     _seconds: float,
     experiments: Iterable[str] = (),
     *,
+    sweep: bool = False,
     full: bool = False,
     plot: Path | None = None,
     saved: Path | None = None,
@@ -54,7 +59,8 @@ def measure(
     """
     draw = _draw() if plot is not None else None
     chosen = list(experiments) or list(EXPERIMENTS)
-    found = _measured(chosen, full=full) if saved is None else read(saved)
+    extent = "full" if full else "sweep" if sweep else "short"
+    found = _measured(chosen, extent) if saved is None else read(saved)
     if draw is not None and plot is not None:
         draw(found, plot)
     if check and (reasons := failed(found)):
@@ -79,7 +85,7 @@ def _draw() -> Any:
     return draw
 
 
-def _measured(chosen: list[str], *, full: bool) -> dict[str, Any]:
+def _measured(chosen: list[str], extent: str) -> dict[str, Any]:
     rows = dict[str, dict[str, Any]]()
     result: dict[str, Any] = {}
     if "5.1" in chosen:
@@ -88,25 +94,24 @@ def _measured(chosen: list[str], *, full: bool) -> dict[str, Any]:
     names = dict.fromkeys(name for each in chosen for name in EXPERIMENTS[each])
     for name in names:
         climbs = any(name in EXPERIMENTS[each] for each in chosen if each != "failures")
-        rows[name], fails = _set_up(name, climbs=climbs, fails="failures" in chosen, full=full)
-        result |= fails
+        rows[name], fails = _set_up(name, climbs=climbs, fails="failures" in chosen, extent=extent)
+        if fails:
+            result["failures"] = result.get("failures", {}) | fails
     if "mesh" in chosen:
         with tempfile.TemporaryDirectory() as folder:
-            sizes = WHOLE_MESHES if full else SHORT_MESHES
+            sizes = WHOLE_MESHES if extent == "full" else SHORT_MESHES
             result["mesh"] = meshes.measure(sizes, Path(folder))
     return combined({name: row for name, row in rows.items() if row}, result)
 
 
 def _set_up(
-    name: str, *, climbs: bool, fails: bool, full: bool
+    name: str, *, climbs: bool, fails: bool, extent: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The figures of a set-up, and what fails in it if it is the one for that."""
     with tempfile.TemporaryDirectory() as folder, setup(name, Path(folder)) as made:
-        ladders = latency.whole() if full else latency.short(name)
+        ladders = latency.EXTENTS[extent](name)
         found = latency.climb(made, ladders) if climbs else {}
-        if fails and isinstance(made, Relayed) and name in EXPERIMENTS["failures"]:
-            return found, {"failures": failures.measure(made)}
-        return found, {}
+        return found, failures.measure(made) if fails and name in EXPERIMENTS["failures"] else {}
 
 
 def combined(rows: dict[str, dict[str, Any]], others: dict[str, Any]) -> dict[str, Any]:

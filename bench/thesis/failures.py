@@ -1,8 +1,9 @@
-"""What fails while messages flow between two sites: a router that dies, a grant that is revoked.
+"""What fails while messages flow between sites: a router that dies, a grant that is revoked.
 
 Not in the thesis. The list of revocations is given to the master of the third site; it has to come
 to the others through the overlay, so the time is that of the whole system: from the moment the
-list is given until the last message that the receiver was sent.
+list is given until the last message that the receiver was sent. A gateway's grant is revoked at
+the origin; what counts is the last message that any node behind the gateway was sent.
 """
 
 import signal
@@ -11,7 +12,8 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, Final
 
-from bench.thesis.setups import LISTENERS, Relayed
+from bench.thesis.gateways import Gatewayed
+from bench.thesis.setups import LISTENERS, Relayed, Setup
 from bench.thesis.talk import Point
 from grants.document import grant_id
 
@@ -26,9 +28,11 @@ def longest_gap(arrived: Mapping[int, float]) -> float:
     return max((after - before for before, after in pairwise(times)), default=0.0)
 
 
-def measure(made: Relayed) -> dict[str, Any]:
-    """Both; the set-up is of no use afterwards."""
-    return {**revocation(made), **router_death(made)}
+def measure(made: Setup) -> dict[str, Any]:
+    """What fails in a set-up, which is of no use afterwards."""
+    if isinstance(made, Gatewayed):
+        return gateway_revocation(made)
+    return {**revocation(made), **router_death(made)} if isinstance(made, Relayed) else {}
 
 
 def revocation(made: Relayed) -> dict[str, Any]:
@@ -42,6 +46,19 @@ def revocation(made: Relayed) -> dict[str, Any]:
     if last >= other - 1:  # it received to the end, as the one beside it
         raise RuntimeError(f"the grant {grant_id(grant).hex()} is revoked, and still used")
     return {"revocation_ms": round((last - at) * 1000, 1)}
+
+
+def gateway_revocation(made: Gatewayed) -> dict[str, Any]:
+    """Milliseconds from the list at the origin to the last message behind the gateway of `s2`."""
+    _begin(made, _NUMBERS[0])
+    at = time.monotonic()
+    revoked = made.site.revoke(made.grants["s2"])
+    made.clerk.ask(deliver="rossec.updateRevocations", list=revoked.hex())
+    found = [max(each.values(), default=0.0) for each in _arrivals(made, _NUMBERS[0])]
+    behind, others = max(found[:3]), max(found[3:])
+    if behind >= others - 1:
+        raise RuntimeError("the grant of the gateway of s2 is revoked, and still used")
+    return {"gateway_revocation_ms": round((behind - at) * 1000, 1)}
 
 
 def router_death(made: Relayed) -> dict[str, Any]:
@@ -58,13 +75,13 @@ def router_death(made: Relayed) -> dict[str, Any]:
     }
 
 
-def _begin(made: Relayed, number: int) -> None:
+def _begin(made: Setup, number: int) -> None:
     order = {"size": _FLOW.size, "rate": _FLOW.rate, "count": _FLOW.count}
     made.talker.tell(number=number, point=order)
     time.sleep(_BEFORE)
 
 
-def _arrivals(made: Relayed, number: int) -> list[dict[int, float]]:
+def _arrivals(made: Setup, number: int) -> list[dict[int, float]]:
     """When each message of the flow arrived at each receiver, once it has ended."""
     made.talker.answer(_FLOW.seconds + 30)
     time.sleep(1)

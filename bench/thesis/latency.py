@@ -1,8 +1,8 @@
 """Experiments 5.2.1 to 5.2.4: latency by size and rate, and the largest message at 1 Hz.
 
-A short run measures few sizes, those about which the thesis says something; the whole one goes by
-the steps of 1, 2, 5 through sizes and rates. At each rate sizes are tried upwards until one does
-not hold: above it nothing would.
+A short run measures few sizes, those about which the thesis says something; a sweep goes by powers
+of ten through sizes and rates, the whole one by the steps of 1, 2, 5. At each rate sizes are tried
+upwards until one does not hold: above it nothing would.
 """
 
 import time
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from bench.thesis.claims import small
 from bench.thesis.results import Measured, copies, largest, measured
-from bench.thesis.setups import Direct, Relayed
+from bench.thesis.table import Running
 from bench.thesis.talk import Point
 
 SIZES: Final = (0, *(step * 10**power for power in range(2, 7) for step in (1, 2, 5)))
@@ -21,12 +21,15 @@ LONGEST: Final = 60.0  # seconds of a point
 DRAIN: Final = 2.0  # seconds for what is on its way after the last was sent
 SETTLED: Final = 120.0  # seconds at most until a full link is idle: ten messages of a publisher
 _IDLE: Final = 20_000  # bytes a second
+_SWEPT: Final = ((1, 8), (10, 50), (100, 200))  # rates of a sweep, with how many messages
 _LADDERS: Final = {
-    "direct_100m": (1_000_000, 2_000_000),
+    "direct_100m": (1_000_000, 2_000_000, 3_000_000),
     "plain_100m": (1_000_000,),
+    "gateway_100m": (2_000_000, 3_000_000),
     "relay_100m": (1_000_000, 2_000_000),
     "direct_300k": (5_000, 10_000),
-    "relay_300k": (10_000, 20_000),
+    "gateway_300k": (20_000, 30_000),
+    "relay_300k": (10_000,),
 }
 _FAST: Final = (Point(100, 20, 30), Point(1_000, 20, 30), Point(10_000, 20, 30))
 _SLOW: Final = (Point(100, 10, 20), Point(1_000, 2, 6))
@@ -39,14 +42,25 @@ def short(name: str) -> Iterator[list[Point]]:
     yield [Point(size, 1, 5) for size in _LADDERS[name]]
 
 
-def whole() -> Iterator[list[Point]]:
-    """The ladders of a whole run, one for each rate."""
+def sweep(name: str) -> Iterator[list[Point]]:
+    """The ladders of a sweep; at 1 Hz also what a short run tries."""
+    for rate, count in _SWEPT:
+        tens = {size for size in SIZES if size in (0, 5_000_000) or str(size).startswith("1")}
+        sizes = tens | set(_LADDERS[name]) if rate == 1 else tens
+        yield [Point(size, rate, count) for size in sorted(sizes)]
+
+
+def whole(_name: str) -> Iterator[list[Point]]:
+    """The ladders of a whole run, one for each rate; the same for every set-up."""
     for rate in RATES:
         count = min(MESSAGES, round(LONGEST * rate))
         yield [Point(size, rate, count) for size in SIZES]
 
 
-def climb(made: Direct | Relayed, ladders: Iterable[list[Point]]) -> dict[str, Any]:
+EXTENTS: Final = {"short": short, "sweep": sweep, "full": whole}
+
+
+def climb(made: Running, ladders: Iterable[list[Point]]) -> dict[str, Any]:
     """The figures of a set-up that runs."""
     found, passed, number = list[Measured](), dict[str, float](), 1
     _one(made, 0, _WARM)
@@ -72,7 +86,7 @@ def climb(made: Direct | Relayed, ladders: Iterable[list[Point]]) -> dict[str, A
     }
 
 
-def _one(made: Direct | Relayed, number: int, point: Point) -> Measured:
+def _one(made: Running, number: int, point: Point) -> Measured:
     """Send a point, and collect what arrived."""
     order = {"size": point.size, "rate": point.rate, "count": point.count}
     sent: list[float] = made.talker.ask(point.seconds + 30, number=number, point=order)
@@ -87,7 +101,7 @@ def _one(made: Direct | Relayed, number: int, point: Point) -> Measured:
     return measured(point, sent, [{int(n): at for n, at in each.items()} for each in answers])
 
 
-def _settle(made: Direct | Relayed) -> None:
+def _settle(made: Running) -> None:
     """Wait until the link is idle: what still waits would delay the next point."""
     before, end = -_IDLE - 1, time.monotonic() + SETTLED
     while (now := made.counted()) - before > _IDLE and time.monotonic() < end:

@@ -3,8 +3,8 @@
 The proportional set size counts a page that several processes share as the part of each, so that a
 sum of processes is what they need together. The thesis measured roscore, rosmaster, rosout and its
 multimaster process, and its proxy master; here these are Debian's roscore with its children, and
-`rossec master`, which follows other masters itself, the sidecar of a host, and the relay. For each
-node: what registering many of them adds, by plain calls at rosmaster and by nodes with a
+`rossec master`, which follows other masters itself, the sidecar of a host, relay and gateway. For
+each node: what registering many of them adds, by plain calls at rosmaster and by nodes with a
 connection of their own at rossec's.
 """
 
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench._sites import Slave, enroll_masters, slave
+from bench.thesis.gateways import GATEWAY
 from bench.thesis.programs import Program, Programs, programs
 from bench.thesis.talk import TOPIC
 from grants.model import Right
@@ -26,12 +27,14 @@ from rossec.sidecar.processes import descendants, parents
 from tests.support.hosts import Host
 from tests.support.ports import free_port
 from tests.support.site import Site
+from tests.support.trust import accept, share
 
 PLAIN_NODES: Final = 1000  # a node is less than a page there
 NODES: Final = 100
 PROGRAMS: Final = 8  # rospy nodes behind the sidecar
 _HERE: Final = Host((), "127.0.0.1", "::1")
 _TYPE: Final = "std_msgs/String"
+_OTHER: Final = "other"  # another trust domain
 _SETTLED: Final = 3.0  # seconds
 
 
@@ -91,10 +94,11 @@ def _wait_for_rosout(master: Any) -> None:
 
 
 def _ours(running: Programs) -> dict[str, Any]:
-    """`master`, `sidecar` and `relay`, each a process."""
+    """`master`, `sidecar`, `relay` and `gateway`, each a process."""
     site, port = Site(running.directory / "site"), free_port()
     enroll_masters(site, [MASTER])
     site.enroll("/relay")
+    _trust_other(site, running.directory)
     environ = {
         "ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1",
         "ROS_MASTER_URI": uri_at(port),
@@ -104,8 +108,11 @@ def _ours(running: Programs) -> dict[str, Any]:
     relay = _relay(running, environ)
     sidecar_port = free_port()
     sidecar = running.rossec(_HERE, environ, "sidecar", "-p", str(sidecar_port))
+    gateway = running.rossec(_HERE, environ, "gateway", "--json", "--from", _OTHER, "/**")
+    gateway.line()
     time.sleep(_SETTLED)
-    found = {"master": used(master), "sidecar": used(sidecar), "relay": used(relay)}
+    processes = {"master": master, "sidecar": sidecar, "relay": relay, "gateway": gateway}
+    found = {name: used(process) for name, process in processes.items()}
     _start_programs(running, site, {**environ, "ROS_MASTER_URI": uri_at(sidecar_port)})
     behind = used(sidecar)
     before = used(master)
@@ -115,6 +122,16 @@ def _ours(running: Programs) -> dict[str, Any]:
         "sidecar_kb_a_node": _each(found["sidecar"], behind, PROGRAMS),
         "master_kb_a_node": _each(before, after, NODES),
     }
+
+
+def _trust_other(site: Site, directory: Path) -> None:
+    """A gateway of the site, with a grant of another domain, of which nothing runs."""
+    other = Site(directory / _OTHER, _OTHER)
+    accept(other, site)
+    home = site.enroll(GATEWAY)
+    (home.path / "domains.cose").write_bytes(accept(site, other))
+    site.grant(GATEWAY, Right.GRAPH, "/**")
+    share(other, site, GATEWAY, Right.SUBSCRIBE, "/**")
 
 
 def _start_programs(running: Programs, site: Site, environ: dict[str, str]) -> None:

@@ -79,6 +79,21 @@ class Testbed:
             _run(self[name].at("tc", *shaped(device, kbit).split()))
         return Device(self[other], device), f"{net}.1"
 
+    def through(self, line: Device, router: str, far: str, host: str) -> None:
+        """Lead what a host behind a line and one of this site send each other over it.
+
+        Args:
+            line: the end of the line at the far host.
+            router: the host at its other end.
+            far: the address of that end.
+            host: of the router's site.
+        """
+        net = far.rpartition(".")[0]
+        _run(self[router].at("sysctl", "-qw", "net.ipv4.ip_forward=1"))
+        _run(line.host.at("ip", "route", "add", self[host].ipv4, "via", far, "dev", line.name))
+        back = ("ip", "route", "add", f"{net}.0/24", "via", self[router].ipv4)
+        _run(self[host].at(*back))
+
 
 @contextlib.contextmanager
 def network_of(names: Sequence[str], kbit: int = ETHERNET) -> Iterator[Testbed]:

@@ -1,4 +1,6 @@
-"""A node of a measurement, told by lines: `python -m bench.thesis.node NAME publish|subscribe`.
+"""A node of a measurement, told by lines: `python -m bench.thesis.node NAME ROLE [TOPIC]`.
+
+The role is `publish` or `subscribe`.
 
 A publisher is told a point and sends it on time, whatever becomes of the messages; it answers with
 the time of each. A subscriber keeps the time at which each message was there in whole, and answers
@@ -67,6 +69,19 @@ async def subscribing(subscriber: Subscriber, arrivals: Arrivals) -> None:
         arrivals.add(data)
 
 
+def told(subscriber: Subscriber, arrivals: Arrivals) -> Act:
+    """What a subscriber does when it is told."""
+
+    async def act(order: dict[str, Any]) -> object:
+        if "links" not in order:
+            return await arrivals.act(order)
+        while len(subscriber.links) != order["links"]:  # noqa: ASYNC110 - nobody is told
+            await asyncio.sleep(0.02)
+        return None
+
+    return act
+
+
 async def orders(act: Act, node: Node) -> None:
     """Carry out what is told, until the end of the input."""
     reader = asyncio.StreamReader(limit=1 << 22)
@@ -89,17 +104,17 @@ def tell(value: object) -> None:
     sys.stdout.flush()
 
 
-async def main(name: str, role: str) -> None:
+async def main(name: str, role: str, topic: str = TOPIC) -> None:
     """Be that node."""
     async with Node(name) as node:
         if role == "publish":
-            await orders(publishing(await node.publisher(TOPIC, TYPE)), node)
+            await orders(publishing(await node.publisher(topic, TYPE)), node)
             return
         arrivals = Arrivals()
-        subscriber = await node.subscriber(TOPIC, TYPE, queue_size=10_000)
+        subscriber = await node.subscriber(topic, TYPE, queue_size=10_000)
         async with asyncio.TaskGroup() as group:
             reading = group.create_task(subscribing(subscriber, arrivals))
-            await orders(arrivals.act, node)
+            await orders(told(subscriber, arrivals), node)
             reading.cancel()
 
 

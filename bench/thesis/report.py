@@ -30,7 +30,7 @@ def _memory(result: Mapping[str, Any]) -> Iterator[str]:
         ours: f"{MEMORY[theirs][0]} ({theirs}), {MEMORY[theirs][1]} kB"
         for ours, theirs in MEASURED.items()
     }
-    for name in ("full", "master", "sidecar", "relay"):
+    for name in (each for each in found if not each.endswith("_a_node")):
         node = found.get(f"{name}_kb_a_node")
         own = f"{found[name]:>8}" + (f", {node} kB" if node is not None else "")
         yield f"  {name:<14}{own:<24}thesis: {said.get(name, '-')}"

@@ -6,17 +6,15 @@ switch, whose ports are the links; by radio the two lines between the sites are 
 Rows of another way between the sites are made by another subclass of `Setup`.
 """
 
-import contextlib
 import json
 import secrets
 import sys
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Final
 
 from bench._sites import enroll_masters
-from bench.thesis.network import ETHERNET, RADIO, Device, Testbed, network_of
-from bench.thesis.programs import Program, Programs, programs
+from bench.thesis.network import ETHERNET, Device, Testbed
+from bench.thesis.programs import Program, Programs
 from bench.thesis.talk import TOPIC
 from rossec.overlay.mailboxes import BOX, mailbox
 from rossec.overlay.peers import Peer
@@ -30,7 +28,7 @@ TALKER: Final = "/talker"
 SITES: Final = ("s1", "s2", "s3")
 HOSTS: Final = ("s1", "p", "n1", "n2", "n3", "n4", "n5", "n6")
 ROUTED_HOSTS: Final = (*HOSTS, "s2", "s3")
-_PORT: Final = 11311
+PORT: Final = 11311
 _ROUTER_PORT: Final = 7447
 
 
@@ -62,20 +60,26 @@ class Setup:
         self.site.publish(TALKER, TOPIC)
         self.grants = {each: self.site.subscribe(each, TOPIC) for each in LISTENERS}
 
-    def start_nodes(self) -> None:
-        """Start the publisher and the subscribers, until all are connected."""
+    def start_nodes(self, topic: str = TOPIC, links: int = len(LISTENERS)) -> None:
+        """Start the publisher and the subscribers, until all are connected.
+
+        Args:
+            topic: as the subscribers call it.
+            links: how many connections the publisher has then.
+        """
         self.talker = self._node("p", TALKER, "publish")
         self.talker.answer()
         hosts = HOSTS[2:]
         self.listeners = [
-            self._node(host, name, "subscribe") for host, name in zip(hosts, LISTENERS, strict=True)
+            self._node(host, name, "subscribe", *([topic] if topic != TOPIC else []))
+            for host, name in zip(hosts, LISTENERS, strict=True)
         ]
         for each in self.listeners:
             each.answer()
-        self.talker.ask(links=len(LISTENERS))
+        self.talker.ask(links=links)
 
-    def _node(self, host: str, name: str, role: str) -> Program:
-        command = (sys.executable, "-m", self.module, name, role)
+    def _node(self, host: str, name: str, role: str, *topic: str) -> Program:
+        command = (sys.executable, "-m", self.module, name, role, *topic)
         return self.programs.start(role, self.network[host], self.environ(host), *command)
 
 
@@ -92,12 +96,12 @@ class Direct(Setup):
         """Start the only master."""
         self.join_domain(MASTER)
         master = self.programs.rossec(
-            self.network["s1"], self.environ("s1"), "master", "--json", "-p", str(_PORT)
+            self.network["s1"], self.environ("s1"), "master", "--json", "-p", str(PORT)
         )
         master.line()
 
     def environ(self, host: str) -> Mapping[str, str]:
-        return _environ(self.site, self.network[host].ipv4, self.network["s1"].ipv4)
+        return environ_of(self.site, self.network[host].ipv4, self.network["s1"].ipv4)
 
     def counted(self) -> int:
         return self.link.counters()[1]
@@ -109,14 +113,14 @@ class PlainDirect(Direct):
     module = "bench.thesis.stock"
 
     def start_master(self) -> None:
-        master = ("/usr/bin/rosmaster", "--core", "-p", str(_PORT))
+        master = ("/usr/bin/rosmaster", "--core", "-p", str(PORT))
         self.programs.start("rosmaster", self.network["s1"], self.environ("s1"), *master)
 
     def environ(self, host: str) -> Mapping[str, str]:
         folder = str(self.programs.directory)
         return {
             "ROS_IP": self.network[host].ipv4, "ROS_HOME": folder, "ROS_LOG_DIR": folder,
-            "ROS_MASTER_URI": f"http://{self.network['s1'].ipv4}:{_PORT}/",
+            "ROS_MASTER_URI": f"http://{self.network['s1'].ipv4}:{PORT}/",
         }  # fmt: skip
 
 
@@ -138,8 +142,10 @@ class Relayed(Setup):
         }  # fmt: skip
         for each in SITES:
             self._join(each, reached[each])
-        for each in SITES:
-            self._start_site(each)
+        for master in [self._start_master(each) for each in SITES]:
+            master.line()
+        for name, relay in [(each, self._start_relay(each)) for each in SITES]:
+            self.router_of[name] = json.loads(relay.line())["router"]
         self.start_nodes()
 
     def _links(self, kbit: int) -> dict[str, str]:
@@ -173,21 +179,24 @@ class Relayed(Setup):
         key = mailbox(OPEN_SEAT, bytes.fromhex(self._box(there, here)))
         return Peer(there, self._box(here, there), "", self._relay(there), key)
 
-    def _start_site(self, name: str) -> None:
-        host, environ = self.network[name], self.environ(name)
+    def _start_master(self, name: str) -> Program:
         others = SITES[1:] if name == "s1" else SITES[:1]
         config = self.programs.directory / f"{name}.yaml"
         lines = [f"    {o}: {{via: {o}, master: {self.masters[o]}}}\n" for o in others]
         config.write_text("federation:\n  sites:\n" + "".join(lines))
-        own = ("--json", "-p", str(_PORT), "--config", str(config))
+        own = ("--json", "-p", str(PORT), "--config", str(config))
         named = () if name == "s1" else ("--name", self.masters[name])
-        self.programs.rossec(host, environ, "master", *own, *named).line()
-        relay = self.programs.rossec(host, environ, "relay", "--doors", host.ipv4, "--json")
-        self.router_of[name] = json.loads(relay.line())["router"]
+        host = self.network[name]
+        return self.programs.rossec(host, self.environ(name), "master", *own, *named)
+
+    def _start_relay(self, name: str) -> Program:
+        host = self.network[name]
+        words = ("relay", "--doors", host.ipv4, "--json")
+        return self.programs.rossec(host, self.environ(name), *words)
 
     def environ(self, host: str) -> Mapping[str, str]:
-        at = host if host in SITES else _site_of(host)
-        own = _environ(self.site, self.network[host].ipv4, self.network[at].ipv4)
+        at = host if host in SITES else site_of(host)
+        own = environ_of(self.site, self.network[host].ipv4, self.network[at].ipv4)
         return {**own, "ROSSEC_MASTER": self.masters[at], "ROSSEC_RELAY": self._relay(at)}
 
     def counted(self) -> int:
@@ -204,38 +213,15 @@ class Relayed(Setup):
         return "/relay" if name == "s1" else f"/relay/{name}"
 
 
-SETUPS: Final[Mapping[str, tuple[type[Direct | Relayed], int]]] = {
-    "direct_100m": (Direct, ETHERNET),
-    "plain_100m": (PlainDirect, ETHERNET),
-    "relay_100m": (Relayed, ETHERNET),
-    "direct_300k": (Direct, RADIO),
-    "relay_300k": (Relayed, RADIO),
-}
-
-
-@contextlib.contextmanager
-def setup(name: str, directory: Path) -> Iterator[Direct | Relayed]:
-    """A running set-up; its files are in `directory`.
-
-    Raises:
-        NoNamespaces: it cannot be made here.
-    """
-    kind, kbit = SETUPS[name]
-    hosts = ROUTED_HOSTS if kind is Relayed else HOSTS
-    with network_of(hosts) as network, programs(directory) as running:
-        made = kind(network, running)
-        made.name = name
-        made.start(kbit)
-        yield made
-
-
-def _environ(site: Site, own: str, master: str) -> dict[str, str]:
+def environ_of(site: Site, own: str, master: str) -> dict[str, str]:
+    """The environment of a program of a site: addresses of its host and of its master."""
     return {
-        "ROSSEC_HOME": str(site.root), "ROS_IP": own, "ROS_MASTER_URI": f"http://{master}:{_PORT}/",
+        "ROSSEC_HOME": str(site.root), "ROS_IP": own, "ROS_MASTER_URI": f"http://{master}:{PORT}/",
     }  # fmt: skip
 
 
-def _site_of(host: str) -> str:
+def site_of(host: str) -> str:
+    """The site that a host belongs to, when there are three."""
     if host == "p":
         return "s1"
     return "s2" if int(host[1:]) <= len(LISTENERS) // 2 else "s3"

@@ -22,7 +22,7 @@ from ca.names import parse_spiffe_id
 from ca.patterns import covers
 
 NO_FLOOR: Final = (0, 0)
-_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept"
+_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from ca.patterns import covers
 from ca.revocation.state import Revocations, open_timestamp
 
 MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
-_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept"
+_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
 _SILENT: Final = "does this side's master reach that domain's? rossec federation status"
 
 

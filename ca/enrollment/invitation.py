@@ -105,7 +105,7 @@ class InvitationCode:
         if now > self.expires:
             raise CodeExpired(
                 f"the invitation expired {now - self.expires} s ago",
-                "check this computer's clock; for another: rossec ca invite",
+                "check this computer's clock; for another: rossec ca invite PATTERN",
             )
 
     def body(self) -> bytes:

@@ -2,7 +2,7 @@
 
 It shows that it is `/ca` now, by a signature over both nonces, and hands the request on: it has no
 record and not the authority's key, and decides nothing. What it is given as the answer it sends.
-A session is one hello, one request, one answer; any other message ends it.
+A session is one hello, at most one claim, one request, one answer; any other message ends it.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,15 @@ from enum import Enum
 from typing import Final
 
 from ca.enrollment import NONCE_SIZE, join_transcript
+from ca.enrollment.join_claim import JoinClaim
 from ca.enrollment.join_messages import (
+    Claim,
     Hello,
     Join,
     JoinAnswer,
     JoinMessage,
+    NameAnswer,
+    Named,
     Welcome,
     read,
     write,
@@ -29,6 +33,8 @@ class AuthorityJoinState(Enum):
 
     GREETING = "waiting for a node"
     WELCOMED = "waiting for the request"
+    NAMING = "a name is being found"
+    NAMED = "waiting for the request with that name"
     DECIDING = "the request is being decided"
     ANSWERED = "answered"
     OVER = "ended"
@@ -37,9 +43,15 @@ class AuthorityJoinState(Enum):
 _S = AuthorityJoinState
 TABLE: Final[dict[tuple[_S, type[JoinMessage]], tuple[str, tuple[_S, ...]]]] = {
     (_S.GREETING, Hello): ("_welcome", (_S.WELCOMED,)),
+    (_S.WELCOMED, Claim): ("_take_claim", (_S.NAMING,)),
     (_S.WELCOMED, Join): ("_accept", (_S.DECIDING, _S.OVER)),
+    (_S.NAMED, Join): ("_accept", (_S.DECIDING, _S.OVER)),
 }
-WITHOUT_MESSAGE: Final = ((_S.DECIDING, _S.ANSWERED, "answer()"),)
+WITHOUT_MESSAGE: Final = (
+    (_S.NAMING, _S.NAMED, "name()"),
+    (_S.NAMING, _S.ANSWERED, "name()"),
+    (_S.DECIDING, _S.ANSWERED, "answer()"),
+)
 """The transitions that no message causes."""
 
 
@@ -65,6 +77,18 @@ class AuthorityJoin:
         self._nonce = nonce
         self._transcript = b""
         self._request: JoinRequest | None = None
+        self._claim: JoinClaim | None = None
+
+    @property
+    def claim(self) -> JoinClaim:
+        """The claim to be named; nothing of it is verified.
+
+        Raises:
+            EnrollmentOver: there is none.
+        """
+        if self._claim is None:
+            raise EnrollmentOver("there is no claim")
+        return self._claim
 
     @property
     def request(self) -> JoinRequest:
@@ -78,7 +102,7 @@ class AuthorityJoin:
         return self._request
 
     def receive(self, data: bytes) -> bytes | None:
-        """Process one message of a node; returns what to send, or None if `request` is there.
+        """Process one message of a node; returns what to send, or None: see `claim`, `request`.
 
         Raises:
             EnrollmentMessageRefused: the connection must be closed.
@@ -97,6 +121,18 @@ class AuthorityJoin:
             raise
         assert self.state in followers  # noqa: S101 - the table is the truth
         return sent
+
+    def name(self, answer: NameAnswer) -> bytes:
+        """The answer to the claim; after a refusal the connection is closed.
+
+        Raises:
+            EnrollmentOver: there is no claim, or it was answered.
+        """
+        if self.state is not AuthorityJoinState.NAMING:
+            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
+        is_named = isinstance(answer, Named)
+        self.state = AuthorityJoinState.NAMED if is_named else AuthorityJoinState.ANSWERED
+        return write(answer)
 
     def answer(self, answer: JoinAnswer) -> bytes:
         """The last message; the connection is closed after it.
@@ -119,8 +155,13 @@ class AuthorityJoin:
         self.state = AuthorityJoinState.WELCOMED
         return write(Welcome(self._nonce, own.chain, own.root, statement))
 
+    def _take_claim(self, message: Claim) -> None:
+        self._claim = JoinClaim(self.invitation, self._transcript, message.metadata, message.proof)
+        self.state = AuthorityJoinState.NAMING
+
     def _accept(self, message: Join) -> None:
         self._request = JoinRequest(
-            self.invitation, self._transcript, message.name, message.csr, message.proof
-        )
+            self.invitation, self._transcript, message.name, message.csr, message.proof,
+            message.metadata,
+        )  # fmt: skip
         self.state = AuthorityJoinState.DECIDING

@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 from ca.encoding import Value, decode, encode
 from ca.enrollment import NONCE_SIZE
 from ca.enrollment.invitation import ID_SIZE
-from ca.enrollment.join_transcript import MAX_STATEMENT
+from ca.enrollment.join_transcript import MAX_METADATA, MAX_STATEMENT
 from ca.enrollment.messages import MAX_CHAIN, MAX_MESSAGE, VERSION
 from ca.errors import EncodingError, EnrollmentMessageRefused
 from ca.names import MAX_NAME
@@ -27,11 +27,12 @@ class WaitReason(IntEnum):
 
 
 class RefuseReason(IntEnum):
-    """Why a join was refused. A peer that did not prove the secret is told the first or the last.
+    """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY.
 
     REFUSED: no such invitation, or the proof is wrong; ENDED: it has expired, was ended or is used
     up; NAME: it does not allow the name; REQUEST: the request is invalid; DENIED: a person denied
-    it, or its key is revoked; BUSY: too many at once.
+    it, or its key is revoked; BUSY: too many at once. Only where there are metadata: UNNAMED: the
+    authority has no rules for names; METADATA: its rules give no name for them.
     """
 
     REFUSED = 1
@@ -40,6 +41,8 @@ class RefuseReason(IntEnum):
     REQUEST = 4
     DENIED = 5
     BUSY = 6
+    UNNAMED = 7
+    METADATA = 8
 
 
 _WAITS: Final = frozenset(WaitReason)
@@ -66,11 +69,30 @@ class Welcome:
 
 @dataclass(frozen=True)
 class Join:
-    """Node to authority: the name, the request (CSR, DER), and the proof of the secret."""
+    """Node to authority: the name, the request (CSR, DER), and the proof of the secret.
+
+    With `metadata` the authority issues only the name that its rules give for them.
+    """
 
     name: str
     csr: bytes
     proof: bytes
+    metadata: bytes = b""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Node to authority: its metadata, to be told its name, and the proof of the secret."""
+
+    metadata: bytes
+    proof: bytes
+
+
+@dataclass(frozen=True)
+class Named:
+    """Authority to node: the name that the rules give for its metadata."""
+
+    name: str
 
 
 @dataclass(frozen=True)
@@ -95,7 +117,8 @@ class Refused:
 
 
 JoinAnswer: TypeAlias = Issued | Waiting | Refused
-JoinMessage: TypeAlias = Hello | Welcome | Join | JoinAnswer
+NameAnswer: TypeAlias = Named | Refused
+JoinMessage: TypeAlias = Hello | Welcome | Join | Claim | Named | JoinAnswer
 
 
 def write(message: JoinMessage) -> bytes:
@@ -124,14 +147,24 @@ def _fields(message: JoinMessage) -> list[Value]:
             return [7, invitation, nonce]
         case Welcome(nonce, chain, root, statement):
             return [8, nonce, list(chain), root, statement]
-        case Join(name, csr, proof):
-            return [9, name, csr, proof]
+        case Join(name, csr, proof, metadata):
+            return [9, name, csr, proof, *([metadata] if metadata else [])]
+        case Claim(metadata, proof):
+            return [13, metadata, proof]
+        case _:
+            return _answer_fields(message)
+
+
+def _answer_fields(answer: JoinAnswer | Named) -> list[Value]:
+    match answer:
         case Issued(chain):
             return [10, list(chain)]
         case Waiting(reason):
             return [11, int(reason)]
-        case _:
-            return [12, int(message.reason)]
+        case Refused(reason):
+            return [12, int(reason)]
+        case Named(name):
+            return [14, name]
 
 
 def _message(fields: Value) -> JoinMessage | None:
@@ -141,14 +174,26 @@ def _message(fields: Value) -> JoinMessage | None:
         case [1, 8, bytes() as nonce, [*chain], bytes() as root, bytes() as statement]:
             return _welcome(nonce, _chain(chain), root, statement)
         case [1, 9, str() as name, bytes() as csr, bytes() as proof]:
-            fits = len(name) <= MAX_NAME and len(csr) <= MAX_REQUEST and len(proof) <= MAX_STATEMENT
-            return Join(name, csr, proof) if fits else None
+            return _fitting(Join(name, csr, proof))
+        case [1, 9, str() as name, bytes() as csr, bytes() as proof, bytes() as metadata]:
+            return _fitting(Join(name, csr, proof, metadata))
         case [int() as version, *_] if version != VERSION:
             raise EnrollmentMessageRefused(
                 f"the other side uses version {version} of the enrollment",
                 "update the older of the two sides",
             )
-    return _answer(fields)
+    return _claim(fields) or _answer(fields)
+
+
+def _claim(fields: Value) -> Claim | Named | None:
+    match fields:
+        case [1, 13, bytes() as metadata, bytes() as proof]:
+            fits = 0 < len(metadata) <= MAX_METADATA and len(proof) <= MAX_STATEMENT
+            return Claim(metadata, proof) if fits else None
+        case [1, 14, str() as name]:
+            return Named(name) if len(name) <= MAX_NAME else None
+        case _:
+            return None
 
 
 def _answer(fields: Value) -> JoinAnswer | None:
@@ -160,6 +205,16 @@ def _answer(fields: Value) -> JoinAnswer | None:
         case [1, 12, int() as reason] if reason in _REFUSALS:
             return Refused(RefuseReason(reason))
     return None
+
+
+def _fitting(join: Join) -> Join | None:
+    fits = (
+        len(join.name) <= MAX_NAME
+        and len(join.csr) <= MAX_REQUEST
+        and len(join.proof) <= MAX_STATEMENT
+        and len(join.metadata) <= MAX_METADATA
+    )
+    return join if fits else None
 
 
 def _welcome(

@@ -15,22 +15,24 @@ from hmac import compare_digest
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.enrollment import NONCE_SIZE, join_transcript
+from ca.enrollment import NONCE_SIZE, join_refusals, join_transcript
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.issued import check_issued
 from ca.enrollment.join_messages import (
+    Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    Named,
     Refused,
     RefuseReason,
     Waiting,
-    WaitReason,
     Welcome,
     read,
     write,
 )
+from ca.enrollment.join_transcript import MAX_METADATA
 from ca.errors import (
     CAError,
     CertificateExpired,
@@ -42,43 +44,13 @@ from ca.errors import (
     JoinRefused,
     JoinWaiting,
     NotTheAuthority,
+    RequestRefused,
 )
-from ca.names import AUTHORITY
+from ca.names import AUTHORITY, check_name, is_reserved
+from ca.patterns import covers
 from ca.requests import IdentityRequest, check_request
 
-_AGAIN: Final = "then run `rossec node join` again: the same request gets its answer"
 _CLOCK: Final = "check this computer's clock; if it is right, at the authority: rossec ca renew /ca"
-_WAITING: Final = {
-    WaitReason.LOCKED: ("the authority is locked", f"at the authority: rossec ca unlock; {_AGAIN}"),
-    WaitReason.PERSON: (
-        "a person has to approve this: the name is known with another key",
-        f"at the authority: rossec ca requests, and approve; {_AGAIN}",
-    ),
-}
-_REFUSED: Final = {
-    RefuseReason.REFUSED: (
-        "the authority does not know this invitation",
-        "was it made by another authority, or before a restore? another one: rossec ca invite",
-    ),
-    RefuseReason.ENDED: (
-        "the invitation has expired, was revoked, or is used up",
-        "at the authority: rossec ca invitations; another one: rossec ca invite",
-    ),
-    RefuseReason.NAME: (
-        "the invitation does not allow this name",
-        "give a name within its pattern that no other node has: --name",
-    ),
-    RefuseReason.REQUEST: (
-        "the authority does not accept this request", "move the node's directory away and try again"
-    ),
-    RefuseReason.DENIED: (
-        "this request was denied, or its key is revoked",
-        "move the node's directory away and join with a new key",
-    ),
-    RefuseReason.BUSY: (
-        "too many nodes are joining, or too many requests wait", "try again in a minute"
-    ),
-}  # fmt: skip
 
 
 class NodeJoinState(Enum):
@@ -86,6 +58,8 @@ class NodeJoinState(Enum):
 
     GREETING = "waiting for the authority"
     WELCOMED = "the authority is verified"
+    CLAIMED = "waiting for a name"
+    NAMED = "has a name"
     PROVED = "waiting for the answer"
     JOINED = "joined"
     WAITING = "not answered yet"
@@ -96,11 +70,17 @@ _S = NodeJoinState
 TABLE: Final[dict[tuple[_S, type[JoinMessage]], tuple[str, tuple[_S, ...]]]] = {
     (_S.GREETING, Welcome): ("_verify", (_S.WELCOMED, _S.OVER)),
     (_S.GREETING, Refused): ("_refused", (_S.OVER,)),
+    (_S.CLAIMED, Named): ("_named", (_S.NAMED, _S.OVER)),
+    (_S.CLAIMED, Refused): ("_refused", (_S.OVER,)),
     (_S.PROVED, Issued): ("_issued", (_S.JOINED, _S.OVER)),
     (_S.PROVED, Waiting): ("_waiting", (_S.WAITING,)),
     (_S.PROVED, Refused): ("_refused", (_S.OVER,)),
 }
-WITHOUT_MESSAGE: Final = ((_S.WELCOMED, _S.PROVED, "join()"),)
+WITHOUT_MESSAGE: Final = (
+    (_S.WELCOMED, _S.CLAIMED, "claim()"),
+    (_S.WELCOMED, _S.PROVED, "join()"),
+    (_S.NAMED, _S.PROVED, "join()"),
+)
 """The transitions that no message causes."""
 
 
@@ -127,6 +107,8 @@ class NodeJoin:
         self._anchor: TrustAnchor | None = None
         self._request: IdentityRequest | None = None
         self._identity: JoinedIdentity | None = None
+        self._metadata = b""
+        self._name = ""
 
     def hello(self) -> bytes:
         """The first message."""
@@ -142,6 +124,17 @@ class NodeJoin:
         if self._anchor is None:
             raise EnrollmentOver("the authority is not verified yet")
         return self._anchor
+
+    @property
+    def name(self) -> str:
+        """The name that the authority's rules gave, within the invitation.
+
+        Raises:
+            EnrollmentOver: there is none.
+        """
+        if not self._name:
+            raise EnrollmentOver("the authority has given no name")
+        return self._name
 
     @property
     def identity(self) -> JoinedIdentity:
@@ -177,21 +170,45 @@ class NodeJoin:
             raise
         assert self.state in followers  # noqa: S101 - the table is the truth
 
-    def join(self, csr: bytes) -> bytes:
-        """The request with its proof; `csr` is for a name within the invitation.
+    def claim(self, metadata: bytes) -> bytes:
+        """Ask which name the authority's rules give for `metadata`, of 1 to 4096 octets.
 
         Raises:
             EnrollmentOver: the authority is not verified, or this was done.
-            RequestRefused: `csr` is invalid, or for another trust domain.
+            EnrollmentMessageRefused: no metadata, or too long.
         """
-        if self.state is not NodeJoinState.WELCOMED:
-            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
+        self._require(NodeJoinState.WELCOMED)
+        self._metadata = _checked(metadata)
+        proof = join_transcript.sign_claim(self._code.signer, self._transcript, metadata)
+        self.state = NodeJoinState.CLAIMED
+        return write(Claim(metadata, proof))
+
+    def join(self, csr: bytes, metadata: bytes = b"") -> bytes:
+        """The request with its proof; `csr` is for a name within the invitation, or `name`.
+
+        With `metadata`, those of the claim if there was one, the name must be the one that the
+        authority's rules give for them.
+
+        Raises:
+            EnrollmentOver: the authority is not verified, or this was done.
+            RequestRefused: `csr` is invalid, for another trust domain, or not for `name`.
+            EnrollmentMessageRefused: metadata that are too long.
+        """
+        self._require(NodeJoinState.WELCOMED, NodeJoinState.NAMED)
+        if metadata and not self._metadata:
+            self._metadata = _checked(metadata)
         wildcard = self._code.wildcard
         self._request = check_request(csr, self.anchor.domain, wildcard=wildcard)
-        name, signer = self._request.name, self._code.signer
-        proof = join_transcript.sign_proof(signer, self._transcript, csr, name)
+        name, signer, metadata = self._request.name, self._code.signer, self._metadata
+        if self._name and name != self._name:
+            raise RequestRefused(f"the request is not for {self._name}")
+        proof = join_transcript.sign_proof(signer, self._transcript, csr, name, metadata)
         self.state = NodeJoinState.PROVED
-        return write(Join(name, csr, proof))
+        return write(Join(name, csr, proof, metadata))
+
+    def _require(self, *states: NodeJoinState) -> None:
+        if self.state not in states:
+            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
 
     def _verify(self, message: Welcome, now: int) -> None:
         """Check the hash first: a root that is not the code's is not parsed."""
@@ -209,6 +226,16 @@ class NodeJoin:
         self._anchor, self._transcript = anchor, transcript_hash
         self.state = NodeJoinState.WELCOMED
 
+    def _named(self, message: Named, _: int) -> None:
+        """A name on the way may be forged: the authority issues none but that of its rules."""
+        name = check_name(message.name)
+        if is_reserved(name) or not covers(self._code.pattern, name):
+            raise NotTheAuthority(
+                f"the peer gives the name {name}, which the invitation does not allow",
+                "the authority gives none outside of it: find out who answers at that address",
+            )
+        self._name, self.state = name, NodeJoinState.NAMED
+
     def _issued(self, message: Issued, now: int) -> None:
         assert self._request is not None  # noqa: S101 - in PROVED there is one
         root = self.anchor.certificate
@@ -218,11 +245,21 @@ class NodeJoin:
 
     def _waiting(self, message: Waiting, _: int) -> None:
         self.state = NodeJoinState.WAITING
-        raise JoinWaiting(*_WAITING[message.reason])
+        raise JoinWaiting(*join_refusals.WAITING[message.reason])
 
     def _refused(self, message: Refused, _: int) -> None:
         kind = JoinBusy if message.reason is RefuseReason.BUSY else JoinRefused
-        raise kind(*_REFUSED[message.reason])
+        texts = join_refusals.CLAIM_REFUSED if self._metadata else join_refusals.REFUSED
+        raise kind(*texts[message.reason])
+
+
+def _checked(metadata: bytes) -> bytes:
+    if not 0 < len(metadata) <= MAX_METADATA:
+        raise EnrollmentMessageRefused(
+            f"{len(metadata)} bytes of metadata where 1 to {MAX_METADATA} are allowed",
+            "a join takes what a name needs: leave the rest out",
+        )
+    return metadata
 
 
 def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> Identity:

@@ -16,15 +16,18 @@ from ca.names import MAX_NAME
 from ca.requests import MAX_REQUEST
 
 _HASH: Final = 32
-_HEAD: Final = ID_SIZE + _HASH + 3  # and the sizes of proof and name
-MAX_SIZE: Final = _HEAD + join_transcript.MAX_STATEMENT + MAX_NAME + MAX_REQUEST
+_SIZES: Final = ID_SIZE + _HASH  # where those of proof, name and metadata are
+_HEAD: Final = _SIZES + 5
+MAX_METADATA: Final = join_transcript.MAX_METADATA
+MAX_SIZE: Final = _HEAD + join_transcript.MAX_STATEMENT + MAX_NAME + MAX_METADATA + MAX_REQUEST
 
 
 @dataclass(frozen=True)
 class JoinRequest:
     """A node's request to join: the invitation's id, the transcript, what is asked, the proof.
 
-    `csr` is DER of at most 2048 octets, `name` is ASCII; everything is untrusted until `verify`.
+    `csr` is DER of at most 2048 octets, `name` is ASCII, `metadata` are empty if the node chose its
+    name itself; everything is untrusted until `verify`.
     """
 
     invitation: bytes
@@ -32,6 +35,7 @@ class JoinRequest:
     name: str
     csr: bytes
     proof: bytes
+    metadata: bytes = b""
 
     def __post_init__(self) -> None:
         exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _HASH
@@ -40,6 +44,7 @@ class JoinRequest:
             and len(self.name) <= MAX_NAME
             and len(self.csr) <= MAX_REQUEST
             and len(self.proof) <= join_transcript.MAX_STATEMENT
+            and len(self.metadata) <= MAX_METADATA
         )
         if not exact or not fits:
             raise EnrollmentMessageRefused("the parts of a request to join have wrong sizes")
@@ -51,9 +56,9 @@ class JoinRequest:
 
     def to_bytes(self) -> bytes:
         """The request for the process that has the key."""
-        name = self.name.encode()
-        sizes = len(self.proof).to_bytes(2) + len(name).to_bytes(1)
-        return b"".join((self.invitation, self.transcript, sizes, self.proof, name, self.csr))
+        name, parts = self.name.encode(), (self.invitation, self.transcript)
+        sizes = len(self.proof).to_bytes(2) + len(name).to_bytes(1) + len(self.metadata).to_bytes(2)
+        return b"".join((*parts, sizes, self.proof, name, self.metadata, self.csr))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -62,14 +67,14 @@ class JoinRequest:
         Raises:
             EnrollmentMessageRefused: too long, too short, or a part is too long.
         """
-        proof = int.from_bytes(data[_HEAD - 3 : _HEAD - 1])
-        name = _HEAD + proof
-        csr = name + int.from_bytes(data[_HEAD - 1 : _HEAD])
-        if not csr <= len(data) <= MAX_SIZE or not data[name:csr].isascii():
+        name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
+        metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
+        csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])
+        if not csr <= len(data) <= MAX_SIZE or not data[name:metadata].isascii():
             raise EnrollmentMessageRefused("a request to join of a wrong size")
         return cls(
-            data[:ID_SIZE], data[ID_SIZE : ID_SIZE + _HASH], data[name:csr].decode(), data[csr:],
-            data[_HEAD:name],
+            data[:ID_SIZE], data[ID_SIZE:_SIZES], data[name:metadata].decode(), data[csr:],
+            data[_HEAD:name], data[metadata:csr],
         )  # fmt: skip
 
     def verify(self, point: bytes) -> None:
@@ -79,4 +84,6 @@ class JoinRequest:
             JoinRefused: it was not.
         """
         key = public_key(point)
-        join_transcript.check_proof(self.proof, key, self.transcript, self.csr, self.name)
+        join_transcript.check_proof(
+            self.proof, key, self.transcript, self.csr, self.name, self.metadata
+        )

@@ -18,9 +18,11 @@ from ca.errors import JoinRefused, NotTheAuthority, SignatureError
 from ca.keys.signer import Signer
 
 MAX_STATEMENT: Final = 512
+MAX_METADATA: Final = 4096  # what a node says of itself, where rules give names
 _CONTEXT: Final = "rossec-join-v1"
 _LIVE: Final = Profile("rossec-join-live+cbor")
 _PROOF: Final = Profile("rossec-join-proof+cbor")
+_CLAIM: Final = Profile("rossec-join-claim+cbor")
 
 
 def transcript(
@@ -53,21 +55,56 @@ def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: byt
         ) from error
 
 
-def sign_proof(signer: Signer, transcript_hash: bytes, csr: bytes, name: str) -> bytes:
+def sign_proof(
+    signer: Signer, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b""
+) -> bytes:
     """The node's proof of the secret; `signer` has the key derived from it."""
-    return _PROOF.sign(signer, [transcript_hash, _digest(csr), name])
+    return _PROOF.sign(signer, _asked(transcript_hash, csr, name, metadata))
 
 
 def check_proof(
-    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, csr: bytes, name: str
+    data: bytes,
+    key: ec.EllipticCurvePublicKey,
+    transcript_hash: bytes,
+    csr: bytes,
+    name: str,
+    metadata: bytes = b"",
 ) -> None:
-    """Return if the holder of the secret asks for `csr` in this join. The CSR is only hashed.
+    """Return if the holder of the secret asks for `csr` in this join. It is only hashed.
 
     Raises:
         JoinRefused: it is not the proof.
     """
+    _check(_PROOF, data, key, _asked(transcript_hash, csr, name, metadata))
+
+
+def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes:
+    """The node's proof of the secret, to be told its name by metadata."""
+    return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
+
+
+def check_claim(
+    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes
+) -> None:
+    """Return if the holder of the secret sends `metadata`, which are only hashed.
+
+    Raises:
+        JoinRefused: it is not the proof.
+    """
+    _check(_CLAIM, data, key, [transcript_hash, _digest(metadata)])
+
+
+def _asked(transcript_hash: bytes, csr: bytes, name: str, metadata: bytes) -> list[Value]:
+    """What a proof is about; metadata only if there are some, as in version 1 without them."""
+    asked: list[Value] = [transcript_hash, _digest(csr), name]
+    return [*asked, _digest(metadata)] if metadata else asked
+
+
+def _check(
+    profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, content: list[Value]
+) -> None:
     try:
-        _PROOF.check(data, key, [transcript_hash, _digest(csr), name])
+        profile.check(data, key, content)
     except SignatureError as error:
         raise JoinRefused(f"the node does not prove the invitation's secret: {error}") from error
 

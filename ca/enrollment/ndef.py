@@ -45,5 +45,6 @@ def read(data: bytes) -> InvitationCode:
         if write(code) == data:
             return code
     raise CodeRefused(
-        "the tag does not hold an invitation of rossec", "write it with: rossec ca invite --ndef"
+        "the tag does not hold an invitation of rossec",
+        "write it with: rossec ca invite PATTERN --ndef FILE",
     )

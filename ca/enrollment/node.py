@@ -39,7 +39,7 @@ from ca.requests import check_request
 
 MAX_BAD_TAGS: Final = 5
 MAX_BAD_DIGITS: Final = 3
-_RESTART_HINT: Final = "start again: rossec node enroll"
+_RESTART_HINT: Final = "start again: rossec node enroll NAME"
 
 
 class NodeState(Enum):

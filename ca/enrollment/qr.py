@@ -75,7 +75,7 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
     if len(secret) != SECRET_SIZE or not 0 < len(address) <= _MAX_ADDRESS or not address.isascii():
         raise CodeRefused(
             "a screen code needs 16 bytes of secret and an address of 1 to 64 ASCII characters",
-            "give a shorter one: rossec node enroll --address 192.168.1.7",
+            "give a shorter one: rossec node enroll NAME --address 192.168.1.7",
         )
     if not 0 <= expires < 1 << 32:
         raise CodeRefused("the expiry of a screen code is out of range")

@@ -191,12 +191,14 @@ def _log_in(token: Any, pin: str) -> Any:
 
 def _public(uri: KeyUri, point: bytes) -> ec.EllipticCurvePublicKey:
     if not point.startswith(_OCTET_STRING):
-        raise KeyRefused(f"the key {uri.object} is not a P-256 key", "make one with rossec ca init")
+        raise KeyRefused(
+            f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
+        )
     try:
         return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point[2:]))
     except ValueError as error:
         raise KeyRefused(
-            f"the key {uri.object} is not a P-256 key", "make one with rossec ca init"
+            f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
         ) from error
 
 

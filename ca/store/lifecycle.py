@@ -48,7 +48,7 @@ RETENTION: Final[dict[RequestState, int]] = {
     RequestState.ISSUED: 7 * DAY,
 }
 _HINTS: Final = {
-    RequestState.PENDING: "first approve it: rossec ca approve",
+    RequestState.PENDING: "first approve it: rossec ca approve REQUEST_ID",
     RequestState.APPROVED: "",
     RequestState.DENIED: "if that was a mistake, make a new request on the node",
     RequestState.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME",

@@ -1,8 +1,8 @@
 """The log in the authority's record: written with every change, and audited as a whole.
 
 `audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
-record with its log entry, replays the transitions of every request, the approvals of persons and
-the foreign domains, and checks each signed head.
+record with its log entry, replays the transitions of every request, the approvals of persons, the
+foreign domains and the things, and checks each signed head.
 """
 
 from itertools import zip_longest
@@ -27,6 +27,7 @@ from ca.store.log_entries import (
     open_head,
     split_peaks,
 )
+from ca.store.thing_replay import KIND, replay_things
 
 COLLECTED = "collected"
 _OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
@@ -108,6 +109,7 @@ class AuthorityLog:
         self._check_requests(entries)
         replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
         replay_domains(entries, {what: self._rows_of(what) for what in KINDS}, key)
+        replay_things(entries, self._rows_of(KIND), key)
         newest = Head(0, root_of(()), 0)
         for data in (*self.heads(), *more):
             head = open_head(data, key)

@@ -3,7 +3,8 @@
 Version 2 made a tree of the log. Version 3 took the requests for grants and their answers into the
 log, which until then were tables of their own, and knows which grants came from a policy: those
 signed before count as made by hand. Version 4 adds passkeys and approvals, version 5 foreign
-domains, of which there were none. Each step runs inside the caller's transaction.
+domains, version 6 constrained things, of which there were none. Each step runs inside the caller's
+transaction.
 """
 
 import sqlite3
@@ -31,6 +32,9 @@ def migrate(db: sqlite3.Connection) -> None:
     if schema.version(db) == 4:
         _add_tables(db, schema.VERSION_5, schema.DOMAINS)
         _finish(db, 5)
+    if schema.version(db) == 5:
+        _add_tables(db, schema.VERSION_6, schema.THINGS)
+        _finish(db, 6)
 
 
 def _to_version_2(db: sqlite3.Connection) -> None:

@@ -25,6 +25,7 @@ from ca.store.passkeys import PasskeyTable
 from ca.store.requests import RequestTable
 from ca.store.rows import CertificateRow, GrantRow, RevocationRow
 from ca.store.schema import append_entry
+from ca.store.things import ThingTable
 
 _OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
 
@@ -35,7 +36,8 @@ class Store:
     """An open record. Create it with `create` or `open`.
 
     `requests` are those for identities, `identities` what came of them, `log` what was done;
-    `passkeys` and `approvals` say who approved it; `domains` are the foreign ones that are trusted.
+    `passkeys` and `approvals` say who approved it; `domains` are the foreign ones that are trusted,
+    `things` the statements about constrained things.
     """
 
     def __init__(self, database: Database) -> None:
@@ -47,6 +49,7 @@ class Store:
         self.passkeys = PasskeyTable(database)
         self.approvals = ApprovalTable(database, self.passkeys, self.log)
         self.domains = DomainTable(database)
+        self.things = ThingTable(database)
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -135,12 +138,18 @@ class Store:
             if self.identities.unrevoked(name, now):
                 raise StoreError(
                     f"the intermediate that signed the identity of {name} is revoked",
-                    f"enroll it again: rossec node request {name}, then rossec ca sign",
+                    f"enroll it again: rossec node request {name}, then rossec ca sign FILE",
+                )
+            if any(row.not_after >= now for row in self.identities.by_name(name)):
+                raise StoreError(
+                    f"the identity of {name} is revoked",
+                    "for a new one, on its machine, move the directory of its key away, then:"
+                    f" rossec node request {name}",
                 )
             certified = self.identities.certified_name(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"first enroll it: rossec node request {name}, then rossec ca sign;"
+                f"first enroll it: rossec node request {name}, then rossec ca sign FILE;"
                 " where an intermediate enrolled or renewed it: rossec ca import NODE.pem"
                 if certified == name
                 else f"it is one of the anonymous nodes of {certified}: name that",

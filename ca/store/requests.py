@@ -130,7 +130,9 @@ class RequestTable:
         """
         stored = self.find(digest)
         if stored is None:
-            raise RequestClosed("the request is not recorded", "first: rossec ca approve")
+            raise RequestClosed(
+                "the request is not recorded", "first: rossec ca approve REQUEST_ID"
+            )
         _update(db, advance(stored, RequestState.ISSUED, now))
 
     def _expired(self, now: int) -> list[RequestRow]:

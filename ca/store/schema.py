@@ -16,7 +16,7 @@ from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.log_entries import LogEntry, extend_peaks
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
-VERSION: Final = 5
+VERSION: Final = 6
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")  # of version 1
 ANSWERS: Final = "answer"  # of version 2, and append-only as well
@@ -29,6 +29,7 @@ APPROVALS: Final = (  # of version 4, all append-only
 DOMAINS: Final = (  # of version 5, all append-only
     "foreign_domain", "foreign_domain_end", "domain_list", "foreign_certificate",
 )  # fmt: skip
+THINGS: Final = ("thing",)  # of version 6, append-only
 _APPROVAL: Final = (
     "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
 )
@@ -52,6 +53,7 @@ LOGGED_TABLES: Final = {
     "domain ended": ("foreign_domain_end", "number, reason, at"),
     "domain list": ("domain_list", "epoch, seq, data"),
     "foreign certificate": ("foreign_certificate", "thumbprint, root, name, der, at"),
+    "thing": ("thing", "id, name, border, data, not_before, expires"),
 }
 
 VERSION_1: Final = (  # unchanged since version 1
@@ -152,7 +154,14 @@ VERSION_5: Final = (
         at INTEGER NOT NULL
     ) STRICT""",
 )
-_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5)
+VERSION_6: Final = (
+    # Statements about constrained things; `border` is the name of the router that serves it.
+    """CREATE TABLE thing (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, border TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5, *VERSION_6)
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -176,7 +185,7 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 def create(db: sqlite3.Connection) -> None:
     """Create the tables of a new record."""
-    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS)
+    append_only = (*APPEND_ONLY, ANSWERS, *DECISIONS, *APPROVALS, *DOMAINS, *THINGS)
     for statement in (*_TABLES, *append_only_triggers(append_only)):
         db.execute(statement)
     for statement in request_triggers():

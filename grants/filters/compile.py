@@ -14,7 +14,7 @@ from grants.filters.codegen import LAYOUT_ERRORS, Buffer, layout_mismatch
 from grants.filters.hashing import Keys
 from grants.filters.layout import Array, Layout, Struct, Type
 from grants.filters.message_rewriter import generate
-from grants.filters.operators import TreatmentForType, treatment_for
+from grants.filters.operators import AFTER_OTHERS, treatment_for
 from grants.filters.treatments import (
     DESCEND,
     ArrayTreatment,
@@ -25,6 +25,7 @@ from grants.filters.treatments import (
     Numbers,
     SiblingTreatment,
     StructTreatment,
+    TreatmentForType,
     has_hysteresis,
 )
 from grants.memory import FieldKey, HysteresisState, Memory
@@ -67,11 +68,26 @@ def compile_filter(
         FilterRefused: an unknown field or operator, a treatment that does not fit the field's
             type, a key that is missing, or two rules for one field.
     """
+    given = tuple(rules)
+    last = [rule for rule in given if rule.operator in AFTER_OTHERS]
+    find = states or Memory().hysteresis
+    first = _rewriter(layout, [rule for rule in given if rule not in last], keys, find)
+    if not last:
+        return Filter(layout.type_name, first)
+    then = _rewriter(layout, last, keys, find)
+    return Filter(layout.type_name, lambda message: then(b"".join(first(message))))
+
+
+def _rewriter(
+    layout: Layout,
+    rules: Iterable[FilterRule],
+    keys: Keys | None,
+    states: Callable[[FieldKey], HysteresisState],
+) -> Callable[[Buffer], list[Buffer]]:
     branch = _Branch({})
     for rule in rules:
         _insert(branch, rule, treatment_for(rule, keys))
-    node = _bind_hysteresis(_resolve(layout.root, branch, ""), states or Memory().hysteresis, ())
-    return Filter(layout.type_name, generate(node))
+    return generate(_bind_hysteresis(_resolve(layout.root, branch, ""), states, ()))
 
 
 @dataclass(frozen=True)
@@ -181,7 +197,8 @@ def _apply(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
         if found == DESCEND:
             memo[kind] = _descend(treat, kind, path, memo)
         else:
-            memo[kind] = FieldTreatment(kind, found)
+            whole = found.kind if isinstance(found, Numbers) else None
+            memo[kind] = FieldTreatment(whole or kind, found)
     return memo[kind]
 
 

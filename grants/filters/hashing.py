@@ -20,6 +20,8 @@ Keys: TypeAlias = Mapping[str, bytes]
 
 FILTER_KEY_SIZE: Final = 32
 DEFAULT_LENGTH: Final = 16  # hexadecimal digits: 2^32 texts until two are likely to collide
+RECEIVER: Final = "receiver"
+_DERIVED: Final = b"rossec-pseudonym-receiver\0"
 _KEY_NAME: Final = re.compile(r"[a-z][a-z0-9_-]{0,31}", re.ASCII)
 
 
@@ -47,8 +49,27 @@ def key_names(rules: Iterable[FilterRule]) -> frozenset[str]:
     )
 
 
+def is_personal(rules: Iterable[FilterRule]) -> bool:
+    """Whether what `rules` do differs from receiver to receiver."""
+    return any(rule.operator == "hash" and ("per", RECEIVER) in rule.parameters for rule in rules)
+
+
+def receiver_keys(keys: Keys, receiver: bytes) -> Keys:
+    """`keys` beside those of one receiver, by the thumbprint of its key."""
+    own = {
+        _personal(name): hmac.digest(key, _DERIVED + receiver, "sha256")
+        for name, key in keys.items()
+        if len(key) == FILTER_KEY_SIZE
+    }
+    return {**keys, **own}
+
+
+def _personal(name: str) -> str:
+    return f"{name}/{RECEIVER}"  # no name of a key has a slash
+
+
 def pseudonyms(
-    name: object, length: int, keys: Keys | None
+    name: object, length: int, keys: Keys | None, *, personal: bool = False
 ) -> "Callable[[Buffer], tuple[Buffer, int]]":
     """The function from a text to the first `length` hexadecimal digits of its HMAC.
 
@@ -58,7 +79,7 @@ def pseudonyms(
     name = check_key_name(name)
     if keys is None:
         return _no_key
-    key = keys.get(name)
+    key = keys.get(_personal(name) if personal else name)
     if key is None or len(key) != FILTER_KEY_SIZE:
         raise FilterRefused(f"the publisher has no key {name!r} of {FILTER_KEY_SIZE} bytes")
 

@@ -15,11 +15,14 @@ from typing import Final, TypeAlias
 
 from grants.errors import FilterRefused
 from grants.filters.codegen import Buffer
-from grants.filters.hashing import DEFAULT_LENGTH, Keys, pseudonyms
+from grants.filters.hashing import DEFAULT_LENGTH, RECEIVER, Keys, pseudonyms
 from grants.filters.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
 from grants.filters.lazy_numpy import Vector, np
+from grants.filters.parameters import Parameters, expect, integer, number
 from grants.filters.pictures import MAX_SIDE, SIBLINGS, pixelation
+from grants.filters.positions import rooms
 from grants.filters.rounding import round_floats, round_integers, round_times, with_hysteresis
+from grants.filters.sorting import sorting
 from grants.filters.treatments import (
     DESCEND,
     Constant,
@@ -28,11 +31,9 @@ from grants.filters.treatments import (
     Numbers,
     SiblingTreatment,
     Treatment,
+    TreatmentForType,
 )
 from grants.model import FilterRule, Scalar
-
-TreatmentForType: TypeAlias = Callable[[Type], Treatment]
-Parameters: TypeAlias = dict[str, Scalar]
 
 _EMPTY: Final = Constant(bytes(4))
 _INTEGERS: Final = frozenset("bBhHiIqQ")
@@ -40,7 +41,7 @@ _INTEGERS: Final = frozenset("bBhHiIqQ")
 
 def _clear(parameters: Parameters) -> TreatmentForType:
     """The zero value: 0, false, "", no elements; a fixed array keeps its length."""
-    _expect(parameters)
+    expect(parameters)
     return _zero_value
 
 
@@ -53,7 +54,7 @@ def _zero_value(kind: Type) -> Treatment:
 
 def _drop(parameters: Parameters) -> TreatmentForType:
     """No elements."""
-    _expect(parameters)
+    expect(parameters)
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Array) and kind.length is None:
@@ -65,7 +66,7 @@ def _drop(parameters: Parameters) -> TreatmentForType:
 
 def _zero(parameters: Parameters) -> TreatmentForType:
     """Zeros in place of the elements; the length stays, so images remain consistent."""
-    _expect(parameters)
+    expect(parameters)
 
     def treat(kind: Type) -> Treatment:
         if not isinstance(kind, Array) or kind.element.size is None:
@@ -85,9 +86,9 @@ def _round(parameters: Parameters) -> TreatmentForType:
 
     With `hysteresis` a value keeps its cell until it is that far beyond the border.
     """
-    step = _number(parameters, "step")
-    hysteresis = _number(parameters, "hysteresis") if "hysteresis" in parameters else None
-    _expect(parameters, "step", *(["hysteresis"] if hysteresis is not None else []))
+    step = number(parameters, "step")
+    hysteresis = number(parameters, "hysteresis") if "hysteresis" in parameters else None
+    expect(parameters, "step", *(["hysteresis"] if hysteresis is not None else []))
     if not 0 < step < math.inf:
         raise FilterRefused("round needs a step above zero", "for example {round: {step: 0.5}}")
     if hysteresis is not None and not 0 < hysteresis <= step:
@@ -119,8 +120,8 @@ def _rounding(kind: Primitive | Text, step: float) -> Numbers:
 
 def _clamp(parameters: Parameters) -> TreatmentForType:
     """Into [low, high]; NaN becomes low."""
-    low, high = _number(parameters, "low"), _number(parameters, "high")
-    _expect(parameters, "low", "high")
+    low, high = number(parameters, "low"), number(parameters, "high")
+    expect(parameters, "low", "high")
     if not low <= high:
         raise FilterRefused("clamp needs low <= high")
 
@@ -150,7 +151,7 @@ def _clamping(low: float, high: float) -> Numbers:
 def _set(parameters: Parameters) -> TreatmentForType:
     """Replace the value by this one."""
     value = parameters.get("value")
-    _expect(parameters, "value")
+    expect(parameters, "value")
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text) and isinstance(value, str):
@@ -165,7 +166,7 @@ def _set(parameters: Parameters) -> TreatmentForType:
 def _redact(parameters: Parameters) -> TreatmentForType:
     """Replace any text by this one."""
     text = parameters.get("text")
-    _expect(parameters, "text")
+    expect(parameters, "text")
     if not isinstance(text, str):
         raise FilterRefused("redact needs a text", 'for example {redact: {text: "***"}}')
 
@@ -179,8 +180,8 @@ def _redact(parameters: Parameters) -> TreatmentForType:
 
 def _truncate(parameters: Parameters) -> TreatmentForType:
     """At most `length` characters of a string or elements of an array."""
-    length = _number(parameters, "length")
-    _expect(parameters, "length")
+    length = number(parameters, "length")
+    expect(parameters, "length")
     if not isinstance(length, int) or not 0 <= length < 1 << 32:
         raise FilterRefused("truncate needs a non-negative whole length")
 
@@ -214,9 +215,12 @@ def _keyless(operator: Callable[[Parameters], TreatmentForType]) -> _Operator:
 
 def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
     """Replace a text by a pseudonym, equal for equal text and key (`filters.hashing`)."""
-    length = _integer(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
-    _expect(parameters, "key", *(["length"] if "length" in parameters else []))
-    pseudonym = ContentTreatment(pseudonyms(parameters["key"], length, keys))
+    length = integer(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
+    expect(parameters, "key", *(parameters.keys() & {"length", "per"}))
+    if parameters.get("per", RECEIVER) != RECEIVER:
+        raise FilterRefused("per is receiver", "for example {hash: {key: ward, per: receiver}}")
+    personal = "per" in parameters
+    pseudonym = ContentTreatment(pseudonyms(parameters["key"], length, keys, personal=personal))
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):
@@ -234,17 +238,30 @@ _REGION: Final = ("x", "y", "width", "height")
 def _pixelate(parameters: Parameters) -> TreatmentForType:
     """Replace a picture, or a region of it, by squares of `block` pixels; see `pictures`."""
     names = _REGION if parameters.keys() & set(_REGION) else ()
-    block = _integer(parameters, "block", MAX_SIDE)
-    region = tuple(_integer(parameters, name, MAX_SIDE, minimum=0) for name in names)
-    _expect(parameters, "block", *names)
+    block = integer(parameters, "block", MAX_SIDE)
+    region = tuple(integer(parameters, name, MAX_SIDE, minimum=0) for name in names)
+    levels = integer(parameters, "levels", 256, minimum=2) if "levels" in parameters else None
+    expect(parameters, "block", *names, *(parameters.keys() & {"levels"}))
     if block < 2:
         raise FilterRefused("pixelate needs a block of at least 2 pixels")
-    rewrite = pixelation(block, region or None)
+    rewrite = pixelation(block, region or None, levels)
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Array) and kind.name == "uint8[]":
             return SiblingTreatment("sensor_msgs/Image", SIBLINGS, rewrite)
         raise FilterRefused(f"pixelate needs the data of a sensor_msgs/Image, not {kind.name}")
+
+    return treat
+
+
+def _sort(parameters: Parameters) -> TreatmentForType:
+    """Elements in the order of their bytes, after all other filters; see `sorting`."""
+    expect(parameters)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array) and kind.length is None and kind.element.size != 0:
+            return ContentTreatment(sorting(kind.element))
+        raise FilterRefused(f"sort needs an array of variable length, not {kind.name}")
 
     return treat
 
@@ -260,7 +277,12 @@ OPERATORS: Final[dict[str, _Operator]] = {
     "zero": _keyless(_zero),
     "hash": _hash,
     "pixelate": _keyless(_pixelate),
+    "rooms": _keyless(rooms),
+    "sort": _keyless(_sort),
 }
+
+# Applied to the result of the others of a restriction, and so beside filters inside their field.
+AFTER_OTHERS: Final = frozenset({"sort"})
 
 
 def treatment_for(rule: FilterRule, keys: Keys | None = None) -> TreatmentForType:
@@ -282,30 +304,6 @@ def treatment_for(rule: FilterRule, keys: Keys | None = None) -> TreatmentForTyp
         return OPERATORS[rule.operator](dict(rule.parameters), keys)
     except FilterRefused as error:
         raise FilterRefused(f"{rule.path}: {error}", error.hint) from None
-
-
-def _expect(parameters: Parameters, *names: str) -> None:
-    if parameters.keys() != set(names):
-        wanted = ", ".join(names) or "no parameters"
-        raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
-
-
-def _number(parameters: Parameters, name: str) -> float:
-    value = parameters.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FilterRefused(f"{name} must be a number")
-    if isinstance(value, int) and abs(value) >= 1 << 64:
-        raise FilterRefused(f"{name} is beyond 64 bits")
-    if math.isnan(value):
-        raise FilterRefused(f"{name} must be a number")
-    return value
-
-
-def _integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -> int:
-    value = parameters.get(name)
-    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
-        raise FilterRefused(f"{name} must be a whole number from {minimum} to {maximum}")
-    return value
 
 
 def _pack(kind: Primitive, value: Scalar | None, operator: str) -> bytes:

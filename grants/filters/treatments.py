@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from grants.filters.codegen import Buffer
-from grants.filters.layout import Array, Struct, Type
+from grants.filters.layout import Array, Primitive, Struct, Type
 from grants.filters.lazy_numpy import Vector
 from grants.memory import HysteresisState
 
@@ -30,7 +30,7 @@ class HysteresisBinding:
     `parameters` are part of the state's key, so that only equal treatments share the state.
     """
 
-    parameters: tuple[float, ...]
+    parameters: tuple[object, ...]
     bind: Callable[[HysteresisState], Callable[..., Any]]
 
 
@@ -40,12 +40,14 @@ class Numbers:
 
     `scalar` takes as many values as the type's format has, and returns as many (a single one
     without a tuple). With `hysteresis`, every field gets its own `scalar` from it; such a
-    treatment cannot be used in an array, whose elements have no identity between messages.
+    treatment cannot be used in an array, whose elements have no identity between messages. A
+    message of several numbers that is treated as one value has the `kind` it is read as.
     """
 
     scalar: Callable[..., Any]
     vector: Callable[[Vector], Vector]
     hysteresis: HysteresisBinding | None = None
+    kind: Primitive | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class SiblingTreatment:
 
 
 Treatment: TypeAlias = Constant | Numbers | ContentTreatment | SiblingTreatment | Literal["descend"]
+TreatmentForType: TypeAlias = Callable[[Type], Treatment]
 
 
 @dataclass(frozen=True)

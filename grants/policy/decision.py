@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ca.names import check_name
-from ca.patterns import check_pattern
+from ca.patterns import check_tail_pattern, tail_base
 from grants.errors import PolicyRefused
-from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge
-from grants.policy.index import Hit, Index, applied, hits
+from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge, rate_text
+from grants.policy.index import Hit, Index, applied, hits, is_pattern
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
+from grants.policy.own_names import check_rule_pattern, is_own, resolve
 from grants.policy.patterns import gives, overlaps
 
 MAX_NEAR_MISSES: Final = 5
@@ -74,15 +75,23 @@ class Decider:
     def decide(self, subject: Subject, right: Right, name: str) -> Verdict:
         """Evaluate the policy for one right on one name (or a whole pattern).
 
+        `name` may be an own name as a rule has it, `{node}/pose`. A tail pattern is denied to
+        every node but that of the tail.
+
         Raises:
             PatternRefused: `name` is invalid.
             NameRefused: `subject.name` is not an absolute name.
             PolicyRefused: not exactly one right.
         """
         check_name(subject.name)
-        check_pattern(name)
         if right.bit_count() != 1:
             raise PolicyRefused(f"{int(right)} is not one right")
+        if is_own(name):
+            own = resolve(check_rule_pattern(name), subject.name, tail=subject.tail)
+            if own is None:
+                return Verdict(Effect.DENY, subject, right, name)
+            name = own
+        check_tail_pattern(name)
         return self._evaluate(subject, right, name, self._index.find(subject, right, name))
 
     def rules_of(self, subject: Subject) -> list[PolicyRule]:
@@ -93,9 +102,10 @@ class Decider:
         self, rules: Iterable[PolicyRule], subject: Subject, right: Right, name: str
     ) -> Verdict:
         """As `decide`, with all checked before; `rules` are those of the subject (`rules_of`)."""
-        whole = "*" in name
         found = (
-            list(applied(rules, right, name)) if whole else self._index.find(subject, right, name)
+            list(applied(rules, subject, right, name))
+            if is_pattern(name)
+            else self._index.find(subject, right, name)
         )
         return self._evaluate(subject, right, name, found)
 
@@ -109,7 +119,7 @@ class Decider:
         """The verdict as text, line by line."""
         lines = [verdict.headline]
         for rule, clause in zip(verdict.rules, verdict.clauses, strict=False):
-            lines.append(f"  {rule.reason} ({rule.effect} {clause.right.label} {clause.pattern})")
+            lines.append(f"  {rule.reason} ({rule.effect} {clause.right.label} {clause.shown})")
         if verdict.effect is not Effect.DENY:
             lines += [f"    {line}" for line in restriction_lines(verdict)]
         if not verdict.rules:
@@ -136,25 +146,33 @@ class Decider:
 
     def _evaluate(self, subject: Subject, right: Right, name: str, found: list[Hit]) -> Verdict:
         base = Verdict(Effect.DENY, subject, right, name)
+        if tail_base(name) not in (None, subject.name if subject.tail else None):
+            return base
+        partly: list[Hit] = []  # of a pattern: what restricts a part of it
         for effect in _STRENGTH:
-            matching = sorted(
-                (hit for hit in found if hit[0].effect is effect),
-                key=lambda hit: (hit[0].id, hit[1].pattern),
-            )
+            matching = sorted((hit for hit in found if hit[0].effect is effect), key=_order)
             if matching and (effect is Effect.DENY or _complete(matching, right, name)):
-                return _verdict(base, effect, matching)
-        default = self.policy.defaults
+                return _verdict(base, effect, sorted([*matching, *partly], key=_order))
+            partly += (hit for hit in matching if hit[1].lines())
+        default, lasting = self.policy.defaults, [rule for rule, _ in partly]
+        if default.decision is Effect.DENY:
+            return replace(base, lifetime=default.lifetime, renew_until=default.renew_until)
         return replace(
             base,
             effect=default.decision,
-            lifetime=default.lifetime,
-            renew_until=default.renew_until,
+            clauses=tuple(clause for _, clause in partly),
+            lifetime=min((default.lifetime, *(rule.lifetime for rule in lasting))),
+            renew_until=min((default.renew_until, *(rule.renew_until for rule in lasting))),
         )
+
+
+def _order(hit: Hit) -> tuple[str, str]:
+    return hit[0].id, hit[1].pattern
 
 
 def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
     """Whether some rule gives the *whole* request; others only add their restrictions."""
-    return "*" not in name or any(gives(clause.pattern, right, name) for _, clause in matching)
+    return not is_pattern(name) or any(gives(clause.pattern, right, name) for _, clause in matching)
 
 
 def _verdict(base: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:
@@ -173,7 +191,7 @@ def restriction_lines(verdict: Verdict) -> list[str]:
     """The restrictions and the validity as text."""
     lines = [line for restriction in verdict.restrictions for line in restriction.lines()]
     if verdict.rate is not None:
-        lines.append(f"at most {verdict.rate:g} messages a second")
+        lines.append(rate_text(verdict.rate))
     if verdict.keep_when_stale:
         lines.append(KEEP_WHEN_STALE)
     renewed = f", renewed until {span(verdict.renew_until)}" if verdict.renew_until else ""
@@ -197,7 +215,8 @@ def _near_miss(rule: PolicyRule, verdict: Verdict) -> str:
     """Why an allowing rule did not match, if it differs in one point only."""
     if rule.effect is Effect.DENY:
         return ""
-    on_name = [c for c in rule.clauses if overlaps(c.pattern, verdict.right, verdict.name)]
+    clauses = [each for c in rule.clauses if (each := c.of(verdict.subject)) is not None]
+    on_name = [c for c in clauses if overlaps(c.pattern, verdict.right, verdict.name)]
     given = [clause for clause in on_name if clause.right is verdict.right]
     if not rule.applies_to(verdict.subject):
         if not given:
@@ -208,9 +227,9 @@ def _near_miss(rule: PolicyRule, verdict: Verdict) -> str:
         prefix = "another key of " if other_key else ""
         return f"rule {rule.id} is for {prefix}{rule.subjects_text}, not {verdict.subject.name}"
     if given:
-        return f"rule {rule.id} covers {given[0].pattern}, which is not all of {verdict.name}"
+        return f"rule {rule.id} covers {given[0].shown}, which is not all of {verdict.name}"
     if on_name:
         rights = ", ".join(dict.fromkeys(clause.right.label for clause in on_name))
         return f"rule {rule.id} gives {rights}, not {verdict.right.label}"
-    same = [clause.pattern for clause in rule.clauses if clause.right is verdict.right]
+    same = [clause.shown for clause in clauses if clause.right is verdict.right]
     return f"rule {rule.id} is for {', '.join(same)}, not {verdict.name}" if same else ""

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from ca.patterns import tail_base
 from grants.errors import PolicyRefused
 from grants.model import Grant, Permission, Right
 from grants.policy.changes import Before, Change, change_of, kept, withdrawn
@@ -202,11 +203,14 @@ def _check_number(subject: Subject, number: int) -> None:
 def _groups(
     rights: Iterable[WantedRight], *, by_rules: bool = True
 ) -> list[tuple[WantedRight, ...]]:
-    """The rights by grant: those of the same rules and validity, at most `MAX_ENTRIES` each."""
-    groups: dict[tuple[str, int, int], list[WantedRight]] = {}
+    """The rights by grant: those of the same rules and validity, at most `MAX_ENTRIES` each.
+
+    Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
+    """
+    groups: dict[tuple[str, int, int, bool], list[WantedRight]] = {}
     for each in rights:
-        rules = each.rule_ids if by_rules else ""
-        groups.setdefault((rules, each.lifetime, each.renew_until), []).append(each)
+        rules, tail = each.rule_ids if by_rules else "", tail_base(each.pattern) is not None
+        groups.setdefault((rules, each.lifetime, each.renew_until, tail), []).append(each)
     return [part for group in groups.values() for part in _parts(group)]
 
 

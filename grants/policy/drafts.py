@@ -7,6 +7,7 @@ with its restriction: the verifier of the grant applies all of them.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
+from ca.patterns import tail_base
 from grants.errors import PolicyRefused
 from grants.model import Draft, Permission, Restriction, Right
 from grants.policy.decision import Decider, Verdict
@@ -88,16 +89,19 @@ def drafts(
 ) -> list[Draft]:
     """The drafts to sign for allowed verdicts: one for each subject and validity.
 
+    Tail patterns have drafts of their own, as a verifier that does not know them refuses a grant.
+
     `skew`: seconds by which they are backdated, for hosts whose clock is behind.
 
     Raises:
         PolicyRefused: a verdict other than ALLOW.
     """
-    groups: dict[tuple[Subject, int, int], list[Verdict]] = {}
+    groups: dict[tuple[Subject, int, int, bool], list[Verdict]] = {}
     for verdict in verdicts:
         if verdict.effect is not Effect.ALLOW:
             raise PolicyRefused(f"not allowed: {verdict.headline}", "only ALLOW can be signed")
-        key = (verdict.subject, verdict.lifetime, verdict.renew_until)
+        tail = tail_base(verdict.name) is not None
+        key = (verdict.subject, verdict.lifetime, verdict.renew_until, tail)
         groups.setdefault(key, []).append(verdict)
     return [
         Draft(
@@ -105,7 +109,7 @@ def drafts(
             expires=now + lifetime, cap=now + max(lifetime, renew), serial=serial(),
             permissions=tuple(item for verdict in group for item in permissions(verdict)),
         )
-        for (subject, lifetime, renew), group in groups.items()
+        for (subject, lifetime, renew, _), group in groups.items()
     ]  # fmt: skip
 
 

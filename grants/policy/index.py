@@ -3,15 +3,18 @@
 A lookup follows the segments of the name and the wildcards beside them, nothing else. In a tree
 node, clauses for one exact node name are found by that name; the others are compared one by one.
 `hits` gives the same result by comparing every clause: the tests compare both, and whole patterns
-are only ever looked up with it.
+are only ever looked up with it. Clauses on own names (`{node}/pose`) are found by the node, and
+what is found has the pattern that they are for it.
 """
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
+from ca.patterns import TAIL
 from grants.model import TREE_RIGHTS, Right
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
+from grants.policy.own_names import is_own
 from grants.policy.patterns import gives, overlaps, segments
 
 Hit: TypeAlias = tuple[PolicyRule, Clause]
@@ -31,6 +34,7 @@ class Index:
     def __init__(self, policy: Policy) -> None:
         self._roots: dict[Right, _Branch] = {}
         self._rules: dict[str, dict[int, PolicyRule]] = {}  # by exact node name, or _ANY_NODE
+        self._own: dict[tuple[Right, str], list[Hit]] = {}  # likewise
         for at, rule in enumerate(policy.rules):
             for key in _keys(rule):
                 self._rules.setdefault(key, {})[at] = rule
@@ -44,8 +48,18 @@ class Index:
             right: exactly one.
             name: an absolute name, or a pattern (then by `hits`).
         """
-        if "*" in name:
+        if is_pattern(name):
             return list(hits(self.rules_of(subject), subject, right, name))
+        return [*self._find_own(subject, right, name), *self._find(subject, right, name)]
+
+    def _find_own(self, subject: Subject, right: Right, name: str) -> Iterator[Hit]:
+        for key in (subject.name, _ANY_NODE):
+            for rule, clause in self._own.get((right, key), ()):
+                found = clause.of(subject) if rule.applies_to(subject) else None
+                if found is not None and _decides(rule, found, name):
+                    yield rule, found
+
+    def _find(self, subject: Subject, right: Right, name: str) -> list[Hit]:
         root = self._roots.get(right)
         if root is None:
             return []
@@ -67,6 +81,10 @@ class Index:
         return [named[at] for at in sorted(named) if named[at].applies_to(subject)]
 
     def _insert(self, rule: PolicyRule, clause: Clause) -> None:
+        if is_own(clause.pattern):
+            for key in _keys(rule):
+                self._own.setdefault((clause.right, key), []).append((rule, clause))
+            return
         branch = self._roots.setdefault(clause.right, _Branch())
         for segment in segments(clause.pattern):
             branch = branch.children.setdefault(segment, _Branch())
@@ -78,23 +96,31 @@ def hits(
     rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str
 ) -> Iterator[Hit]:
     """Every clause of `rules` that decides on `requested`, a name or a pattern, for `subject`."""
-    return applied((rule for rule in rules if rule.applies_to(subject)), right, requested)
+    return applied((rule for rule in rules if rule.applies_to(subject)), subject, right, requested)
 
 
-def applied(rules: Iterable[PolicyRule], right: Right, requested: str) -> Iterator[Hit]:
-    """As `hits`, of rules that apply to the subject.
+def applied(
+    rules: Iterable[PolicyRule], subject: Subject, right: Right, requested: str
+) -> Iterator[Hit]:
+    """As `hits`, of rules that apply to `subject`.
 
     Of a pattern every clause counts that overlaps with it: a denial denies it, an allowing one adds
     its restrictions and its validity; whether all of it is allowed is checked in `decision`.
     """
     for rule in rules:
         for clause in rule.clauses:
-            if clause.right is right and _decides(rule, clause, requested):
-                yield rule, clause
+            found = clause.of(subject) if clause.right is right else None
+            if found is not None and _decides(rule, found, requested):
+                yield rule, found
+
+
+def is_pattern(requested: str) -> bool:
+    """Whether what is requested is more than one name."""
+    return "*" in requested or TAIL in requested
 
 
 def _decides(rule: PolicyRule, clause: Clause, requested: str) -> bool:
-    if rule.effect is Effect.DENY or "*" in requested:
+    if rule.effect is Effect.DENY or is_pattern(requested):
         return overlaps(clause.pattern, clause.right, requested)
     return gives(clause.pattern, clause.right, requested)
 

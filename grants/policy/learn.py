@@ -5,20 +5,24 @@ and parameters are not part of it. The denial log holds what enforcing nodes and
 denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}` and
 optionally `"type"`. What a rule already decides is not learned again, in particular no denial; of
 names of other masters (`/remote/...`) nothing is learned: no rule of this policy can be about them.
+A name below the node's own is learned as `{node}/...`, so it is right for every run of an anonymous
+node; what `basics` gives is left to `basics`.
 """
 
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ca.domains.aliases import is_alias
 from ca.names import check_name
+from grants.basics import is_basic, lasting_name, own_form
 from grants.errors import GrantError, PolicyRefused
 from grants.model import Right
 from grants.policy.decision import Decider
 from grants.policy.editing import NewRule, add_rules
 from grants.policy.model import Subject
+from grants.policy.own_names import NODE
 from grants.policy.rules import RIGHTS
 
 MAX_LINE: Final = 4096
@@ -85,20 +89,48 @@ def learn(
     Args:
         day: the date of observation, for the reason.
     """
-    own = [item for item in observed if not (is_alias(item.node) or is_alias(item.name))]
-    new = [item for item in own if not _decided(decider, item)]
+    lasting = dict.fromkeys(each for item in observed if (each := learnable(item)) is not None)
+    new = [item for item in lasting if not _decided(decider, item)]
     by_node: dict[str, list[Observation]] = {}
     for item in new:
         by_node.setdefault(item.node, []).append(item)
-    rules = [_rule(node, items, day) for node, items in by_node.items()]
+    kinds: dict[str, set[str]] = {name: {kind} for name, kind in decider.policy.types.items()}
+    for item in lasting:
+        kinds.setdefault(item.name, set()).update({item.type} - {*_NO_TYPE})
+    rules = [_rule(node, items, day, kinds) for node, items in by_node.items()]
     return add_rules(text, rules) if rules else text, rules
 
 
-def _rule(node: str, observed: Sequence[Observation], day: str) -> NewRule:
+def learnable(seen: Observation) -> Observation | None:
+    """It as a rule says it: own names as `{node}/...`; None if no rule is to be made of it.
+
+    None of basics, of names of other masters, and of another node's name that will not come again.
+    """
+    if is_alias(seen.node) or is_alias(seen.name):
+        return None
+    name = own_form(seen.node, seen.name)
+    if is_basic(seen.right, name) or lasting_name(name) != name:
+        return None
+    return replace(seen, node=lasting_name(seen.node), name=name)
+
+
+def needs_basics(observed: Iterable[Observation]) -> bool:
+    """Whether a node used what only `basics` of a policy is to give."""
+    return any(is_basic(item.right, own_form(item.node, item.name)) for item in observed)
+
+
+def _rule(
+    node: str, observed: Sequence[Observation], day: str, kinds: Mapping[str, Collection[str]]
+) -> NewRule:
+    """A rule for `node`. The own topics of nodes that differ in type have types by their names."""
     rights: dict[str, list[str]] = {}
     for item in observed:
         rights.setdefault(item.right.label, []).append(item.name)
-    types = {item.name: item.type for item in observed if item.type not in _NO_TYPE}
+    types = {
+        item.name if len(kinds[item.name]) == 1 else item.name.replace(NODE, node): item.type
+        for item in observed
+        if item.type not in _NO_TYPE
+    }
     name = "learned-" + node[1:].replace("/", "-")
     return NewRule(name[:80], f"seen running {day}; review me", node, "allow", rights, types)
 

@@ -77,7 +77,7 @@ class Mistakes:
 
 def suggest(value: str, known: Iterable[str]) -> str:
     """A hint: the most similar known value, or a list of them."""
-    values = sorted(set(known))
+    values = sorted({str(each) for each in known})  # members of a StrEnum as what is written
     close = difflib.get_close_matches(value, values, 1, 0.6)
     if close:
         return f"did you mean {close[0]!r}?"

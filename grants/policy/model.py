@@ -4,14 +4,20 @@ All values are made by `grants.policy.read`, which checked them; nothing refers 
 more, except the line number of a rule.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from ca.domains.aliases import is_alias
 from ca.patterns import covers
-from grants.model import FilterRule, Restriction, Right
+from grants.model import FilterRule, Restriction, Right, rate_text
+from grants.policy.own_names import any_node, is_own, resolve
+from grants.policy.patterns import includes
+from grants.policy.vocabulary import Vocabulary
+
+if TYPE_CHECKING:
+    from grants.policy.assertions import Assertion
 
 EVERYONE: Final = "*"
 MINUTE, HOUR, DAY = 60, 3600, 86400
@@ -29,10 +35,14 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class Subject:
-    """The requester: the certified name of a node and the thumbprint (32 bytes) of its key."""
+    """The requester: the certified name of a node and the thumbprint (32 bytes) of its key.
+
+    `tail`: its identity has a wildcard tail, so it is all anonymous nodes of its name.
+    """
 
     name: str
     key: bytes
+    tail: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,11 +56,13 @@ class SubjectPattern:
         label: its name in the policy.
         node: a name or pattern; None for any node with the key.
         key: a thumbprint of 32 bytes, or None for any key.
+        group: the group by which a rule names it, or empty.
     """
 
     label: str
     node: str | None = None
     key: bytes | None = None
+    group: str = ""
 
     def matches(self, subject: Subject) -> bool:
         """Whether `subject` matches for certain: by name, and by key if one is pinned."""
@@ -70,18 +82,34 @@ class SubjectPattern:
 
 @dataclass(frozen=True)
 class Clause:
-    """One right on one pattern, with the restriction of its rule; `rate` in messages per second."""
+    """One right on one pattern, with the restriction of its rule; `rate` in messages per second.
+
+    `written`: the pattern in the rule, where `pattern` is what it is for one node.
+    """
 
     right: Right
     pattern: str
     restriction: Restriction | None = None
     rate: float | None = None
     type: str | None = None
+    written: str = ""
+
+    def of(self, subject: Subject) -> "Clause | None":
+        """It for `subject`: `{node}/pose` with its name; None if it is about nothing then."""
+        if not is_own(self.pattern):
+            return self
+        pattern = resolve(self.pattern, subject.name, tail=subject.tail)
+        return None if pattern is None else replace(self, pattern=pattern, written=self.pattern)
+
+    @property
+    def shown(self) -> str:
+        """The pattern, for people."""
+        return f"{self.written}, here {self.pattern}" if self.written else self.pattern
 
     def lines(self) -> list[str]:
         """The restrictions as text."""
         lines = self.restriction.lines() if self.restriction is not None else []
-        return lines if self.rate is None else [*lines, f"at most {self.rate:g} messages a second"]
+        return lines if self.rate is None else [*lines, rate_text(self.rate)]
 
 
 @dataclass(frozen=True)
@@ -116,16 +144,18 @@ class PolicyRule:
 
     @property
     def subjects_text(self) -> str:
-        """The subjects, by their labels in the policy."""
-        exceptions = ", ".join(who.label for who in self.exceptions)
-        return ", ".join(who.label for who in self.who) + (
-            f" except {exceptions}" if exceptions else ""
-        )
+        """The subjects, by their labels in the policy; of a group its name."""
+        exceptions = _labels(self.exceptions)
+        return _labels(self.who) + (f" except {exceptions}" if exceptions else "")
 
     @property
     def reason(self) -> str:
         """The id and the reason as text."""
         return f"rule {self.id}" + (f": {self.why}" if self.why else "")
+
+
+def _labels(subjects: Iterable[SubjectPattern]) -> str:
+    return ", ".join(dict.fromkeys(who.group or who.label for who in subjects))
 
 
 @dataclass(frozen=True)
@@ -141,7 +171,10 @@ class Defaults:
 
 @dataclass(frozen=True)
 class Policy:
-    """A whole policy. `types` are message types by topic or pattern."""
+    """A whole policy. `types` are message types by topic or pattern.
+
+    `groups` are their members by name; `unused_groups` are those that no rule is for.
+    """
 
     robot: str
     defaults: Defaults
@@ -150,6 +183,10 @@ class Policy:
     rules: tuple[PolicyRule, ...]
     file: str = "policy.yaml"
     filters: Mapping[str, tuple[FilterRule, ...]] = field(default_factory=dict)
+    groups: Mapping[str, tuple[SubjectPattern, ...]] = field(default_factory=dict)
+    unused_groups: tuple[str, ...] = ()
+    vocabulary: Vocabulary = field(default_factory=Vocabulary)
+    tests: "tuple[Assertion, ...]" = ()
 
     def type_of(self, name: str) -> str | None:
         """The message type of the topic or pattern `name`, if the policy has one."""
@@ -160,7 +197,17 @@ def type_of(types: Mapping[str, str], name: str) -> str | None:
     """As `Policy.type_of`: the entry itself, else the only type of the patterns that cover it."""
     if name in types:
         return types[name]
-    if "*" in name:
+    if is_own(name):
+        found = {kind for of, kind in types.items() if includes(any_node(of), any_node(name))}
+    elif "*" in name:
         return None
-    found = {kind for pattern, kind in types.items() if covers(pattern, name)}
+    else:
+        found = {kind for of, kind in types.items() if _is_of(of, name)}
     return found.pop() if len(found) == 1 else None
+
+
+def _is_of(pattern: str, name: str) -> bool:
+    """Whether a type given for `pattern` is that of `name`, which may be a tail pattern."""
+    if "*" not in pattern and not is_own(pattern):
+        return pattern == name  # most are names, and each is compared for each name without a type
+    return includes(any_node(pattern), name)

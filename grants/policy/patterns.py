@@ -2,13 +2,15 @@
 
 Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in
 it is allowed, and not if one of them is denied. Names are infinite, so both are decided on the
-automata of the patterns: a position in each, moved segment by segment.
+automata of the patterns: a position in each, moved segment by segment. Both may be tail patterns
+(`ca.patterns`): their segment `rviz~` is included only by one of the same tail, or by a wildcard.
 """
 
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Final
 
+from ca.patterns import fits
 from grants.model import TREE_RIGHTS, Right
 
 _ANY: Final = "*"  # a segment that only wildcards match
@@ -80,7 +82,7 @@ def _walk(one: tuple[str, ...], other: tuple[str, ...], ends: Callable[[bool, bo
             return True
         for segment, after in _moves(one, here):
             for other_segment, other_after in _moves(other, there):
-                if segment == other_segment or _ANY in (segment, other_segment):
+                if fits(segment, other_segment) or fits(other_segment, segment):
                     todo.append((after, other_after))
     return False
 
@@ -100,5 +102,5 @@ def _step(pattern: tuple[str, ...], reached: frozenset[int], segment: str) -> fr
         after
         for position in reached
         for expected, after in _moves(pattern, position)
-        if expected in (_ANY, segment)
+        if fits(expected, segment)
     )

@@ -9,9 +9,12 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from grants.filters.layout import Array, Layout, Struct, Type
-from grants.model import FilterRule, Restriction, Right
+from grants.model import FilterRule, Restriction, Right, rate_text
 from grants.policy.decision import Decider, span
 from grants.policy.model import Effect, Subject, SubjectPattern
+from grants.policy.vocabulary import Vocabulary
+from grants.vocabulary.assess import assess
+from grants.vocabulary.sentences import sentence
 
 AS_IT_IS: Final = "as it is"
 WHOLE: Final = "(everything)"
@@ -34,7 +37,7 @@ class ReceiverAccess:
 
 @dataclass(frozen=True, order=True)
 class PrivacyRow:
-    """One field, one receiver."""
+    """One field, one receiver; `tells` is the field's word, `sees` what is seen of the topic."""
 
     topic: str
     type: str
@@ -45,6 +48,8 @@ class PrivacyRow:
     why: str
     until: str
     by: str
+    tells: str = ""
+    sees: str = ""
 
 
 def from_policy(decider: Decider) -> list[ReceiverAccess]:
@@ -66,9 +71,10 @@ def _access(decider: Decider, who: SubjectPattern, pattern: str) -> ReceiverAcce
     verdict = decider.decide(Subject(node, who.key or bytes(32)), Right.SUBSCRIBE, pattern)
     if not verdict:
         return None
+    topic = pattern if "*" in (who.node or "*") else verdict.name
     renewed = f", renewed for {span(verdict.renew_until)}" if verdict.renew_until else ""
     return ReceiverAccess(
-        pattern,
+        topic,
         decider.policy.type_of(pattern),
         who.node or who.label,
         "; ".join(dict.fromkeys(item.why for item in verdict.rules if item.why)),
@@ -80,27 +86,50 @@ def _access(decider: Decider, who: SubjectPattern, pattern: str) -> ReceiverAcce
 
 
 def rows(
-    accesses: Iterable[ReceiverAccess], layout_of: Callable[[str], Layout]
+    accesses: Iterable[ReceiverAccess],
+    layout_of: Callable[[str], Layout],
+    vocabulary: Vocabulary | None = None,
 ) -> list[PrivacyRow]:
-    """Field by field; a topic of unknown type is one row."""
+    """Field by field; a topic of unknown type is one row. `vocabulary` is that of the policy."""
     found: list[PrivacyRow] = []
     for access in accesses:
         filters = [rule for item in access.restrictions for rule in item.filters]
         kind = access.type
-        fields = leaf_paths(layout_of(kind)) if kind is not None else [WHOLE]
+        layout = None if kind is None else layout_of(kind)
+        fields = [WHOLE] if layout is None else leaf_paths(layout)
+        tells, sees = _in_words(access, layout, vocabulary or Vocabulary())
         found += [
             PrivacyRow(access.topic, kind or "type not known", access.receiver, path,
                 ", then ".join(map(_text, filters_of(filters, path))) or AS_IT_IS, _when(access),
-                access.why, access.until, access.by)
+                access.why, access.until, access.by, tells.get(path, ""), sees)
             for path in fields
         ]  # fmt: skip
     return sorted(found)
 
 
+def _in_words(
+    access: ReceiverAccess, layout: Layout | None, vocabulary: Vocabulary
+) -> tuple[dict[str, str], str]:
+    """The word that each field tells, by path, and what is seen in all, as a sentence."""
+    if layout is None:
+        return {}, ""
+    described = vocabulary.describe(layout, access.topic)
+    tells = {each.path: str(each.meaning.own or each.content) for each in described.fields}
+    return tells, sees(access, layout, vocabulary)
+
+
+def sees(access: ReceiverAccess, layout: Layout, vocabulary: Vocabulary | None = None) -> str:
+    """What the receiver sees: `where it is: the room; not how it moves`."""
+    described = (vocabulary or Vocabulary()).describe(layout, access.topic)
+    return sentence(assess(described, access.restrictions, access.rate).values())
+
+
 def _when(access: ReceiverAccess) -> str:
     parts = [text for item in access.restrictions for text in item.conditions]
     if access.rate is not None:
-        parts.append(f"at most {access.rate:g} a second")
+        parts.append(rate_text(access.rate))
+    slots = (item.slot for item in access.restrictions if item.slot is not None)
+    parts += [f"one at the start of each {slot} s" for slot in slots]
     return " and ".join(dict.fromkeys(parts)) or "always"
 
 
@@ -109,12 +138,15 @@ def _text(rule: FilterRule) -> str:
 
 
 def filters_of(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
-    """The rules that apply to the field at `path`: its own, and those of its parents."""
+    """The rules that apply to the field at `path`: its own, and those of its parents.
+
+    `sort` of an array hides which element is which, but nothing of its fields.
+    """
     steps = path.replace("[*]", "").split(".")
     found = []
     for rule in filters:
         parent = rule.path.replace("[*]", "").split(".")
-        if steps[: len(parent)] == parent:
+        if steps[: len(parent)] == parent and rule.operator != "sort":
             found.append(rule)
     return found
 
@@ -142,10 +174,11 @@ def lines(found: Sequence[PrivacyRow]) -> list[str]:
     report: list[str] = []
     groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in found:
-        key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.by)
+        key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.by, row.sees)
         groups.setdefault(key, {}).setdefault(row.treatment, []).append(row.field)
-    for (topic, kind, receiver, when, why, until, by), treatments in groups.items():
+    for (topic, kind, receiver, when, why, until, by, seen), treatments in groups.items():
         report.append(f"{topic} ({kind}) -> {receiver}")
+        report += [f"  sees {seen}"] if seen else []
         report.append(f"  why: {why or 'no reason given'} ({by})")
         report += [f"  when: {when}", f"  until: {until}"]
         report += [f"  {name}: {', '.join(fields)}" for name, fields in treatments.items()]

@@ -1,14 +1,19 @@
 """What a policy would grant to a name: shown before the name is certified for a key."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from grants.policy.model import Policy, PolicyRule, Subject
+from grants.policy.model import Clause, Policy, PolicyRule, Subject
 from grants.policy.patterns import intersects
 
 
 def projected_grants(policy: Policy, subject: Subject) -> list[str]:
     """What is allowed, prompted or denied for `subject`, a line each, in the order of the rules."""
-    return [line for rule in policy.rules if rule.applies_to(subject) for line in _lines(rule)]
+    return [
+        line
+        for rule in policy.rules
+        if rule.applies_to(subject)
+        for line in _lines(rule, filter(None, (each.of(subject) for each in rule.clauses)))
+    ]
 
 
 def projected_for_names(policy: Policy, pattern: str) -> list[str]:
@@ -17,11 +22,11 @@ def projected_for_names(policy: Policy, pattern: str) -> list[str]:
         f"{rule.subjects_text}: {line}"
         for rule in policy.rules
         if any(who.node is not None and intersects(who.node, pattern) for who in rule.who)
-        for line in _lines(rule)
+        for line in _lines(rule, rule.clauses)
     ]
 
 
-def _lines(rule: PolicyRule) -> Iterator[str]:
-    for clause in rule.clauses:
-        yield f"{rule.effect} {clause.right.label} {clause.pattern} ({rule.reason})"
+def _lines(rule: PolicyRule, clauses: Iterable[Clause]) -> Iterator[str]:
+    for clause in clauses:
+        yield f"{rule.effect} {clause.right.label} {clause.shown} ({rule.reason})"
         yield from (f"  {line}" for line in clause.lines())

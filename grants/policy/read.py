@@ -10,6 +10,9 @@ from typing import Final
 from ca.errors import HintedError
 from grants.filters.layout import Layout, parse
 from grants.policy import readers
+from grants.policy.assertions import read_tests
+from grants.policy.basics import ID as BASICS_ID
+from grants.policy.basics import basics_rule, read_basics
 from grants.policy.fields import FieldRule, read_fields
 from grants.policy.mistakes import Mistake, Mistakes, suggest
 from grants.policy.model import (
@@ -22,11 +25,17 @@ from grants.policy.model import (
     PolicyRule,
     SubjectPattern,
 )
+from grants.policy.own_names import NODE
 from grants.policy.rules import RuleReader
 from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
+from grants.policy.subjects import Subjects
+from grants.policy.vocabulary import Vocabulary, read_vocabulary
 
 VERSION: Final = 1
-_TOP: Final = ("rossec", "robot", "defaults", "identities", "types", "filters", "rules")
+_TOP: Final = (
+    "rossec", "robot", "basics", "defaults", "identities", "groups", "types", "vocabulary",
+    "rooms", "filters", "rules", "tests",
+)  # fmt: skip
 _DEFAULTS: Final = ("decision", "lifetime", "renew_until", "prompt_timeout")
 
 Definition = Callable[[str], str]
@@ -82,14 +91,31 @@ class _PolicyReader:
         defaults = self._defaults(source.get("defaults"))
         identities = self._identities(source.get("identities"))
         layouts, types = self._types(source.get("types"))
+        vocabulary = self._vocabulary(source, types, layouts)
         filters = self._filters(source.get("filters"))
-        reader = RuleReader(self._mistakes, defaults, identities, types, layouts, filters)
+        subjects = Subjects(self._mistakes, identities, source.get("groups"))
+        reader = RuleReader(self._mistakes, defaults, subjects, types, layouts, filters, vocabulary)
         rules = self._rules(source.get("rules"), reader)
+        rules += self._basics(source.get("basics"), defaults, rules)
         robot = readers.text(source.get("robot"), "robot", self._mistakes)
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
+        tests = read_tests(source.get("tests"), identities, subjects.groups, self._mistakes)
         return Policy(
-            robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules
-        )
+            robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules,
+            subjects.groups, subjects.unused, vocabulary, tests,
+        )  # fmt: skip
+
+    def _basics(
+        self, part: Part | None, defaults: Defaults, rules: tuple[PolicyRule, ...]
+    ) -> tuple[PolicyRule, ...]:
+        extras = read_basics(part, self._mistakes)
+        if part is None or extras is None:
+            return ()
+        for rule in rules:
+            if rule.id == BASICS_ID:
+                at = YamlScalar("", rule.line, 1)
+                self._mistakes.add(at, f"the rule of basics is called {rule.id!r}", "rename it")
+        return (basics_rule(extras, part.line, defaults, rules),)
 
     def _version(self, part: Part | None) -> None:
         if part is not None and not (isinstance(part, YamlScalar) and part.value is not True
@@ -149,6 +175,8 @@ class _PolicyReader:
         mapping = readers.mapping(part, "types", self._mistakes)
         for key, value in mapping.entries.values() if mapping is not None else ():
             topic = readers.pattern(key, "topic", self._mistakes)
+            if topic == NODE:
+                self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
             name = readers.text(value, f"the type of {key.value}", self._mistakes)
             if name is not None and topic is not None:
                 types[topic] = name
@@ -162,6 +190,19 @@ class _PolicyReader:
         except HintedError as error:
             hint = suggest(name, self._known_types) if self._known_types else error.hint
             self._mistakes.add(position, str(error), hint)
+
+    def _vocabulary(
+        self, source: YamlMapping, types: dict[str, str], layouts: dict[str, Layout]
+    ) -> Vocabulary:
+        known = dict(layouts)
+
+        def layout_of(name: str, position: YamlScalar) -> Layout | None:
+            if name not in known:
+                self._layout(name, position, known)
+            return known.get(name)
+
+        said, rooms = source.get("vocabulary"), source.get("rooms")
+        return read_vocabulary(said, rooms, types, layout_of, self._mistakes)
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}

@@ -10,15 +10,19 @@ from typing import Final, Literal, TypeAlias
 
 from ca.domains.aliases import is_alias, local_pattern
 from ca.errors import NameRefused
-from ca.patterns import check_pattern
 from grants.model import MAX_RATE, Right
 from grants.policy.mistakes import Mistakes, suggest
+from grants.policy.own_names import NODE, check_rule_pattern, has_partial_star
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 NEVER: Final = "never"
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
 _KEY: Final = re.compile(r"sha256:([0-9a-f]{64})", re.ASCII)
+_PARTIAL_STAR: Final = (
+    "* stands for a whole segment: list the nodes, or groups: {robots: [/robot1, /robot2]};"
+    " anonymous nodes, /rviz_..., are one identity: /rviz"
+)
 _MAX_TEXT: Final = 1000
 
 What: TypeAlias = Literal["mapping", "text", "list"]
@@ -87,20 +91,28 @@ def duration(
 
 
 def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    """A name pattern."""
-    value = text(part, what, mistakes)
+    """A name pattern, or own names of the asking node, as `{node}/...`."""
+    value = _pattern_text(part, what, mistakes)
     if value is None or part is None:
         return None
     try:
-        return check_pattern(value)
+        return check_rule_pattern(value)
     except NameRefused as error:
         mistakes.add(part, f"{what}: {error}", error.hint)
         return None
 
 
+def _pattern_text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    """The text of a pattern; `{node}` without quotes is a mapping of YAML."""
+    if isinstance(part, YamlMapping) and list(part.entries) == [NODE[1:-1]]:
+        mistakes.add(part, f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
+        return None
+    return text(part, what, mistakes)
+
+
 def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) -> str | None:
     """A pattern of names of this domain; of names of others only the own graph is shown."""
-    value = text(part, what, mistakes)
+    value = _pattern_text(part, what, mistakes)
     if value is None or part is None:
         return None
     foreign = ":" in value or is_alias(value)
@@ -123,7 +135,8 @@ def subject(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
     try:
         return local_pattern(value)
     except NameRefused as error:
-        mistakes.add(part, f"{what}: {error}", error.hint or "LABEL:/NAME")
+        hint = _PARTIAL_STAR if has_partial_star(value) else error.hint or "LABEL:/NAME"
+        mistakes.add(part, f"{what}: {error}", hint)
         return None
 
 

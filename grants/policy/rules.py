@@ -6,12 +6,12 @@ that topic: a filter that fits one of two topics is a mistake, not half a filter
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from grants.filters.layout import Layout
 from grants.filters.presets import PRESETS, preset
-from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, FilterRule, Restriction, Right
+from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Restriction, Right
 from grants.policy import readers
 from grants.policy.fields import (
     ConditionRule,
@@ -23,20 +23,17 @@ from grants.policy.fields import (
     read_fields,
 )
 from grants.policy.mistakes import Mistakes, SourcePosition, suggest
-from grants.policy.model import (
-    EVERYONE,
-    Clause,
-    Defaults,
-    Effect,
-    PolicyRule,
-    SubjectPattern,
-    type_of,
-)
+from grants.policy.model import Clause, Defaults, Effect, PolicyRule, type_of
+from grants.policy.own_names import BEGINS_TOPIC, NODE
+from grants.policy.seeing import TopicLevels, read_see, resolve_levels
 from grants.policy.source import Part, YamlMapping
+from grants.policy.subjects import Subjects
+from grants.policy.vocabulary import Vocabulary
+from grants.vocabulary.resolve import Resolved, together
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
-_RESTRICTING: Final = ("when", "filter", "limit", "on_stale", "lifetime", "renew_until")
+_RESTRICTING: Final = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
 _ON_STALE: Final = ("cut", "keep")
 _KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
 RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
@@ -46,11 +43,12 @@ _Fields = tuple[FieldRule, ...]
 
 @dataclass(frozen=True)
 class _TopicFilter:
-    """The filter of one topic: fields, or a preset by name."""
+    """The filter of one topic: fields, or a preset by name; and the levels of what is seen."""
 
     position: SourcePosition
     fields: _Fields = ()
     preset: str | None = None
+    see: TopicLevels | None = None
 
 
 class RuleReader:
@@ -60,17 +58,19 @@ class RuleReader:
         self,
         mistakes: Mistakes,
         defaults: Defaults,
-        identities: Mapping[str, SubjectPattern],
+        subjects: Subjects,
         types: Mapping[str, str],
         layouts: Mapping[str, Layout],
         filters: Mapping[str, _Fields],
+        vocabulary: Vocabulary,
     ) -> None:
         self._mistakes = mistakes
         self._defaults = defaults
-        self._identities = identities
+        self._subjects = subjects
         self._types = types
         self._layouts = layouts
         self._filters = filters
+        self._vocabulary = vocabulary
 
     def read(self, part: Part) -> PolicyRule | None:
         """One rule, or None if its structure is invalid."""
@@ -92,8 +92,8 @@ class RuleReader:
         return PolicyRule(
             id=name,
             effect=effect,
-            who=self._subjects(mapping.get("who")),
-            exceptions=self._subjects(mapping.get("except")),
+            who=self._subjects.read(mapping.get("who")),
+            exceptions=self._subjects.read(mapping.get("except")),
             why=readers.text(mapping.get("why"), "why", self._mistakes) or "",
             clauses=self._clauses(mapping, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
@@ -120,31 +120,14 @@ class RuleReader:
         rights = mapping.get(effect.value)
         return effect, readers.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
 
-    def _subjects(self, part: Part | None) -> tuple[SubjectPattern, ...]:
-        subjects = (self._subject(item) for item in readers.items(part))
-        return tuple(who for who in subjects if who is not None)
-
-    def _subject(self, part: Part) -> SubjectPattern | None:
-        label = readers.text(part, "who", self._mistakes)
-        if label is None:
-            return None
-        if label == EVERYONE:
-            return SubjectPattern(label, "/**")
-        if label.startswith("/") or ":" in label:
-            node = readers.subject(part, "who", self._mistakes)
-            return SubjectPattern(label, node) if node is not None else None
-        if label not in self._identities:
-            message = f"unknown identity {label[:60]!r}"
-            self._mistakes.add(part, message, suggest(label, self._identities))
-            return None
-        return self._identities[label]
-
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
         named = self._named_rights(rights, name)
         read = [read_condition(item, self._mistakes) for item in readers.items(mapping.get("when"))]
         conditions = [when for when in read if when is not None]
         topics = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
         filters = self._filters_of(mapping.get("filter"), topics, name)
+        for topic, see in read_see(mapping.get("see"), topics, name, self._mistakes).items():
+            filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
         rate = self._rate(mapping.get("limit"), topics, name)
         clauses: list[Clause] = []
         for right, pattern, position in named:
@@ -196,28 +179,45 @@ class RuleReader:
         reads_message = (
             topic_filter.fields
             or topic_filter.preset
+            or topic_filter.see
             or any(when.reads_message for when in conditions)
         )
         if reads_message and not self._fits(
             right, pattern, position, kind, conditions, topic_filter
         ):
             return []
-        rules, limit = self._treatment(topic_filter, kind, rate if subscribes else None)
-        if not conditions and not rules:
-            return [Clause(right, pattern, None, limit, kind)]
+        levels = self._levels(topic_filter, pattern, kind)
+        if levels is None:
+            return []
+        own = Resolved(rate=rate if subscribes else None)
+        given = self._treatment(topic_filter, kind, own, levels)
+        if not conditions and not given.rules and given.slot is None:
+            return [Clause(right, pattern, None, given.rate, kind)]
         texts = tuple(dict.fromkeys(when.text for when in conditions))
-        restriction = Restriction(kind if reads_message else None, texts, rules)
-        return [Clause(right, pattern, restriction, limit, kind)]
+        type_name = kind if reads_message else None
+        restriction = Restriction(type_name, texts, given.rules, slot=given.slot)
+        return [Clause(right, pattern, restriction, given.rate, kind)]
+
+    def _levels(
+        self, topic_filter: _TopicFilter, pattern: str, kind: str | None
+    ) -> Resolved | None:
+        """What `see` of the rule adds for one topic; None if it does not fit."""
+        if topic_filter.see is None or kind is None:
+            return Resolved()
+        layout = self._layouts[kind]
+        others = self._treatment(topic_filter, kind).rules
+        see = topic_filter.see
+        return resolve_levels(layout, self._vocabulary, pattern, see, others, self._mistakes)
 
     def _treatment(
-        self, topic_filter: _TopicFilter, kind: str | None, rate: float | None
-    ) -> tuple[tuple[FilterRule, ...], float | None]:
-        """The rules and the rate; a preset has its own, and the lower rate applies."""
-        if topic_filter.preset is None or kind is None:
-            return tuple(sorted(item.rule for item in topic_filter.fields)), rate
-        restriction = preset(topic_filter.preset).restriction(self._layouts[kind])
-        rates = [one for one in (restriction.rate, rate) if one is not None]
-        return restriction.filters, min(rates, default=None)
+        self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved
+    ) -> Resolved:
+        """The rules, the lowest rate and the longest slot of the filter and of these."""
+        found = [Resolved(tuple(item.rule for item in topic_filter.fields)), *given]
+        if topic_filter.preset is not None and kind is not None:
+            named = preset(topic_filter.preset).restriction(self._layouts[kind])
+            found.append(Resolved(named.filters, named.rate, named.slot))
+        return together(found)
 
     def _fits(
         self, right: Right, pattern: str, position: SourcePosition, kind: str | None,
@@ -230,7 +230,7 @@ class RuleReader:
             return False
         if kind is None:
             message = f"the message type of {pattern} is unknown"
-            hint = f"add it to types: {{{pattern}: package/Type}}"
+            hint = f"add it to types: {{{pattern.replace(NODE, '~')}: package/Type}}"
             self._mistakes.add(position, message, hint)
             return False
         if kind not in self._layouts:
@@ -258,10 +258,13 @@ class RuleReader:
             hint = "add a subscribe right, or remove the filter"
             self._mistakes.add(mapping, f"rule {name}: nothing to filter", hint)
             return {}
-        if not any(key.startswith("/") for key in mapping.entries):
+        if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
         found: dict[str, _TopicFilter] = {}
-        for topic, (key, value) in mapping.entries.items():
+        for key, value in mapping.entries.values():
+            topic = readers.pattern(key, f"filter of rule {name}", self._mistakes)
+            if topic is None:
+                continue
             if topic not in topics:
                 message = f"rule {name} has no subscribe right on {topic[:80]!r}"
                 self._mistakes.add(key, message, suggest(topic, topics))

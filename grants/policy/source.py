@@ -31,6 +31,7 @@ _INT: Final = re.compile(r"[-+]?[0-9]{1,18}", re.ASCII)
 _FLOAT: Final = re.compile(
     r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)(?:[eE][-+]?[0-9]{1,3})?", re.ASCII
 )
+_UNQUOTED: Final = re.compile(r"(?<![\"'])\{node\}")
 _BOOLEANS: Final = {"true": True, "false": False}
 
 
@@ -79,8 +80,15 @@ def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part 
         return _Builder(events(text, bounds), mistakes).document()
     except YamlRefused as error:
         mistakes.found.clear()  # earlier mistakes may be wrong
-        mistakes.add(error, str(error), error.hint)
+        mistakes.add(error, str(error), _unquoted_own_name(text, error.line) or error.hint)
     return mistakes.raise_all()
+
+
+def _unquoted_own_name(text: str, line: int) -> str:
+    """What to write where `{node}/pose` has no quotes, and so begins a mapping of YAML."""
+    lines = text.splitlines()[line - 1 : line] if line > 0 else []
+    found = any(_UNQUOTED.search(each) for each in lines)
+    return 'put own names in quotes: "{node}/pose", or write ~/pose' if found else ""
 
 
 class _Builder:

@@ -15,9 +15,9 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import iterparse
 
 from ca.errors import PatternRefused
-from ca.patterns import check_pattern
 from grants.errors import PolicyRefused
 from grants.policy.editing import NewRule, add_rules, empty, free_id
+from grants.policy.own_names import NODE, check_rule_pattern
 
 MAX_SIZE: Final = 4 * 1024 * 1024
 MAX_PARTS: Final = 20_000
@@ -104,7 +104,7 @@ def _profile(profile: Any, notes: list[str]) -> Iterator[NewRule]:
                 if effect is None:
                     continue
                 for item in group.findall(child):
-                    pattern = _resolve((item.text or "").strip(), namespace, node)
+                    pattern = _resolve((item.text or "").strip(), namespace)
                     _add(rights[effect], attribute, names, pattern, node, notes)
     for effect, found in rights.items():
         if found:
@@ -135,17 +135,17 @@ def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[st
     return goals + [("publish" if server else "subscribe", f"{name}/{part}") for part in _RESULTS]
 
 
-def _resolve(name: str, namespace: str, node: str) -> str:
+def _resolve(name: str, namespace: str) -> str:
     if name.startswith("/"):
         return name
     if name.startswith("~"):
-        return f"{node}/{name[1:].lstrip('/')}"
+        return f"{NODE}/{name[1:].lstrip('/')}"
     return f"{namespace.rstrip('/')}/{name}"
 
 
 def _is_pattern(text: str) -> bool:
     try:
-        check_pattern(text)
+        check_rule_pattern(text)
     except PatternRefused:
         return False
     return True

@@ -68,6 +68,9 @@ class Trial:
             for text in restriction.conditions:
                 if not compile_condition(layout, text)(message, now):
                     return f"the condition is not true: {text}"
+        slots = [item.slot for item in self._verdict.restrictions if item.slot is not None]
+        if slots:
+            return f"not the one message at the start of each {max(slots)} s"
         rate = self._verdict.rate
         return "not admitted" if rate is None else f"more than {rate:g} messages a second"
 

@@ -14,9 +14,12 @@ from grants.model import Permission, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.drafts import permissions
 from grants.policy.model import Effect, PolicyRule, Subject
+from grants.policy.own_names import is_own
 
 Atom = tuple[Right, str]
 """One right on one name or pattern."""
+
+_Key = tuple[bool | str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -77,13 +80,16 @@ class Wanted(NamedTuple):
 
 
 class WantedState:
-    """The wanted state of one policy. Nodes to which the same rules apply share the work."""
+    """The wanted state of one policy.
+
+    Nodes to which the same rules apply share the work, unless one is about the node's own names.
+    """
 
     def __init__(self, decider: Decider) -> None:
         self._decider = decider
-        self._wanted: dict[tuple[int, ...], Wanted] = {}
-        self._verdicts: dict[tuple[tuple[int, ...], Atom], Verdict] = {}
-        self._last: tuple[Subject | None, list[PolicyRule], tuple[int, ...]] = (None, [], ())
+        self._wanted: dict[_Key, Wanted] = {}
+        self._verdicts: dict[tuple[_Key, Atom], Verdict] = {}
+        self._last: tuple[Subject | None, list[PolicyRule], _Key] = (None, [], ())
 
     def of(self, subject: Subject) -> Wanted:
         """What the policy gives `subject` outright.
@@ -105,18 +111,20 @@ class WantedState:
             self._verdicts[key, atom] = verdict
         return replace(verdict, subject=subject)
 
-    def _rules_of(self, subject: Subject) -> tuple[list[PolicyRule], tuple[int, ...]]:
+    def _rules_of(self, subject: Subject) -> tuple[list[PolicyRule], _Key]:
         """The rules for `subject`, and what names them: the policy keeps them alive."""
         if self._last[0] != subject:
             rules = self._decider.rules_of(subject)
             # No master renews grants of foreigners, so they share nothing with own nodes.
-            self._last = (subject, rules, (is_alias(subject.name), *map(id, rules)))
+            own = (subject.name,) if subject.tail or any(map(_has_own_names, rules)) else ()
+            key = (is_alias(subject.name), subject.tail, *own, *map(id, rules))
+            self._last = (subject, rules, key)
         return self._last[1:]
 
     def _decide_all(self, rules: list[PolicyRule], subject: Subject) -> Wanted:
         rights: dict[Atom, WantedRight] = {}
         withheld: dict[tuple[Atom, str], Withheld] = {}
-        for rule, atom in _clauses(rules):
+        for rule, atom in _clauses(rules, subject):
             verdict = self._decider.decide_by(rules, subject, *atom)
             if verdict.effect is Effect.ALLOW:
                 rights.setdefault(atom, WantedRight.of(verdict))
@@ -131,9 +139,14 @@ def rule_ids(rules: Iterable[PolicyRule]) -> str:
     return " ".join(sorted({rule.id for rule in rules}))
 
 
-def _clauses(rules: list[PolicyRule]) -> Iterator[tuple[PolicyRule, Atom]]:
-    """The rights that the rules have for their nodes, of allowing and of prompting rules."""
+def _has_own_names(rule: PolicyRule) -> bool:
+    return any(is_own(clause.pattern) for clause in rule.clauses)
+
+
+def _clauses(rules: list[PolicyRule], subject: Subject) -> Iterator[tuple[PolicyRule, Atom]]:
+    """The rights that the rules have for `subject`, of allowing and of prompting rules."""
     for rule in rules:
         if rule.effect is not Effect.DENY:
             for clause in rule.clauses:
-                yield rule, (clause.right, clause.pattern)
+                if (found := clause.of(subject)) is not None:
+                    yield rule, (found.right, found.pattern)

@@ -198,7 +198,7 @@ class ApprovalQueue:
 
     def _verdict(self, stored: StoredRequest) -> Verdict:
         row = self._store.valid_certificate(stored.request.node, self._now)
-        subject = Subject(row.name, row.thumbprint)
+        subject = Subject(row.name, row.thumbprint, row.wildcard)
         return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
     def _automatic_denial(self, stored: StoredRequest, waiting: dict[str, int]) -> str:

@@ -88,7 +88,8 @@ def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
         )
     raise ConfigurationError(
         f"no certificate of {label}:{name} is recorded here",
-        f"give its node.pem: --certificate; or end all of it: rossec domain limit {label} --admit",
+        "give its node.pem: --certificate; or end all of it:"
+        f" rossec domain limit {label} --admit PATTERN",
     )
 
 

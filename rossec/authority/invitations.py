@@ -14,6 +14,7 @@ from ca.patterns import check_pattern
 from ca.revocation.state import RevocationList
 from ca.store.invitations import InvitationRow, InvitationUse
 from ca.store.record import Store
+from rossec.authority import thing_records
 from rossec.authority.home import AuthorityHome
 from rossec.authority.joining import source
 from rossec.authority.signing import SigningAuthority
@@ -152,6 +153,9 @@ def revoke_nodes(
     with authority.store.transaction():
         names = sorted({use.name for use in authority.store.invitations.uses(invitation.row.id)})
         keys = {name: authority.store.unrevoked_keys(name, now) for name in names}
-        revoked = frozenset().union(*keys.values())
+        things = (
+            thing_records.ended_with(authority.store, name, now) for name in names if keys[name]
+        )
+        revoked = frozenset().union(*keys.values(), *things)
         listed = authority.revoke_all(revoked, reason, now) if revoked else None
     return listed, [name for name in names if keys[name]]

@@ -9,6 +9,7 @@ another key before is not new: it waits for a person, like every request of `ros
 from typing import Final
 
 from ca.certificates import from_pem
+from ca.enrollment.join_claim import JoinClaim
 from ca.enrollment.join_messages import (
     Issued,
     JoinAnswer,
@@ -87,12 +88,32 @@ def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
     return Waiting(WaitReason.LOCKED)
 
 
+def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> str | Refused:
+    """The pattern of the invitation whose secret `asked` proves, or why it is not answered.
+
+    What a node says of itself may be looked at only then. An invitation that somebody has joined by
+    is answered also after its end, as that may be the node which asks: it may have lost its answer.
+
+    Raises:
+        RecordUnusable: the record cannot be used now.
+    """
+    invitation = _proved(store, asked)
+    if invitation is None:
+        return Refused(RefuseReason.REFUSED)
+    try:
+        if not store.invitations.uses(invitation.id):
+            store.invitations.check_open(invitation.id, now)
+    except InvitationRefused:
+        return Refused(RefuseReason.ENDED)
+    return invitation.pattern
+
+
 def source(invitation: InvitationRow) -> str:
     """Where the requests of an invitation come from, for the approver."""
     return f"invitation {invitation.id.hex()[:8]}"
 
 
-def _proved(store: Store, request: JoinRequest) -> InvitationRow | None:
+def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | None:
     """The invitation whose secret the request proves; None if it does not."""
     try:
         found = store.invitations.get(request.invitation)

@@ -21,13 +21,14 @@ SKEW: Final = 60  # seconds that another host's clock may be behind
 def required_entries(store: Store, now: int) -> frozenset[bytes]:
     """The entries of a list signed at `now`.
 
-    Grants that have expired and cannot be renewed are left out. A node refuses a list from its
-    future, so a node without the entry finds the grant expired (RFC 9770 removes entries in the
-    same way). Keys stay: they are few, and a certificate renewed by the master may be valid longer
-    than those recorded here.
+    Grants that have expired and cannot be renewed are left out, and so are statements about things.
+    A node refuses a list from its future, so a node without the entry finds the grant expired (RFC
+    9770 removes entries in the same way). Keys stay: they are few, and a certificate renewed by the
+    master may be valid longer than those recorded here.
     """
     ended = (row.id for row in store.revoked_grants() if document.peek(row.data).cap + SKEW < now)
-    return store.revoked_entries() - frozenset(ended)
+    expired = (row.id for row in store.things.revoked() if row.expires + SKEW < now)
+    return store.revoked_entries() - frozenset(ended) - frozenset(expired)
 
 
 def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:

@@ -7,8 +7,8 @@ from ca.certificates import TrustAnchor
 from ca.names import is_master_name
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.records import ChannelLimits
-from rossec.errors import ConfigurationError
-from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.errors import ConfigurationError, PeerUnreachable
+from rossec.net.aio import SecureContext, WireProtocol, as_master, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import settings
 
@@ -33,7 +33,10 @@ async def master_connection(
         suites=suites,
         dial_limits={WireProtocol.HTTP: ChannelLimits()},  # `limits: body` is the master's to set
     )
-    stream = await connect(host, port, context, WireProtocol.HTTP)
+    try:
+        stream = await connect(host, port, context, WireProtocol.HTTP)
+    except PeerUnreachable as error:
+        raise as_master(error) from error
     try:
         if not is_master_name(stream.peer.name):
             raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")

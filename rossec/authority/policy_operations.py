@@ -81,11 +81,16 @@ class PolicyOperations(ABC):
             return [item for item in queue.pending() if not item.is_allowed]
 
     def decide_grants(self, policy: "PolicyFile") -> Decided:
-        """Sign the collected requests that the policy allows; without any, no key is needed."""
+        """Sign the collected requests that the policy allows; without any, no key is needed.
+
+        Raises:
+            PolicyRefused: it allows one, and a test of the policy does not hold.
+        """
         with self._queue(policy) as queue:
             pending, grants = queue.pending(), []
             allowed = [item for item in pending if item.is_allowed]
             if allowed:
+                policy.require_tests()
                 grants = queue.sign(self.unlock(), allowed, lambda verdict: verdict, "policy")
             waiting = len(pending) - len(allowed)
             return Decided(grants, len(allowed), waiting, queue.denied_automatically)
@@ -137,11 +142,13 @@ class PolicyOperations(ABC):
         """What applying `policy` would change, for the nodes `names` or for all; needs no key.
 
         Raises:
-            RevocationRefused, PolicyRefused: as `policy_plan.make_plan`.
+            RevocationRefused, PolicyRefused: as `policy_plan.make_plan`; a test of the policy does
+                not hold.
         """
         from grants.policy.difference import Moment  # noqa: PLC0415 - see above
         from rossec.authority.policy_plan import PlanOptions, make_plan  # noqa: PLC0415 - see above
 
+        policy.require_tests()
         with contextlib.closing(self.home.store()) as store:
             at = self._now()
             moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
@@ -154,13 +161,15 @@ class PolicyOperations(ABC):
         `apply_policy`.
 
         Raises:
-            ConfigurationError, PathRefused, PolicyRefused: the policy cannot be used.
+            ConfigurationError, PathRefused, PolicyRefused: the policy cannot be used, or one of its
+                tests does not hold.
         """
         from rossec.authority import policy_apply, policyfile  # noqa: PLC0415 - see above
 
         if self.home.is_intermediate or not policyfile.place(self.rossec_home, place).exists():
             return []
         policy = policyfile.read_policy(self.rossec_home, place, signs=True)
+        policy.require_tests()
         at = self._now()
         renews = self.home.has_delegated(at)
         return policy_apply.grant_outright(self.unlock(), policy, names, at, renews=renews)

@@ -32,6 +32,9 @@ from rossec.authority import foreign_nodes, list_contents
 from rossec.authority.list_contents import SKEW
 from rossec.authority.policyfile import PolicyFile
 
+_Holder = tuple[str, bytes]
+"""The name of a node and the thumbprint of a key."""
+
 _OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants have expired"
 
 
@@ -141,39 +144,46 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
     with store.database.read_transaction():
         recorded = _recorded(store, options.names, moment.now)
         getting = _subjects(store, options.names, moment.now)
-        subjects = sorted(getting | recorded.keys(), key=lambda each: (each.name, each.key))
         nodes = tuple(
-            difference(state, each, recorded.get(each, ()), moment, gets=each in getting)
-            for each in subjects
-        )
+            difference(
+                state, getting.get(each, Subject(*each)), recorded.get(each, ()), moment,
+                gets=each in getting,
+            )
+            for each in sorted(getting.keys() | recorded.keys())
+        )  # fmt: skip
         pruned = tuple(_pruned(nodes)) if options.prune else ()
         plan = PolicyPlan(policy, options, moment, nodes, pruned, store.log.head(0).size)
         return _measured(store, plan)
 
 
-def _subjects(store: Store, names: Collection[str] | None, now: int) -> set[Subject]:
+def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, Subject]:
     """The nodes that may get grants, with their present keys."""
     found = (
         store.identities.all_valid(now)
         if names is None
         else [row for name in names for row in store.identities.valid(name, now)]
     )
-    newest = {row.name: row.thumbprint for row in found if row.name.startswith("/")}
-    own = {Subject(name, key) for name, key in newest.items() if not is_reserved(name)}
+    newest = {row.name: row for row in found if row.name.startswith("/")}
+    own = [
+        Subject(name, row.thumbprint, row.wildcard)
+        for name, row in newest.items()
+        if not is_reserved(name)
+    ]
     foreign = foreign_nodes.subjects(store, now)
-    return own | {each for each in foreign if names is None or each.name in names}
+    admitted = [each for each in foreign if names is None or each.name in names]
+    return {(each.name, each.key): each for each in (*own, *admitted)}
 
 
 def _recorded(
     store: Store, names: Collection[str] | None, now: int
-) -> dict[Subject, list[RecordedGrant]]:
+) -> dict[_Holder, list[RecordedGrant]]:
     """The grants that are or can be in force, by node and key."""
     revoked, rules = store.revoked_entries(), store.policy_grants(names)
-    found: dict[Subject, list[RecordedGrant]] = {}
+    found: dict[_Holder, list[RecordedGrant]] = {}
     for row in store.unrevoked_grants(names):
         grant = document.peek(row.data)
         if now < grant.cap and grant.holder not in revoked:
-            of = found.setdefault(Subject(grant.subject, grant.holder), [])
+            of = found.setdefault((grant.subject, grant.holder), [])
             of.append(RecordedGrant(grant, rules.get(row.id, "")))
     return found
 

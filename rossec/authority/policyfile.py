@@ -37,9 +37,7 @@ class PolicyFile:
             PathRefused: another user could have written it.
             PolicyRefused: with all its mistakes.
         """
-        missing = ConfigurationError(
-            f"there is no policy in {path}", "write one, or: rossec policy learn --from-graph"
-        )
+        missing = ConfigurationError(f"there is no policy in {path}", "next: rossec policy init")
         try:
             text = (
                 files.read_own(path, MAX_SIZE, missing, link=True)
@@ -75,6 +73,17 @@ class PolicyFile:
                 f"{self.path} was changed while this command was running, nothing was done",
                 "run the command again: it then uses the new policy",
             )
+
+    def require_tests(self) -> None:
+        """Return if every test in the policy holds.
+
+        Raises:
+            PolicyRefused: one does not.
+        """
+        from grants.policy.assertion_check import require_tests  # noqa: PLC0415 - few need it
+
+        if self.policy.tests:
+            require_tests(self.policy, layout_of)
 
     @property
     def decider(self) -> Decider:

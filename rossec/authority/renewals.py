@@ -18,6 +18,7 @@ from ca.renewal import open_renewal, renew_at
 from ca.requests import build_request
 from ca.store.record import CertificateRow, Store
 from ca.store.rows import INTERMEDIATE
+from rossec.authority import thing_records
 from rossec.authority.home import OWN_LIFETIME
 from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError
@@ -166,6 +167,8 @@ def import_identity(
             return identity, False
         replace_key = row.name if row.name in replaced else None
         store.add_certificate(row, now, replace_key=replace_key)
+        if replace_key is not None:
+            thing_records.end_with_router(store, row.name, now)
         store.log_event("imported", row.name, f"{row.serial:x}", now)
         authority.refresh_list(now)
     return identity, True

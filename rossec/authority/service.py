@@ -31,6 +31,7 @@ from rossec.authority.keyservice.client import RemoteSigner, running_signer
 from rossec.authority.master_call import MasterCall
 from rossec.authority.policy_operations import Decided, PolicyOperations, SignedGrant
 from rossec.authority.signing import DELEGATIONS, SKEW, SigningAuthority
+from rossec.authority.thing_operations import ThingOperations
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
@@ -60,7 +61,7 @@ def _signed(authority: SigningAuthority) -> _Signed:
 __all__ = ["AuthorityService", "Decided", "MasterCall", "SignedGrant"]
 
 
-class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
+class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingOperations):
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
     Args:
@@ -160,7 +161,8 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations):
         """Certify the current key of another node again; returns its new bundle (PEM)."""
         if name.startswith(INTERMEDIATE):
             raise ConfigurationError(
-                f"{name} is an intermediate", "sign its request again: rossec ca intermediate sign"
+                f"{name} is an intermediate",
+                "sign its request again: `rossec ca intermediate sign`",
             )
         return renewals.renew_by_name(self.unlock(), name, self._now(), lifetime)
 

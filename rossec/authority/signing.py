@@ -6,7 +6,7 @@ recorded in one transaction, and so is a revocation with its list.
 """
 
 import secrets
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,7 +15,6 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, check_request, to_pem
-from ca.domains.aliases import is_alias, shown
 from ca.domains.lists import DomainList
 from ca.errors import ForeignCertificate, RequestClosed
 from ca.keys.signer import Signer
@@ -27,10 +26,11 @@ from ca.store.log_entries import sign_head
 from ca.store.record import CertificateRow, GrantRow, Store
 from ca.store.rows import INTERMEDIATE
 from grants import document
-from grants.model import Draft, Permission, Right
+from grants.model import Draft
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
 from rossec import files
-from rossec.authority import domain_list, list_contents
+from rossec.authority import domain_list, list_contents, thing_records
+from rossec.authority.grantable import check_own_names, check_tail
 from rossec.errors import ConfigurationError
 
 SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
@@ -104,6 +104,8 @@ class SigningAuthority:
                 request=row.digest,
                 replace_key=row.name if row.replaces else None,
             )
+            if row.replaces:
+                thing_records.end_with_router(self.store, row.name, now)
             self.refresh_list(now)
         return self.bundle(der)
 
@@ -158,6 +160,7 @@ class SigningAuthority:
             check()
             for draft, _ in drafts:
                 self.store.identities.check_not_revoked(draft.subject, draft.holder)
+                check_tail(draft, self.store.identities.valid(draft.subject, now))
             self.refresh_list(now)
             for (draft, rules), data in zip(drafts, signed, strict=True):
                 number = document.grant_id(data)
@@ -227,7 +230,8 @@ class SigningAuthority:
             found = self.store.unrevoked_keys(sought, now)
             if found:
                 self._check_root()
-                return self._revoke(found, reason, now), len(found)
+                ended = found | thing_records.ended_with(self.store, sought, now)
+                return self._revoke(ended, reason, now), len(found)
             self.refresh_list(now)
         certified = self.store.identities.certified_name(name, now)
         raise ConfigurationError(
@@ -326,17 +330,3 @@ def certificate_row(identity: Identity) -> CertificateRow:
         identity.serial, identity.name, identity.thumbprint, identity.certificate,
         identity.not_before, identity.not_after,
     )  # fmt: skip
-
-
-def check_own_names(permissions: Iterable[Permission]) -> None:
-    """Return if an authority may grant these: of others' names it shows its own graph, no more.
-
-    Raises:
-        ConfigurationError: a right on a name below `/remote`, which another authority grants.
-    """
-    for permission in permissions:
-        if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
-            raise ConfigurationError(
-                f"{shown(permission.pattern)} is a name of another domain or site",
-                "its own authority grants rights on it, by its name there; here only --graph",
-            )

@@ -9,6 +9,7 @@ from typing import Any, Final, NoReturn
 import click
 
 from rossec.cli.shared import invocation
+from rossec.cli.shared.context import Environment
 from rossec.cli.shared.lazy import LazyGroup
 from rossec.terminal import printable
 
@@ -17,7 +18,15 @@ _TABLE: Final = {
         "master.audit:audit",
         "Show the master's audit: what was denied, and what was administered.",
     ),
+    "border": (
+        "border.group:border",
+        "Run the border router of constrained things, as the node /border.",
+    ),
     "ca": ("ca.group:ca", "Run the authority, which signs the identities."),
+    "completion": (
+        "completion.command:completion",
+        "Print what makes Tab complete commands and names in SHELL: bash, zsh or fish.",
+    ),
     "console": (
         "console.group:console",
         "Show who sees what, and decide: pages for a browser, and the phones that approve.",
@@ -40,9 +49,17 @@ _TABLE: Final = {
         "federation.group:federation",
         "Follow other masters: of the own domain, and of domains that are trusted.",
     ),
+    "gateway": (
+        "gateway.group:gateway",
+        "Run the gateway of this site, as the node /gateway.",
+    ),
     "grant": ("grant.group:grant", "Sign, show and revoke grants."),
     "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
     "master": ("master.group:master", "Run a master, as the node /master."),
+    "namespace": (
+        "namespace.group:namespace",
+        "Give names by rules: to a node, its topics and services, from its metadata.",
+    ),
     "node": ("node.group:node", "Prepare a node on its own machine."),
     "param": ("ros.group:param", "Read and write parameters."),
     "policy": ("policy.group:policy", "Write what is allowed, and check it."),
@@ -106,3 +123,10 @@ def main() -> NoReturn:
 def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
     """Run one command line and return its exit code (see `rossec.terminal`)."""
     return invocation.run(rossec, arguments, environ)
+
+
+def complete(environ: Mapping[str, str]) -> str:
+    """What completes the command line that a shell described in `environ`."""
+    from rossec.cli.completion import shells  # noqa: PLC0415 - for completion alone
+
+    return shells.answer(rossec, Environment(environ))

@@ -226,7 +226,7 @@ class Enrollment:
         if self._clock() > self.deadline:
             raise EnrollmentExpired(
                 "the node waits no longer: its code has expired",
-                "have it show a new one (rossec node enroll), and scan that",
+                "have it show a new one (rossec node enroll NAME), and scan that",
             )
 
     def _show(self, _: str) -> None:

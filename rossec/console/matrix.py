@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from ca.patterns import covers
+from ca.patterns import TAIL, covers
 from grants.document import peek
 from grants.model import Grant, Permission, Restriction, Right, merge
 from rossec.authority.console.views import FactView, GrantView, NodeView
@@ -73,7 +73,7 @@ class TopicRow(NamedTuple):
     @property
     def is_pattern(self) -> bool:
         """Whether it stands for all topics that it covers."""
-        return "*" in self.topic
+        return _is_pattern(self.topic)
 
     def seen_by(self) -> list[Cell]:
         """The cells of receivers that see something now."""
@@ -147,7 +147,7 @@ def build(held: Sequence[HeldGrant], facts: Sequence[FactView], now: int) -> Mat
         now: seconds since the epoch.
     """
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
-    topics = sorted(_topics(held, facts), key=lambda topic: ("*" in topic, topic))
+    topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
     receivers = sorted({each.grant.subject for each in held if _sees(each.grant)})
     of = {name: [each for each in held if each.grant.subject == name] for name in receivers}
     rows = []
@@ -173,7 +173,7 @@ def publishers_of(
 
 def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
     """The permissions that give `right` on a topic, or on all that the pattern `topic` covers."""
-    named = topic.replace("**", _ANY).replace("*", _ANY)
+    named = topic.replace("**", _ANY).replace("*", _ANY).replace(TAIL, f"_{_ANY}")
     return [
         each for each in grant.permissions if right in each.rights and covers(each.pattern, named)
     ]
@@ -190,8 +190,12 @@ def _topics(held: Iterable[HeldGrant], facts: Iterable[FactView]) -> set[str]:
         for each in held
         for permission in each.grant.permissions
         if permission.rights & (Right.SUBSCRIBE | Right.PUBLISH)
-        and ("*" not in permission.pattern or Right.SUBSCRIBE in permission.rights)
+        and (not _is_pattern(permission.pattern) or Right.SUBSCRIBE in permission.rights)
     }
+
+
+def _is_pattern(topic: str) -> bool:
+    return "*" in topic or TAIL in topic
 
 
 def _granted_type(cells: Iterable[Cell]) -> str:

@@ -11,7 +11,8 @@ from typing import Final, NamedTuple
 from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.model import FilterRule, Right
-from grants.policy.privacy import WHOLE, ReceiverAccess, filters_of, leaf_paths
+from grants.policy.privacy import WHOLE, ReceiverAccess, filters_of, leaf_paths, sees
+from grants.policy.vocabulary import Vocabulary
 from rossec.clock import format_time
 from rossec.console import words
 from rossec.console.matrix import HeldGrant
@@ -42,11 +43,12 @@ class ReportFields(NamedTuple):
 
 
 class ReportGroup(NamedTuple):
-    """Receivers that get the same."""
+    """Receivers that get the same; `sees` is what that tells, in words."""
 
     receivers: tuple[ReportReceiver, ...]
     when: str
     fields: tuple[ReportFields, ...]
+    sees: str = ""
 
 
 class ReportTopic(NamedTuple):
@@ -66,15 +68,17 @@ def topics(
     accesses: Iterable[ReceiverAccess],
     layout_of: Callable[[str], Layout],
     wanted: Wanted = everything,
+    vocabulary: Vocabulary | None = None,
 ) -> list[ReportTopic]:
-    """The report of these accesses, by topic."""
+    """The report of these accesses, by topic; `vocabulary` is that of the policy."""
     by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
     for access in sorted(accesses, key=lambda each: (each.topic, each.receiver, each.by)):
         fields = _fields(access, layout_of, wanted)
         if fields:
             groups = by_topic.setdefault((access.topic, access.type or ""), {})
             receiver = ReportReceiver(access.receiver, access.why, access.until, access.by)
-            groups.setdefault((_when(access), fields), []).append(receiver)
+            said = _sees(access, layout_of, vocabulary)
+            groups.setdefault((_when(access), fields, said), []).append(receiver)
     return [
         ReportTopic(
             topic, kind, tuple(ReportGroup(tuple(who), *key) for key, who in groups.items())  # type: ignore[arg-type]
@@ -119,6 +123,16 @@ def _fields(
     return tuple(sorted(found, key=lambda each: not each.is_open))
 
 
+def _sees(
+    access: ReceiverAccess, layout_of: Callable[[str], Layout], vocabulary: Vocabulary | None
+) -> str:
+    """Nothing of a type that is not known here."""
+    try:
+        return "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
+    except (GrantError, MessageError):
+        return ""
+
+
 def _paths(
     kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]
 ) -> list[str]:
@@ -143,4 +157,5 @@ def _when(access: ReceiverAccess) -> str:
     parts = [text for each in access.restrictions for text in each.conditions]
     if access.rate is not None:
         parts.append(words.rate(access.rate))
+    parts += [words.slot(each.slot) for each in access.restrictions if each.slot is not None]
     return " and ".join(dict.fromkeys(parts)) or "always"

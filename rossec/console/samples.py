@@ -97,7 +97,7 @@ def try_see(
 
 def _without_conditions(given: Iterable[Restriction]) -> Iterable[Restriction]:
     for each in given:
-        if each.filters or each.rate is not None:
+        if each.filters or each.rate is not None or each.slot is not None:
             yield replace(each, conditions=())
 
 

@@ -312,6 +312,7 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "domain": _domain,
     "domain ended": _about("ended", "Domain", "is not trusted any more"),
     "domain list": _plain("note", "Signed", "the list of other domains, number"),
+    "thing": _plain("allowed", "Thing", "known with its border router:"),
     "foreign certificate": _plain("note", "Known", "a node of another domain:"),
 }
 KINDS: Final = _TELL.keys() | _FOLDED

@@ -7,11 +7,21 @@ shown passes `printable`.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from typing import Final
 
 from ca.domains.aliases import shown
+from ca.patterns import TAIL
+from grants.errors import GrantError
+from grants.filters.layout import parse
 from grants.model import FilterRule, Restriction, Right, Scalar
+from grants.vocabulary.assess import assess
+from grants.vocabulary.describe import Description, describe
+from grants.vocabulary.sentences import sentence
+from grants.vocabulary.words import EXACT
+from rossec.errors import MessageError
+from rossec.participant.message_types import message_type
 from rossec.ros.text import printable
 
 MAX_NAME: Final = 120
@@ -83,12 +93,12 @@ def term(expires: int, cap: int, now: int) -> str:
 
 
 def topic(pattern: str) -> str:
-    """A pattern of names, as text: `everything below /robot`."""
+    """A pattern of names, as text: `everything below /robot`; of anonymous nodes `/rviz_…/pose`."""
     if pattern == "/**":
         return "everything"
     if pattern.endswith("/**") and "*" not in pattern[:-3]:
-        return f"everything below {name(pattern[:-3])}"
-    return name(pattern)
+        return f"everything below {topic(pattern[:-3])}"
+    return name(pattern).replace(TAIL, "_…")
 
 
 # By operator, with the field's name, its unit (a space before it) and the parameters by name.
@@ -103,6 +113,8 @@ OPERATORS: Final[Mapping[str, str]] = {
     "truncate": "only the first {length} of {field}",
     "hash": "{field} as a pseudonym",
     "pixelate": "{field} in squares of {block} pixels",
+    "rooms": "{field} as the room alone",
+    "sort": "{field} in no order of their own",
 }
 
 # Ends of field paths: what people call them, the unit of their numbers. The order is that of
@@ -186,10 +198,12 @@ def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
     _, _, unit = _field(rule.path)
     said = field_name(rule.path, type_name)
     given = {parameter: _value(value) for parameter, value in rule.parameters}
-    text = OPERATORS[rule.operator].format(field=said, unit=unit, **given)
+    text = OPERATORS[rule.operator].format_map(given | {"field": said, "unit": unit})
+    if rule.operator == "pixelate" and "levels" in given:
+        text += f", {given['levels']} shades of grey"
     if unit == _DEGREES and rule.operator == "round":
         text += f" (about {_METRES * float(dict(rule.parameters)['step']):.0f} m)"
-    return f"{text}, only in a part of it" if "width" in given else text
+    return f"{text}, only in a part of it" if {"width", "block"} <= given.keys() else text
 
 
 def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[str]:
@@ -205,11 +219,18 @@ def rate(number: float) -> str:
     )
 
 
+def slot(seconds: int) -> str:
+    """`one at the start of each 60 s`."""
+    return f"one at the start of each {seconds} s"
+
+
 def restriction(given: Restriction) -> list[str]:
-    """What a restriction does, part by part: filters, rate, conditions."""
+    """What a restriction does, part by part: filters, limits, conditions."""
     parts = filters(given.filters, given.type)
     if given.rate is not None:
         parts.append(rate(given.rate))
+    if given.slot is not None:
+        parts.append(slot(given.slot))
     return [*parts, *(f"only when {condition(text, given.type)}" for text in given.conditions)]
 
 
@@ -224,5 +245,30 @@ def condition(text: str, type_name: str | None = None) -> str:
 
 
 def restrictions(given: Iterable[Restriction]) -> str:
-    """Everything that applies together: `position to 2 m, without direction`; else empty."""
-    return ", ".join(dict.fromkeys(part for each in given for part in restriction(each)))
+    """Everything that applies together: `position to 2 m, without direction`; else empty.
+
+    Where a level of the vocabulary holds, it is said first: `where it is: the room (position ...)`.
+    """
+    together = list(given)
+    parts = ", ".join(dict.fromkeys(part for each in together for part in restriction(each)))
+    said = levels(together)
+    return f"{said} ({parts})" if said else parts
+
+
+def levels(given: Sequence[Restriction]) -> str:
+    """The words that are at a level: `where it is: the room; not how it moves`; else empty."""
+    kind = next((each.type for each in given if each.type is not None), None)
+    described = None if kind is None else _description(kind)
+    if described is None:
+        return ""
+    found = assess(described, given).values()
+    return sentence(one for one in found if one.level != EXACT)
+
+
+@cache
+def _description(type_name: str) -> Description | None:
+    """What the fields of a type tell; None if it is not known here."""
+    try:
+        return describe(parse(type_name, message_type(type_name).definition))
+    except (GrantError, MessageError):
+        return None

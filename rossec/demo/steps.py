@@ -8,7 +8,7 @@ import asyncio
 import math
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -52,32 +52,34 @@ async def run_steps(demo: DemoEnvironment) -> None:
 async def found_authority(demo: DemoEnvironment) -> None:
     """The passphrase is in a file; a person would type it."""
     create(demo.root / "passphrase", secrets.token_urlsafe(18).encode())
-    await demo.command("ca", "init", "home", *_passphrase(demo))
+    await demo.command("ca", "init", "home", *passphrase(demo))
 
 
-async def enroll(demo: DemoEnvironment) -> None:
+async def enroll(
+    demo: DemoEnvironment, names: Sequence[str] = NODES, shown: str = "/robot"
+) -> None:
     """Each key stays in its node's directory; the code authenticates the request."""
     codes = []
-    for name in NODES:
+    for name in names:
         await demo.command("node", "request", name, "--domain", "home", quiet=True)
         text = await demo.command("node", "code", name, "--text", quiet=True)
         codes.append(text.strip())
-    demo.printer.print("this is what the robot shows to the camera of the phone:")
-    await demo.command("node", "code", "/robot")
+    demo.printer.print(f"this is what {shown} shows to the camera of the phone:")
+    await demo.command("node", "code", shown)
     scanned = [item for code in codes for item in ("--code", code)]
     await demo.command(
-        "ca", "sign", *map(_request_of(demo), NODES), *scanned, "--yes", *_passphrase(demo)
+        "ca", "sign", *map(_request_of(demo), names), *scanned, "--yes", *passphrase(demo)
     )
-    for name in NODES:
+    for name in names:
         await demo.command(
-            "node", "install", str(_directory(demo, name) / "node.pem"), "--yes", quiet=True
+            "node", "install", str(directory(demo, name) / "node.pem"), "--yes", quiet=True
         )
 
 
 async def sign_grants(demo: DemoEnvironment) -> str:
     """Sign the grants; returns the id of the one that will be revoked."""
     sign = ("grant", "sign")
-    always = (*_passphrase(demo), "--for", "1d")
+    always = (*passphrase(demo), "--for", "1d")
     publishes = [item for topic, _ in (POSE, SCAN, CAMERA) for item in ("--publish", topic)]
     await demo.command(*sign, "/robot", *publishes, *always)
     await demo.command(*sign, "/doctor", "--subscribe", POSE[0], "--subscribe", SCAN[0], *always)
@@ -85,8 +87,7 @@ async def sign_grants(demo: DemoEnvironment) -> str:
     await demo.command(
         *sign, "/heating", "--subscribe", POSE[0], "--type", POSE[1],
         "--round", f"pose.position={COARSE:g}",
-        "--clear", "pose.orientation", "--clear", "header.frame_id",
-        "--when", f'msg.header.frame_id == "{FRAME}"', *always,
+        "--clear", "pose.orientation", "--clear", "header.frame_id", *always,
     )  # fmt: skip
     return output.split()[1]
 
@@ -104,16 +105,16 @@ async def start(demo: DemoEnvironment) -> tuple[DemoProcess, DemoProcess, DemoPr
     heating = await demo.start(subscriber, "/heating", "=".join(POSE), name="heating")
     demo.printer.print(f"master at {ready['ready']}, robot at {listening['ready']}")
     for topic, _ in (POSE, SCAN, CAMERA):
-        await doctor.expect(f"{topic} arriving", _on(topic))
-    await heating.expect(f"{POSE[0]} arriving", _on(POSE[0]))
+        await doctor.expect(f"{topic} arriving", on_topic(topic))
+    await heating.expect(f"{POSE[0]} arriving", on_topic(POSE[0]))
     return robot, doctor, heating, int(listening["tcpros"])
 
 
 async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProcess) -> None:
     """The same message, side by side, as each of the two received it."""
     for _ in range(3):
-        coarse = await heating.expect("a pose", _on(POSE[0]), after=len(heating.reports))
-        exact = await doctor.expect("the same pose", partial(_same, coarse))
+        coarse = await heating.expect("a pose", on_topic(POSE[0]), after=len(heating.reports))
+        exact = await doctor.expect("the same pose", partial(same_message, coarse))
         _check_coarse(exact, coarse)
         demo.printer.print(f"message {coarse['seq']}:")
         demo.printer.print(f"  doctor   {_describe(exact)}")
@@ -130,13 +131,13 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
     other.root.mkdir(mode=0o700)
     create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
     quiet = {"quiet": True}
-    await other.command("ca", "init", "home", *_passphrase(other), **quiet)
+    await other.command("ca", "init", "home", *passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
     await other.command(
-        "ca", "sign", _request_of(other)("/doctor"), "--yes", *_passphrase(other), **quiet
+        "ca", "sign", _request_of(other)("/doctor"), "--yes", *passphrase(other), **quiet
     )
     await other.command(
-        "node", "install", str(_directory(other, "/doctor") / "node.pem"), "--yes", **quiet
+        "node", "install", str(directory(other, "/doctor") / "node.pem"), "--yes", **quiet
     )
     try:
         intruder = await other.start("rossec.demo.intruder", "/doctor", str(port), name="intruder")
@@ -152,11 +153,9 @@ async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
 
 async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None:
     """Revoke while images arrive, and measure when the last one came."""
-    await doctor.expect("an image", _on(CAMERA[0]), after=len(doctor.reports))
+    await doctor.expect("an image", on_topic(CAMERA[0]), after=len(doctor.reports))
     given = time.time()
-    await demo.command(
-        "grant", "revoke", grant, "--reason", "the visit is over", *_passphrase(demo)
-    )
+    await demo.command("grant", "revoke", grant, "--reason", "the visit is over", *passphrase(demo))
     finished = time.time()
     before = len(doctor.about(POSE[0]))
     await asyncio.sleep(_SILENCE)
@@ -172,23 +171,27 @@ async def revoke(demo: DemoEnvironment, doctor: DemoProcess, grant: str) -> None
     demo.printer.print("poses and laser scans continue: they have another grant")
 
 
-def _passphrase(demo: DemoEnvironment) -> tuple[str, str]:
+def passphrase(demo: DemoEnvironment) -> tuple[str, str]:
+    """The option with the file that has it."""
     return "--passphrase-file", str(demo.root / "passphrase")
 
 
-def _directory(demo: DemoEnvironment, name: str) -> Path:
+def directory(demo: DemoEnvironment, name: str) -> Path:
+    """Of a node."""
     return NodeHome.of(demo.root, name).path
 
 
 def _request_of(demo: DemoEnvironment) -> Callable[[str], str]:
-    return lambda name: str(_directory(demo, name) / "node.csr")
+    return lambda name: str(directory(demo, name) / "node.csr")
 
 
-def _on(topic: str) -> Callable[[Report], bool]:
+def on_topic(topic: str) -> Callable[[Report], bool]:
+    """Whether a report is about a message of this topic."""
     return lambda report: report.get("topic") == topic
 
 
-def _same(one: Report, other: Report) -> bool:
+def same_message(one: Report, other: Report) -> bool:
+    """Whether two reports are about one message."""
     return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
 
 

@@ -35,6 +35,8 @@ def summary(message: Any) -> dict[str, object]:
         seen["position"] = [position.x, position.y]
     if hasattr(message, "data"):
         seen["bytes"] = len(message.data)
+    if hasattr(message, "temperature"):
+        seen["temperature"] = message.temperature
     if hasattr(message, "ranges"):
         seen["ranges"] = len(message.ranges)
     return seen

@@ -9,7 +9,7 @@ from ca.errors import CAError
 from ca.names import check_name
 from rossec import clock
 from rossec.discovery.candidates import Candidate
-from rossec.discovery.finder import PATIENCE, find
+from rossec.discovery.finder import PATIENCE, SETTLE, find
 from rossec.environment import OWN_MASTER, own_home, own_master
 from rossec.errors import ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
@@ -19,12 +19,15 @@ VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
 
 
-async def discover_master(environ: Mapping[str, str], identity: str | None) -> dict[str, str]:
+async def discover_master(
+    environ: Mapping[str, str], identity: str | NodeHome | None, settle: float = SETTLE
+) -> dict[str, str]:
     """`environ`, with the URI of the best link to its master where discovery was asked for.
 
     Args:
-        identity: the node that will use it, whose authority certifies the master; None: any node of
-            this home, if all of them trust the same authority.
+        identity: the node that will use it, or its directory, whose authority certifies the master;
+            None: any node of this home, if all of them trust the same authority.
+        settle: seconds to measure the links, once a master is found.
 
     Raises:
         ConfigurationError, MasterNotFound: no trust anchor, or no master found.
@@ -32,7 +35,7 @@ async def discover_master(environ: Mapping[str, str], identity: str | None) -> d
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
     wanted = own_master(environ)
-    found = await masters(own_home(environ), identity)
+    found = await masters(own_home(environ), identity, settle=settle)
     best = next((one for one in found if one.name == wanted), None)
     if best is None:
         others = ", ".join(sorted({one.name for one in found}))
@@ -43,14 +46,19 @@ async def discover_master(environ: Mapping[str, str], identity: str | None) -> d
     return {**environ, VARIABLE: uri_of(best)}
 
 
-async def masters(home: Path, identity: str | None, patience: float = PATIENCE) -> list[Candidate]:
+async def masters(
+    home: Path,
+    identity: str | NodeHome | None,
+    patience: float = PATIENCE,
+    settle: float = SETTLE,
+) -> list[Candidate]:
     """The masters that a node of this home would trust, the best link first.
 
     Raises:
         ConfigurationError, MasterNotFound: no trust anchor, or no master found.
     """
     anchor, revoked = trusted(home, identity)
-    return await find(anchor, revoked, patience=patience)
+    return await find(anchor, revoked, patience=patience, settle=settle)
 
 
 def uri_of(candidate: Candidate) -> str:
@@ -59,13 +67,13 @@ def uri_of(candidate: Candidate) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[bytes]]:
+def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, frozenset[bytes]]:
     """The trust anchor of the nodes of this home, and what they know to be revoked.
 
     Raises:
         ConfigurationError: no node is enrolled, or they trust different authorities.
     """
-    nodes = _nodes(home) if identity is None else [NodeHome.find(home, check_name(identity))]
+    nodes = _named(home, identity)
     anchors = {anchor.thumbprint: anchor for anchor in map(_anchor, nodes)}
     if not anchors:
         raise ConfigurationError(
@@ -79,6 +87,16 @@ def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[by
         )
     (anchor,) = anchors.values()
     return anchor, frozenset().union(*(_revoked(node, anchor) for node in nodes))
+
+
+def _named(home: Path, identity: str | NodeHome | None) -> list[NodeHome]:
+    match identity:
+        case None:
+            return _nodes(home)
+        case str():
+            return [NodeHome.find(home, check_name(identity))]
+        case _:
+            return [identity]
 
 
 def _nodes(home: Path) -> list[NodeHome]:

@@ -12,11 +12,12 @@ import logging
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, TypeVar
 
 from ca.enrollment import NONCE_SIZE
 from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
-from ca.enrollment.join_messages import JoinAnswer, Refused, RefuseReason, write
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import JoinAnswer, NameAnswer, Refused, RefuseReason, write
 from ca.enrollment.join_request import JoinRequest
 from ca.errors import EnrollmentRefused, HintedError
 from rossec.enrollment import wire
@@ -25,13 +26,22 @@ from rossec.net.halfopen import HalfOpen
 from rossec.ros.text import printable
 
 Admit: TypeAlias = Callable[[JoinRequest], Awaitable[JoinAnswer]]
+Name: TypeAlias = Callable[[JoinClaim], Awaitable[NameAnswer]]
 
 PATIENCE: Final = 10.0  # seconds until a session's request is there
 DECISION: Final = 30.0  # seconds until it is decided
 MAX_OF_INVITATION: Final = 4  # decisions at a time
 _CAPS: Final = HalfOpen(per_address=32, total=256)
 _BUSY: Final = Refused(RefuseReason.BUSY)
+_Asked = TypeVar("_Asked", JoinRequest, JoinClaim)
+_Answer = TypeVar("_Answer", JoinAnswer, NameAnswer)
 _log = logging.getLogger("rossec.enrollment.join")
+_S = AuthorityJoinState
+
+
+async def no_names(_: JoinClaim) -> NameAnswer:
+    """The answer of an authority of an earlier version to every claim."""
+    return Refused(RefuseReason.REFUSED)
 
 
 class JoinServer:
@@ -43,6 +53,7 @@ class JoinServer:
         on_refusal: is called with each broken session as one printable line.
         patience: seconds until a session's request is there.
         caps: of open sessions, by address and in all.
+        name: finds the name for a claim; raises as `admit`.
     """
 
     def __init__(
@@ -52,9 +63,11 @@ class JoinServer:
         on_refusal: Callable[[str], None] = lambda _: None,
         patience: float = PATIENCE,
         caps: HalfOpen = _CAPS,
+        name: Name = no_names,
     ) -> None:
         self._identity = identity
         self._admit = admit
+        self._name = name
         self._on_refusal = on_refusal
         self._patience = patience
         self._server = SessionServer(self._serve, caps)
@@ -78,22 +91,36 @@ class JoinServer:
     ) -> None:
         core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
         try:
-            async with asyncio.timeout(self._patience):
-                while core.state is not AuthorityJoinState.DECIDING:
-                    sent = core.receive(await wire.receive(reader))
-                    if sent is not None:
-                        wire.send(writer, sent)
-            wire.send(writer, core.answer(await self._decided(core.request)))
+            await self._receive(core, reader, writer)
+            if core.state is _S.NAMING:
+                named = await self._decided(self._name, core.claim)
+                wire.send(writer, core.name(named))
+            if core.state is _S.NAMED:
+                await self._receive(core, reader, writer)
+            if core.state is _S.DECIDING:
+                wire.send(writer, core.answer(await self._decided(self._admit, core.request)))
         except EnrollmentRefused as error:
             self._on_refusal(printable(f"{address}: {error}"))
             wire.send(writer, write(Refused(RefuseReason.REFUSED)))
         except (OSError, EOFError, TimeoutError):
             pass  # the node may connect again
 
-    async def _decided(self, request: JoinRequest) -> JoinAnswer:
+    async def _receive(
+        self, core: AuthorityJoin, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        """Until there is something to decide."""
+        async with asyncio.timeout(self._patience):
+            while core.state not in {_S.NAMING, _S.DECIDING}:
+                sent = core.receive(await wire.receive(reader))
+                if sent is not None:
+                    wire.send(writer, sent)
+
+    async def _decided(
+        self, decide: Callable[[_Asked], Awaitable[_Answer]], asked: _Asked
+    ) -> _Answer | Refused:
         try:
-            async with asyncio.timeout(DECISION), self._turns.turn(request.invitation):
-                return await self._admit(request)
+            async with asyncio.timeout(DECISION), self._turns.turn(asked.invitation):
+                return await decide(asked)
         except TimeoutError:
             return _BUSY
         except HintedError as error:

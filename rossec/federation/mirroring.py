@@ -74,7 +74,7 @@ class Mirroring:
         if len(names) > MAX_NAMES:
             raise AnswerRefused(
                 f"{self._settings.label} has {len(names)} parameters of these patterns, not"
-                f" {MAX_NAMES} at most", "mirror fewer: rossec federation param"
+                f" {MAX_NAMES} at most", "mirror fewer: `rossec federation param`"
             )  # fmt: skip
         return sorted(names)
 

@@ -157,4 +157,4 @@ def _site(row: object, name: str) -> SiteSettings:
 
 
 _WAYS: Final = "uri: http://kitchen:11311, or via: office, a peer of: rossec relay list"
-_HINT: Final = "it is written by rossec federation add, remove and param: use these"
+_HINT: Final = "it is written by `rossec federation add`, `remove` and `param`: use these"

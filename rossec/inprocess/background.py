@@ -14,15 +14,16 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec.errors import RossecError
+from rossec.errors import RossecError, XmlRpcRefused
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.sockets import RosSocket
 from rossec.net.aio import SecureStream
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.dialer import Dialer
+from rossec.participant.followed_publishers import PERIOD, FollowedPublishers
 from rossec.participant.membership import Membership
-from rossec.ros.xmlrpc import Fault
+from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
 PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
 _TIMERS_PERIOD: Final = 1.0
@@ -64,6 +65,7 @@ class BackgroundLoop:
         self.membership = Membership(
             local_identity, access, self.connections, registrations.publishers, self, access.lock
         )
+        self.followed: FollowedPublishers[str] = FollowedPublishers(registrations.is_publisher)
         self._thread = Thread(target=self._run, name="rossec background", daemon=True)
         self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None
         self.on_crash: Callable[[], None] = lambda: None
@@ -102,6 +104,8 @@ class BackgroundLoop:
         except (RossecError, TimeoutError, asyncio.CancelledError) as error:
             if isinstance(error.__cause__, (OverflowError, TypeError)):
                 raise error.__cause__ from None  # not an XML-RPC value: as stock clients
+            if isinstance(error, XmlRpcRefused):  # one that stock clients send, and servers refuse
+                raise Fault(FAULT_CODE, str(error)) from None
             text = str(error) or "no answer from the master"
             raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {text}") from error
 
@@ -117,6 +121,7 @@ class BackgroundLoop:
     async def _main(self) -> None:
         self.membership.start(self._open_session)
         self.membership.tasks.spawn(self._run_timers(), "timers of idle connections")
+        self.membership.tasks.spawn(self._leave_publishers(), "publishers to leave")
         await self._stop.wait()
         await self.membership.close()
 
@@ -133,6 +138,11 @@ class BackgroundLoop:
             await asyncio.sleep(_TIMERS_PERIOD)
             for connection in self.connections:
                 connection.stream.run_timers()
+
+    async def _leave_publishers(self) -> None:
+        while True:
+            await asyncio.sleep(PERIOD)
+            self.followed.leave_unlisted()
 
     async def _answer(self, method: str, params: tuple[object, ...]) -> object:
         if not self._ready.is_set():

@@ -13,12 +13,14 @@ from rospy.impl.registration import get_topic_manager
 from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
 
+from ca.certificates import Identity
 from ca.domains.aliases import origin_of, shown
 from ca.errors import HintedError
 from grants.decision import Decision
 from grants.errors import DefinitionRefused
 from grants.guard import Guard
 from grants.model import Right
+from rossec import clock
 from rossec.errors import ConnectionHeaderRefused, PlainPeer
 from rossec.inprocess import headers
 from rossec.inprocess.allow_plain import PlainConnection
@@ -55,6 +57,8 @@ from rossec.participant.topic_handshake import (
     admit_subscriber,
     requested_topic,
 )
+from rossec.participant.wire_names import granted_name
+from rossec.participant.wishes import NO_WISHES, requested_wishes, taken_wishes
 from rossec.ros import header
 from rossec.ros.settings import is_door
 
@@ -99,12 +103,16 @@ class Connections:
             self._check_plain(protocol.resolved_name, sock)
             return dict(protocol.get_header_fields())
         self._local_identity.access.check_peer(sock.peer, now())
-        right = _RIGHTS[type(protocol)]
-        proof = self._local_identity.access.present(right, protocol.resolved_name, now())
+        name = _granted_name(protocol, sock.peer, protocol.resolved_name)
+        proof = self._local_identity.access.present(_RIGHTS[type(protocol)], name, now())
         stock = protocol.get_header_fields()
-        named = {key: origin_of(stock[key]) for key in ("topic", "service") if key in stock}
+        named = {
+            key: origin_of(_granted_name(protocol, sock.peer, stock[key]))
+            for key in ("topic", "service")
+            if key in stock
+        }
         caller = self._local_identity.name_for(sock.peer)
-        return {**stock, **named, "callerid": caller, FIELD: proof}
+        return {**stock, **named, "callerid": caller, FIELD: proof, **sock.wishes.fields}
 
     def _check_plain(self, name: str, sock: RosSocket) -> None:
         """Checked before the first plain byte is sent."""
@@ -126,6 +134,9 @@ class Connections:
             transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
             if connection is not None:
                 self._process.add_connection(sock, connection)
+                if isinstance(protocol, TCPROSSub):
+                    uri = str(transport.endpoint_id)
+                    self._process.follows(sock, protocol.resolved_name, uri)
         except HintedError as error:
             raise self._init_error(protocol, error, sock) from error
         self._process.reporter.forget(_description(protocol))
@@ -133,17 +144,19 @@ class Connections:
     def _admit_server(
         self, protocol: Any, fields: dict[str, bytes], sock: RosSocket
     ) -> RosConnection:
-        access, peer, name = self._local_identity.access, sock.peer, protocol.resolved_name
+        access, peer = self._local_identity.access, sock.peer
+        name = _granted_name(protocol, peer, protocol.resolved_name)
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
             if decision.restrictions:
                 guard = self._service_guard(protocol.service_class, decision)
-                sock.service_filter = ClientFilter(guard, now)
+                sock.service_filter = ClientFilter(guard, clock.time)
             sock.raise_unit_limit(max_unit_size(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
             return AuthorizedConnection(sock, decision, None)
         subscribed = definition_of(protocol.recv_data_class)
         expected = ExpectedTopic(name, subscribed.name, subscribed.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
+        taken_wishes(fields, NO_WISHES)
         kind = receiver_definition(subscribed, from_header(fields), decision, installed_definition)
         fields |= definition_fields(kind, decision)
         sock.raise_unit_limit(max_unit_size(protocol.recv_data_class))
@@ -214,7 +227,10 @@ class Connections:
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
-            guard = self._topic_guard(requested_topic(fields), decision)
+            published = self._published(requested_topic(fields))
+            guard = self._guard_for(definition_of(published.data_class), decision)
+            wishes = requested_wishes(fields)
+            sock.wishes = NO_WISHES if published.queue_size is None else wishes
             connection = AuthorizedConnection(sock, decision, guard)
             handler = server.topic_connection_handler
         self._process.add_connection(sock, connection)
@@ -246,7 +262,7 @@ class Connections:
         request_class = provided.service_class._request_class  # noqa: SLF001 - rospy's
         sock.raise_unit_limit(max_unit_size(request_class))
         check = partial(self._process.connections.check, connection)
-        return ServerFilter(check, guard, refused, now, max_message_size(request_class))
+        return ServerFilter(check, guard, refused, clock.time, max_message_size(request_class))
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (
@@ -261,17 +277,21 @@ class Connections:
             both, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
         )
 
-    def _topic_guard(self, topic: str, decision: Decision) -> Guard | None:
-        """Applies the restrictions of `decision` to the topic's messages; None: there are none.
+    def _published(self, topic: str) -> Any:
+        """The publisher of a topic.
 
         Raises:
             ConnectionHeaderRefused: the topic is not published here.
-            GrantError: the restrictions do not fit its messages.
         """
         published = get_topic_manager().get_publisher_impl(topic)
         if published is None or published.closed:
             raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
-        return self._guard_for(definition_of(published.data_class), decision)
+        return published
+
+
+def _granted_name(protocol: Any, peer: Identity, name: str) -> str:
+    """The local name whose grants decide on `name`, which the protocol is about, with `peer`."""
+    return granted_name(peer, name) if isinstance(protocol, TCPROSSub) else name
 
 
 def _description(protocol: Any) -> str:

@@ -34,10 +34,11 @@ from rossec.inprocess.connections import Connections
 from rossec.inprocess.module_proxy import ModuleProxy
 from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.publishing import publish
-from rossec.inprocess.send_queue import SendQueue, write_data
+from rossec.inprocess.send_queue import write_data
 from rossec.inprocess.service_probe import ServiceProbe
 from rossec.inprocess.sockets import RosSocket
 from rossec.inprocess.subscription import SubscriptionLoop
+from rossec.inprocess.wish_queue import queue_for
 from rossec.inprocess.xmlrpc_client import REQUEST, XmlRpcClient
 from rossec.inprocess.xmlrpc_server import XmlRpcServer
 from rossec.ros.settings import parse_uri
@@ -147,8 +148,8 @@ def _topic_hooks(process: SecuredProcess) -> list[Hook]:
             rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
             ("self", "message", "connection_override"),
         ),
-        Hook(rospy.topics, "QueuedConnection", SendQueue, queued),
-        Hook(pubsub, "QueuedConnection", SendQueue, queued),
+        Hook(rospy.topics, "QueuedConnection", queue_for, queued),
+        Hook(pubsub, "QueuedConnection", queue_for, queued),
     ]  # fmt: skip
 
 

@@ -46,7 +46,7 @@ class SecuredProcess:
         """Use `local_identity` and the master at that address from now on."""
         connector, registrations = (
             Connector(local_identity, self.own_addresses),
-            Registrations(local_identity.name, clock.counter()),
+            Registrations(clock.counter()),
         )
         background_loop = BackgroundLoop(local_identity, registrations, master)
         self._begun = local_identity, connector, registrations, background_loop
@@ -111,10 +111,15 @@ class SecuredProcess:
         sock.connection = connection
         self.connections.add(connection)
 
+    def follows(self, sock: RosSocket, topic: str, publisher: str) -> None:
+        """An admitted connection to a publisher, by its URI: it is left as the master says."""
+        self.background_loop.followed.add(sock, topic, publisher)
+
     def connection_closed(self, sock: RosSocket) -> None:
         """A connection is closed."""
         if self.has_begun:
             self.connections.forget(sock)
+            self.background_loop.followed.discard(sock)
         if isinstance(sock.connection, AuthorizedConnection):
             self.connections.discard(sock.connection)
 

@@ -18,9 +18,9 @@ from ca.domains.aliases import shown
 from grants.errors import GrantError
 from grants.filters.codegen import Buffer
 from grants.guard import Guard
+from rossec import clock
 from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.buffer_pool import BufferPool
-from rossec.inprocess.identity import now
 from rossec.inprocess.process import RosConnection
 from rossec.inprocess.send_queue import LENGTH, SEPARATE_UNIT, Pieces
 from rossec.net import withheld_log
@@ -115,7 +115,7 @@ def _send(
         (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates
     )
     filtered: dict[Hashable, Pieces | None] = {}
-    moment = now()
+    moment = clock.time()
     dead = []
     for transport in transports:
         try:
@@ -135,7 +135,9 @@ def _send(
     return dead
 
 
-def _filter(topic: Any, connection: RosConnection, samples: Samples, moment: int) -> Pieces | None:
+def _filter(
+    topic: Any, connection: RosConnection, samples: Samples, moment: float
+) -> Pieces | None:
     guard = connection.guard
     assert guard is not None  # noqa: S101 - checked by the caller
     for sample in samples(guard):

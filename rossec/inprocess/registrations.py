@@ -19,13 +19,6 @@ REGISTRATIONS: Final[Mapping[str, object]] = {
 REFUSED: Final = "rossec: "
 _NODES: Final = 1024  # that were looked up
 
-# What rospy registers by itself. A refusal is no warning: the program works without.
-_OWN_TOPICS: Final = ("/rosout",)
-_OWN_SERVICES: Final = ("/get_loggers", "/set_logger_level")
-_OWN_PARAMETERS: Final = (
-    "/tcp_keepalive", "/use_sim_time", "/enable_statistics", "/rosout_disable_topics_generation",
-)  # fmt: skip
-
 
 class Registrations:
     """The registrations of one node.
@@ -35,8 +28,7 @@ class Registrations:
         publishers: those that the master names, by topic.
     """
 
-    def __init__(self, name: str, now: Callable[[], float]) -> None:
-        self._name = name
+    def __init__(self, now: Callable[[], float]) -> None:
         self.table = RegistrationTable()
         self.publishers = PublisherGrace(now)
         self._nodes: dict[tuple[str, int], None] = {}
@@ -75,17 +67,3 @@ class Registrations:
     def is_node(self, address: tuple[str, int]) -> bool:
         """Whether the master has named a node at this host and port."""
         return address in self._nodes
-
-    def is_rospys_own(self, method: str, params: Sequence[object]) -> bool:
-        """Whether rospy makes this call by itself, not for the program."""
-        match method, tuple(params):
-            case "registerPublisher", (_, topic, *_):
-                return topic in _OWN_TOPICS
-            case "registerService", (_, service, *_):
-                return service in {self._name + own for own in _OWN_SERVICES}
-            case "getParam", (_, key):
-                return key in _OWN_PARAMETERS
-            case "subscribeParam", (_, _, key):
-                return key in _OWN_PARAMETERS
-            case _:
-                return False

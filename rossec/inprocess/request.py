@@ -18,6 +18,7 @@ from rossec.authority import requests
 from rossec.errors import ConfigurationError
 from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.secure import secured
+from rossec.participant.wire_names import possible_names
 
 _POLL_INTERVAL: Final = 0.1  # seconds
 
@@ -58,10 +59,12 @@ def _right(label: str) -> Right:
 def _check_own(right: Right, name: str, own: str) -> None:
     """Only the origin's authority gives rights on its names, and it takes no request from here."""
     if is_alias(name) and right is not Right.GRAPH:
+        served = possible_names(name)[1:] if right is Right.SUBSCRIBE else ()
         raise ConfigurationError(
             f"rights on {shown(name)} are given by the authority of that domain",
             f"there: rossec grant sign LABEL:{own} --{right.label} {origin_of(name)}"
-            " --certificate FILE",
+            " --certificate FILE"
+            + "".join(f"; or ask for {each}, if a gateway here serves it" for each in served),
         )
 
 

@@ -58,7 +58,7 @@ class ServerFilter:
         check: Callable[[], None],
         guard: ServiceGuard | None,
         on_refusal: Callable[[HintedError], None],
-        now: Callable[[], int],
+        now: Callable[[], float],
         limit: int = _LIMIT,
     ) -> None:
         self.framing = Framing(FrameReader(limit))
@@ -69,7 +69,7 @@ class ServerFilter:
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """See `ServiceFilter`: a request."""
-        request = self.framing.feed_one(data, self._now())
+        request = self.framing.feed_one(data, int(self._now()))
         if request is None:
             return b"", ()
         self._check()
@@ -98,14 +98,14 @@ class ServerFilter:
 class ClientFilter:
     """The caller's side, where the provider's grant restricts requests and responses."""
 
-    def __init__(self, guard: ServiceGuard, now: Callable[[], int], limit: int = _LIMIT) -> None:
+    def __init__(self, guard: ServiceGuard, now: Callable[[], float], limit: int = _LIMIT) -> None:
         self.framing = Framing(FrameReader(limit, lead=len(_OK)))
         self._guard = guard
         self._now = now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """See `ServiceFilter`: a response. A refused one fails the call."""
-        content = self.framing.feed_one(data, self._now())
+        content = self.framing.feed_one(data, int(self._now()))
         if content is None:
             return b"", ()
         mark, response = content[: len(_OK)], content[len(_OK) :]

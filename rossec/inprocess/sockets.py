@@ -26,6 +26,7 @@ from rossec.inprocess.service_filter import ServiceFilter
 from rossec.inprocess.socket_errors import resets, tried_again
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.wishes import NO_WISHES
 from rossec.ros.framing import PATIENCE, Framing
 
 _OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
@@ -66,6 +67,7 @@ class RosSocket:
         aborted: its right has ended; what had arrived before is discarded.
         closed_locally: closed by this side; later failures are not reported.
         service_filter: filters the calls of a service.
+        wishes: what a subscriber is promised of how it is sent messages.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class RosSocket:
         self.aborted = False
         self.closed_locally = False
         self.service_filter: ServiceFilter | None = None
+        self.wishes = NO_WISHES
         self._ready = memoryview(b"")
         self._pump_at = 0.0
 

@@ -9,6 +9,7 @@ from rospy.exceptions import TransportInitError
 
 from ca.domains.aliases import shown
 from grants.errors import GrantError
+from rossec import clock
 from rossec.inprocess.allow_plain import PlainConnection
 from rossec.inprocess.genpy_types import max_message_size
 from rossec.inprocess.identity import now
@@ -99,7 +100,7 @@ class SubscriptionLoop:
         filtered = []
         for message in messages:
             try:
-                content = connection.guard(message, now())
+                content = connection.guard(message, clock.time())
             except GrantError as error:
                 self._process.reporter.warn(
                     f"withheld a message on {shown(connection.decision.name)}", error

@@ -1,4 +1,4 @@
-"""The XML-RPC calls of rospy: to the master, over the background loop's session, and to nodes.
+"""The calls of rospy: to the master, over the background loop's session, and to nodes.
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
 Errors are those rospy handles: OSError. A slave call that needs a right is preceded by the grants
@@ -18,6 +18,8 @@ import rosgraph
 from ca.certificates import Identity
 from ca.domains.aliases import origin_of
 from ca.errors import HintedError
+from grants.basics import is_dispensable
+from grants.missing_rights import missing_right, refusal
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, PlainPeer
 from rossec.inprocess.addresses import bracketed
@@ -38,10 +40,10 @@ from rossec.participant.caller_names import (
 )
 from rossec.participant.remote_names import answer_here, offer_refusal
 from rossec.participant.slave_rights import SLAVE_CALLS
-from rossec.ros.http import HttpClient
+from rossec.participant.wire_names import wire_name
+from rossec.ros.callclient import CallClient, value_in
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.settings import is_door, parse_uri
-from rossec.ros.xmlrpc import dump_call, load_response
 
 REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
 _MULTICALL: Final = "system.multicall"
@@ -173,16 +175,22 @@ class XmlRpcClient:
         registrations.record(method, params, answer)
         match answer:
             case [code, str(status), _] if code != 1 and status.startswith(REFUSED):
-                if registrations.is_rospys_own(method, params):
-                    _log.info("rospy's own %s is refused: %s", method, status)
-                else:
-                    detail = status.removeprefix(REFUSED)
-                    self._process.reporter.warn(f"the master refuses {method}: {detail}")
+                self._report_missing(method, status)
                 if method in REGISTRATIONS:
                     return [1, status, REGISTRATIONS[method]]
             case _:
                 pass
         return answer
+
+    def _report_missing(self, method: str, status: str) -> None:
+        missing = missing_right(status)
+        if missing is None:
+            detail = status.removeprefix(REFUSED)
+            self._process.reporter.warn(f"the master refuses {method}: {detail}")
+        elif is_dispensable(missing.right, missing.own):
+            _log.info("rospy's own %s is refused: %s", method, status)
+        else:
+            self._process.reporter.warn(refusal(missing.node, [(missing.right, missing.in_rule)]))
 
     # -- other nodes
 
@@ -194,14 +202,14 @@ class XmlRpcClient:
         except PlainPeer:
             if not self._process.plain or method != "requestTopic" or is_door(uri):
                 raise
-            request = _request(method, params, local_identity.name)
-            return self._call_plain(address, params, request)
+            return self._call_plain(address, _named(method, params, local_identity.name), params)
         try:
             peer = stream.do_handshake()
             local_identity.access.check_peer(peer, now())
-            self._present_grants(method, stream, address[0])
-            request = _request(method, params, local_identity.name_for(peer))
-            return self._here(peer, method, load_response(_exchange(stream, address[0], request)))
+            calls = CallClient(_host(address))
+            self._present_grants(method, stream, calls)
+            named = _named(method, params, local_identity.name_for(peer), peer)
+            return self._here(peer, method, value_in(_exchange(stream, calls, method, named)))
         finally:
             stream.close()
 
@@ -214,30 +222,32 @@ class XmlRpcClient:
             case _:
                 return answer
 
-    def _present_grants(self, method: str, stream: Stream, host: str) -> None:
+    def _present_grants(self, method: str, stream: Stream, calls: CallClient) -> None:
         """Present the grants that a slave call needs; its answer tells whether they suffice."""
         right, local_identity = SLAVE_CALLS.get(method), self._process.local_identity
         if right is not None and stream.peer is not None:
             grants = local_identity.access.present(right, stream.peer.name, now())
-            _exchange(stream, host, dump_call(PRESENT_GRANTS, (local_identity.name, grants)))
+            _exchange(stream, calls, PRESENT_GRANTS, (local_identity.name, grants))
 
-    def _call_plain(self, address: tuple[str, int], params: Params, request: bytes) -> object:
+    def _call_plain(self, address: tuple[str, int], named: Params, params: Params) -> object:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         with sock:
             if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
-            return load_response(_exchange(PlainStream(sock), address[0], request))
+            calls = CallClient(_host(address), compact=False)
+            return value_in(_exchange(PlainStream(sock), calls, "requestTopic", named))
 
 
-def _request(method: str, params: Params, caller: str) -> bytes:
-    """The call of a peer: under the node's name, of a topic by the name at its origin."""
+def _named(method: str, params: Params, caller: str, peer: Identity | None = None) -> Params:
+    """The call of a peer (None: a plain one): under the node's name, by the topic's on the wire."""
     match method, params:
         case _, ():
-            return dump_call(method, ())
+            return ()
         case "requestTopic", (_, str() as topic, *rest):
-            return dump_call(method, (caller, origin_of(topic), *rest))
+            named = origin_of(topic) if peer is None else wire_name(peer, topic)
+            return (caller, named, *rest)
         case _:
-            return dump_call(method, (caller, *params[1:]))
+            return (caller, *params[1:])
 
 
 def _uri_of(proxy: Any) -> str:
@@ -254,14 +264,22 @@ def _address(uri: str) -> tuple[str, int] | None:
         return None
 
 
-def _exchange(stream: Stream | PlainStream, host: str, request: bytes) -> bytes:
-    http = HttpClient(f"[{host}]" if ":" in host else host)
+def _host(address: tuple[str, int]) -> str:
+    host = address[0]
+    return f"[{host}]" if ":" in host else host
+
+
+def _exchange(
+    stream: Stream | PlainStream, calls: CallClient, method: str, params: Params
+) -> object:
+    """One call and its answer; see `CallClient.take`."""
+    request = calls.request(method, params)
     end = time.monotonic() + CALL_DEADLINE
     stream.settimeout(CALL_DEADLINE)
-    stream.sendall(http.request(request))
-    while (body := http.next_response()) is None:
-        http.feed(receive_some(stream, end))
-    return body
+    stream.sendall(request)
+    while (answer := calls.take(receive_some(stream, end))) is None:
+        pass
+    return answer
 
 
 def _stock_types(value: Any) -> Any:

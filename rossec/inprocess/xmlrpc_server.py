@@ -1,4 +1,4 @@
-"""This node's own XML-RPC API; `rossec.participant.slave_api` authorizes each call.
+"""This node's own slave API; `rossec.participant.slave_api` authorizes each call.
 
 Calls are parsed by `rossec.ros`, within its limits, never by the standard library's server.
 """
@@ -7,7 +7,7 @@ import logging
 import socket
 import time
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 from rospy.impl.tcpros_base import get_tcpros_server_address, start_tcpros_server
 
@@ -26,12 +26,10 @@ from rossec.participant.remote_names import answer_for
 from rossec.participant.slave_api import ports_answer, refusal, topic_offer
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.ros import names
-from rossec.ros.http import HttpServer
+from rossec.ros.callserver import CallServer
 from rossec.ros.names import SIGNED_UPDATES
-from rossec.ros.xmlrpc import Fault, dump_response, load_call
+from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
-_FAULT_CODE: Final = 1
-_READ: Final = 64 * 1024
 _log = logging.getLogger("rossec.rospy")
 
 Params = tuple[Any, ...]
@@ -78,22 +76,22 @@ class XmlRpcServer:
 
     def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
         """Serve one connection: the master's without a deadline, another node's with one."""
-        http, presented = HttpServer(), PresentedGrants()
+        calls, presented = CallServer(), PresentedGrants()
         end = None if self._is_master(peer) else time.monotonic() + slave_api.DEADLINE
         try:
-            while not http.closing:
-                body = _next_request(http, stream, end)
+            while not calls.closing:
+                request = _next_request(calls, stream, end)
                 stream.settimeout(REQUEST_DEADLINE)
-                stream.sendall(http.respond(self._answer(server, body, peer, presented)))
+                stream.sendall(self._answer(server, calls, request, peer, presented))
         except HttpRefused as error:
             with suppress(ChannelError, OSError):
-                stream.sendall(http.refuse(error.status))
+                stream.sendall(calls.refuse(error.status))
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
         """A plain caller may request a topic that `allow_plain` names, and nothing else."""
-        stream, http = PlainStream(request), HttpServer()
+        stream, calls = PlainStream(request), CallServer(compact=False)
         with suppress(HintedError, OSError):
-            call = load_call(_next_request(http, stream, time.monotonic() + REQUEST_DEADLINE))
+            call = calls.load(_next_request(calls, stream, time.monotonic() + REQUEST_DEADLINE))
             match call.method, call.params:
                 case "requestTopic", (_, str() as topic, list() as protocols) if (
                     self._process.allows_plain(topic, address)
@@ -102,16 +100,23 @@ class XmlRpcServer:
                     answer = topic_offer(protocols, *get_tcpros_server_address())
                 case _:
                     answer = [-1, REFUSAL, 0]
-            stream.sendall(http.respond(dump_response(answer)))
+            stream.sendall(calls.respond(answer))
 
     def _answer(
-        self, server: Any, body: bytes, peer: Identity, presented: PresentedGrants
+        self,
+        server: Any,
+        calls: CallServer,
+        request: bytes,
+        peer: Identity,
+        presented: PresentedGrants,
     ) -> bytes:
         try:
-            call = load_call(body)
-            return dump_response(self._value(server, call.method, call.params, peer, presented))
+            call = calls.load(request)
+            return calls.respond(self._value(server, call.method, call.params, peer, presented))
+        except Fault as fault:  # too long
+            return calls.respond(fault)
         except XmlRpcRefused as error:
-            return dump_response(Fault(_FAULT_CODE, str(error)))
+            return calls.respond(Fault(FAULT_CODE, str(error)))
 
     def _value(
         self, server: Any, method: str, params: Params, peer: Identity, presented: PresentedGrants
@@ -136,7 +141,7 @@ class XmlRpcServer:
             return [-1, f"rossec: {error}", 0]
         except Exception:  # noqa: BLE001 - no internals to a peer
             _log.exception("a call failed")
-            return Fault(_FAULT_CODE, "rossec: internal error")
+            return Fault(FAULT_CODE, "rossec: internal error")
 
     def _check(self, method: str, peer: Identity) -> None:
         """Checked at every call: a peer, also the master, may be revoked while connected."""
@@ -182,24 +187,25 @@ class XmlRpcServer:
                 return list(answer)
 
 
-def _next_request(http: HttpServer, stream: Stream | PlainStream, end: float | None) -> bytes:
-    while (body := http.next_request()) is None:
+def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | None) -> bytes:
+    request = calls.take()
+    while request is None:
         waiting = end
-        if http.pending:
+        if calls.pending:
             begun = time.monotonic() + REQUEST_DEADLINE
             waiting = begun if end is None else min(begun, end)
-        http.feed(receive_some(stream, waiting))
-    return body
+        request = calls.take(receive_some(stream, waiting))
+    return request
 
 
 def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
-    """What arrives next, until `end` at the latest.
+    """The unit that arrives next, until `end` at the latest; of a plain stream some bytes.
 
     Raises:
         ChannelClosed, TimeoutError: nothing arrives.
     """
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
-    data = stream.recv(_READ)
+    data = stream.receive_unit()
     if not data:
         raise ChannelClosed("the peer closed the connection")
-    return data
+    return bytes(data)

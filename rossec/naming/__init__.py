@@ -1,1 +1,1 @@
-"""Names by rules: the namespace service. Reserved: nothing is here yet."""
+"""Names by rules: metadata of a node become names, by XSLT in a confined process."""

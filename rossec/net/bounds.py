@@ -14,6 +14,9 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 
 PREAUTH_LIMIT: Final = 2 * HEADER_LIMIT  # with what was sent in the same burst
 BATCH_LIMIT: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
+UNSENT: Final = 16 * 1024
+"""Bytes that the kernel holds and has not sent yet, above which it takes no more for a receiver
+that wishes the newest message only: its own buffer would hold seconds of a slow line."""
 _CALLS: Final = ChannelLimits(unit=2 * BODY_LIMIT)  # XML-RPC, with HTTP's headers
 
 ACCEPTED: Final = {

@@ -33,6 +33,7 @@ from rossec.participant.topic_handshake import (
     publisher_header,
     requested_topic,
 )
+from rossec.participant.wishes import requested_wishes
 from rossec.ros import header, names
 from rossec.ros.names import SIGNED_UPDATES
 from rossec.ros.settings import is_loopback
@@ -133,7 +134,7 @@ class Listener:
         try:
             async with asyncio.timeout(HEADER_DEADLINE):
                 fields = header.decode(await first_frame(stream))
-            serve = self._admit(fields, stream)
+            serve = await self._admit(fields, stream)  # a raw publisher has a limit of its own
         except TimeoutError:
             _log.info("%s sent no connection header", shown(stream.peer.name))
             return
@@ -143,18 +144,18 @@ class Listener:
             return
         await serve()
 
-    def _admit(
+    async def _admit(
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
     ) -> Callable[[], Awaitable[None]]:
         if "service" not in fields:
-            return self._admit_subscriber(fields, stream)
+            return await self._admit_subscriber(fields, stream)
         if "topic" in fields:
             raise ConnectionHeaderRefused(
                 "the connection header asks for a topic and for a service"
             )
         return self._services.admit(fields, stream)
 
-    def _admit_subscriber(
+    async def _admit_subscriber(
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
     ) -> Callable[[], Awaitable[None]]:
         now = clock.now()
@@ -164,13 +165,16 @@ class Listener:
             raise ConnectionHeaderRefused(
                 f"{self._name} does not publish {requested_topic(fields)}"
             )
+        wishes = requested_wishes(fields)
+        await publisher.ready()
         check_type(fields, publisher.endpoint.expected)
         guard = publisher.guard(decision)
         name = caller_for(stream.peer, self._name, self._certified)
         answer = publisher_header(
             name, publisher.endpoint, self._access, now, latching=publisher.latch
         )
-        return partial(publisher.serve, stream, decision, guard, header.encode(answer))
+        head = header.encode(answer | wishes.fields)
+        return partial(publisher.serve, stream, decision, guard, head, wishes)
 
 
 def _refused(peer: Identity, error: HintedError) -> list[object]:

@@ -20,6 +20,7 @@ from rossec.environment import own_home, own_master
 from rossec.errors import AnswerMalformed, NodeShutdown
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.node import uncaught
 from rossec.node.context import NodeContext
 from rossec.node.listener import Listener
 from rossec.node.params import NodeParameters
@@ -40,6 +41,7 @@ from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SlaveApi
 from rossec.participant.topic_handshake import TopicEndpoint
+from rossec.participant.wishes import Wishes
 from rossec.ros import settings
 from rossec.ros.names import ANY_TYPE
 
@@ -62,11 +64,13 @@ class Node:
         argv: Sequence[str] = (),
         environ: Mapping[str, str] = os.environ,
     ) -> None:
+        uncaught.install()
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
         loaded = LoadedIdentity(
             NodeHome.find(own_home(environ), self.name), self.name, own_master(environ)
         )
+        self.master_name = loaded.master
         self.home, self.anchor, self.identity = loaded.home, loaded.anchor, loaded.identity
         self.credentials, self.revocations = loaded.live_credentials, loaded.revocations
         self.access = Access(loaded.standing, master=loaded.master)
@@ -147,14 +151,32 @@ class Node:
                     raise AnswerMalformed("a list of topics that is malformed")
         return found
 
-    async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
+    async def subscriber(
+        self,
+        topic: str,
+        type_name: str,
+        *,
+        queue_size: int = 10,
+        rate: float | None = None,
+        newest: bool = False,
+        deflate: bool = False,
+    ) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
 
+        What each publisher is asked for: at most `rate` messages a second, of those that wait for
+        a slow line only the `newest`, messages that are compressed (`deflate`).
+
         Raises:
-            MessageError, RossecError: unknown type, or the master refuses.
+            MessageError, RossecError: unknown type, a wrong rate, or the master refuses.
         """
+        wishes = Wishes(rate, newest, deflate)
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
-        return await self._topics.subscribe(endpoint, queue_size=queue_size)
+        return await self._topics.subscribe(endpoint, queue_size=queue_size, wishes=wishes)
+
+    @property
+    def topics(self) -> Topics:
+        """Its topics: for those whose messages are bytes of any type (`publish_raw`)."""
+        return self._topics
 
     async def service(
         self,
@@ -174,7 +196,7 @@ class Node:
         return await self.services.provide(
             self.settings.resolve(name),
             service_type(type_name),
-            handler,
+            lambda request, _: handler(request),
             concurrency=concurrency,
             deadline=deadline,
         )

@@ -221,7 +221,7 @@ class ParameterSubscription:
 
 def _unset(key: str) -> ParameterUnset:
     return ParameterUnset(
-        f"the parameter {shown(key)} is not set", "rossec param list shows those that are"
+        f"the parameter {shown(key)} is not set", "see those that are: rossec param list --as NODE"
     )
 
 

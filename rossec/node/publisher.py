@@ -1,15 +1,13 @@
 """A topic this node publishes: its subscribers, and what each may receive of a message.
 
 A shell around the guards: a message is serialized once, filtered once per distinct filter, and
-queued per subscriber; a full queue drops its oldest message, as rospy's does. A subscriber whose
-guard cannot evaluate a message does not receive it.
+queued per subscriber (`subscriber_queue`, `wish_queue`). A subscriber whose guard cannot evaluate a
+message does not receive it.
 """
 
 import asyncio
 import logging
-import struct
-from collections import deque
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
@@ -24,64 +22,18 @@ from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.subscriber import check_queue_size
+from rossec.node.subscriber_queue import Pieces, SubscriberQueue
+from rossec.node.wish_queue import WishQueue
 from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.deflating import SharedDeflation
 from rossec.participant.latch import Latch, Sample
 from rossec.participant.message_types import Message
 from rossec.participant.topic_handshake import TopicEndpoint
+from rossec.participant.wishes import NO_WISHES, Wishes
 
 QUEUE_SIZE: Final = 10
-_LENGTH: Final = struct.Struct("<I")
-# Batching amortizes system calls; beyond this a unit only adds latency (measured optimum 256 KiB).
-_BATCH: Final = 256 * 1024
-
-Pieces = Sequence[bytes | bytearray | memoryview]
 SubscriberConnection: TypeAlias = NodeConnection[Guard]
 _log = logging.getLogger("rossec.node")
-
-
-class SubscriberQueue:
-    """The messages for one admitted subscriber."""
-
-    def __init__(self, stream: SecureStream[Identity], queue_size: int) -> None:
-        self.withheld = 0
-        self._stream = stream
-        self.dropped = 0
-        self._queue: deque[Pieces] = deque()
-        self._queue_size = queue_size
-        self._wake = asyncio.Event()
-
-    def enqueue(self, pieces: Pieces) -> None:
-        """Queue one filtered message; the oldest is dropped when the queue is full."""
-        if len(self._queue) >= self._queue_size:
-            self._queue.popleft()
-            self.dropped += 1
-        self._queue.append(pieces)
-        self._wake.set()
-
-    async def run(self) -> None:
-        """Send queued messages until the stream ends, which raises."""
-        async with asyncio.TaskGroup() as group:
-            group.create_task(self._until_closed())
-            while True:
-                await self._wake.wait()
-                self._wake.clear()
-                while self._queue:
-                    await self._stream.send(*self._next_batch())
-
-    async def _until_closed(self) -> None:
-        while True:  # a TCPROS subscriber sends nothing after its header
-            await self._stream.receive()
-
-    def _next_batch(self) -> list[bytes | bytearray | memoryview]:
-        batch: list[bytes | bytearray | memoryview] = []
-        size = 0
-        while self._queue and size < _BATCH:
-            pieces = self._queue.popleft()
-            length = sum(map(len, pieces))
-            batch.append(_LENGTH.pack(length))
-            batch.extend(pieces)
-            size += _LENGTH.size + length
-        return batch
 
 
 class Publisher:
@@ -90,7 +42,7 @@ class Publisher:
     def __init__(
         self,
         endpoint: TopicEndpoint,
-        layout: Layout,
+        layout: Layout | None,
         context: NodeContext,
         *,
         latch: bool,
@@ -104,6 +56,7 @@ class Publisher:
         self._context = context
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
+        self._deflation = SharedDeflation()
         self._closed = False
         self._changed = asyncio.Event()
 
@@ -136,20 +89,31 @@ class Publisher:
         """Refuse to publish from now on: the node is closed."""
         self._closed = True
 
+    def cut(self, reason: str) -> None:
+        """End the connection with every subscriber; what is queued for them is not sent."""
+        for connection in tuple(self.links):
+            connection.stream.abort(reason)
+
+    async def ready(self) -> None:
+        """Return when the type is known: at once, but for a raw publisher."""
+
     def _publish(self, view: memoryview) -> None:
+        self._send(Sample(view), self._latch if self.latch else None)
+
+    def _send(self, sample: Sample[memoryview], latch: Latch[memoryview] | None) -> None:
+        """Queue a message for every subscriber; `latch` keeps it for later ones."""
         if self._closed:
             raise NodeShutdown(f"{self.topic}: the node is closed", "publish before it ends")
-        sample = Sample(view)
-        if self.latch:
-            self._latch.newest = sample
+        if latch is not None:
+            latch.newest = sample
         filtered: dict[Hashable, Pieces | None] = {}
-        now = clock.now()
+        now = clock.time()
         for connection, queue in tuple(self.links.items()):
             if connection.ends <= now:  # the watchdog is about to close it
                 continue
             key = connection.guard.key
             if key not in filtered:
-                filtered[key] = self._filter(connection, sample, now)
+                filtered[key] = self._filter(connection, sample, now, latch)
             pieces = filtered[key]
             if pieces is None:
                 queue.withheld += 1
@@ -171,18 +135,27 @@ class Publisher:
         """
         context = self._context
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
-        return Guard(self._layout, decision, keys, context.memory_scope)
+        return Guard(self._shape(decision), decision, keys, context.memory_scope)
+
+    def _shape(self, _decision: Decision) -> Layout | None:
+        """The layout of messages; None only if no restriction reads them."""
+        return self._layout
 
     async def serve(
-        self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes
+        self,
+        stream: SecureStream[Identity],
+        decision: Decision,
+        guard: Guard,
+        answer: bytes,
+        wishes: Wishes = NO_WISHES,
     ) -> None:
         """Answer one admitted subscriber and send it messages until its stream ends.
 
         It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
         connection = AuthorizedConnection(stream, decision, guard)
-        queue = self.links[connection] = SubscriberQueue(stream, self._queue_size)
-        self._changed.set()
+        queue = self.links[connection] = self._queue_for(stream, wishes)
+        self._links_changed()
         try:
             with self._context.connections.track(connection):
                 await stream.send(answer)
@@ -192,18 +165,35 @@ class Publisher:
             _log.info("%s: %s left: %s", self.topic, shown(stream.peer.name), group.exceptions[0])
         finally:
             del self.links[connection]
-            self._changed.set()
+            self._links_changed()
+
+    def _links_changed(self) -> None:
+        self._changed.set()
+
+    def _latches(self) -> Iterable[Latch[memoryview]]:
+        """What a new subscriber is sent first."""
+        return (self._latch,)
+
+    def _queue_for(self, stream: SecureStream[Identity], wishes: Wishes) -> SubscriberQueue:
+        if wishes:
+            return WishQueue(stream, self._queue_size, wishes, self._deflation)
+        return SubscriberQueue(stream, self._queue_size)
 
     def _send_latched(self, connection: SubscriberConnection, queue: SubscriberQueue) -> None:
-        now = clock.now()
-        for sample in self._latch.candidates(connection.guard):
-            pieces = self._filter(connection, sample, now)
-            if pieces is not None:
-                queue.enqueue(pieces)
-                break
+        now = clock.time()
+        for latch in self._latches():
+            for sample in latch.candidates(connection.guard):
+                pieces = self._filter(connection, sample, now, latch)
+                if pieces is not None:
+                    queue.enqueue(pieces)
+                    break
 
     def _filter(
-        self, connection: SubscriberConnection, sample: Sample[memoryview], now: int
+        self,
+        connection: SubscriberConnection,
+        sample: Sample[memoryview],
+        now: float,
+        latch: Latch[memoryview] | None,
     ) -> Pieces | None:
         try:
             pieces = connection.guard.apply(sample.data, now, sample.mark)
@@ -212,6 +202,6 @@ class Publisher:
                 _log, withheld_log.SENT, self.topic, shown(connection.stream.peer.name), error
             )
             return None
-        if self.latch and pieces is not None:
-            self._latch.record(connection.guard, sample)
+        if latch is not None and pieces is not None:
+            latch.record(connection.guard, sample)
         return pieces

@@ -40,7 +40,9 @@ HANDLER_DEADLINE: Final = 60.0
 CONCURRENCY: Final = 8
 
 CallerConnection: TypeAlias = NodeConnection[ServiceGuard]
-Handler = Callable[[Any], "Message | Mapping[str, object] | Awaitable[Any] | None"]
+Response: TypeAlias = "Message | Mapping[str, object] | Awaitable[Any] | None"
+Handler = Callable[[Any], Response]
+CallerHandler = Callable[[Any, Identity], Response]
 _log = logging.getLogger("rossec.node")
 
 
@@ -66,9 +68,9 @@ class Service:
     """Answers calls of one service. Made by `Node.service`.
 
     Args:
-        handler: takes a request, returns the response: a message, a mapping of its fields, or
-            None if it has none; it may be a coroutine function. A plain function blocks the
-            whole node while it runs.
+        handler: takes a request and the identity of its caller, returns the response: a message,
+            a mapping of its fields, or None if it has none; it may be a coroutine function. A
+            plain function blocks the whole node while it runs.
         concurrency: how many calls are handled at a time, half of them of one caller; more wait.
         deadline: seconds a call may take, waiting included.
     """
@@ -77,7 +79,7 @@ class Service:
         self,
         name: str,
         kind: ServiceType,
-        handler: Handler,
+        handler: CallerHandler,
         context: NodeContext,
         on_close: Callable[["Service"], Awaitable[None]],
         *,
@@ -169,9 +171,9 @@ class Service:
         """The response, or the error response, as bytes."""
         try:
             async with asyncio.timeout(self._deadline), share, self._slots:
-                allowed = b"".join(connection.guard.request(request, clock.now()))
-                data = await self._handle(self._parse(allowed))
-                return wire.success(connection.guard.response(data, clock.now()))
+                allowed = b"".join(connection.guard.request(request, clock.time()))
+                data = await self._handle(self._parse(allowed), connection.stream.peer)
+                return wire.success(connection.guard.response(data, clock.time()))
         except ServiceFailed as error:
             return wire.failure(str(error))
         except (ServiceRefused, GrantError) as error:
@@ -192,10 +194,10 @@ class Service:
         except MessageError as error:
             raise ServiceRefused(f"not one {self.kind.request.name}") from error
 
-    async def _handle(self, request: Message) -> memoryview:
+    async def _handle(self, request: Message, caller: Identity) -> memoryview:
         """The serialized response; the caller is sent no exception but `ServiceFailed`."""
         try:
-            result = self._handler(request)
+            result = self._handler(request, caller)
             if inspect.isawaitable(result):
                 result = await result
             return self.kind.response.serialize(self._response(result))

@@ -208,7 +208,7 @@ class ServiceClient:
 
     async def _exchange(self, connection: ProviderConnection, request: bytes | memoryview) -> bytes:
         self._context.connections.check(connection)
-        allowed = connection.guard.request(request, clock.now())
+        allowed = connection.guard.request(request, clock.time())
         complete = False
         try:
             response = await exchange_call(connection.stream, allowed)
@@ -219,7 +219,7 @@ class ServiceClient:
         finally:
             if not complete:
                 self._discard(connection)
-        return b"".join(connection.guard.response(response, clock.now()))
+        return b"".join(connection.guard.response(response, clock.time()))
 
     async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)

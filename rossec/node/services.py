@@ -25,7 +25,7 @@ from rossec.errors import (
 from rossec.net.aio import SecureStream
 from rossec.net.bounds import unit_limit
 from rossec.node.context import NodeContext
-from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
+from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, CallerHandler, Service
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
 from rossec.participant.header_fields import Fields
 from rossec.participant.remote_names import refuse_offer
@@ -57,12 +57,12 @@ class Services:
         self,
         name: str,
         kind: ServiceType,
-        handler: Handler,
+        handler: CallerHandler,
         *,
         concurrency: int = CONCURRENCY,
         deadline: float = HANDLER_DEADLINE,
     ) -> Service:
-        """Register the service `name`; see `Service`.
+        """Register the service `name`, a full name; `handler(request, caller)`; see `Service`.
 
         Raises:
             RossecError: a second provider in this node, a name below /remote, or the master
@@ -184,6 +184,12 @@ class Services:
         stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
+
+    async def withdraw(self, name: str) -> None:
+        """End a service of this node, if it is provided."""
+        service = self._provided.get(name)
+        if service is not None:
+            await service.close()
 
     async def restore(self) -> None:
         """Register everything again: the master was restarted, or there is a new grant."""

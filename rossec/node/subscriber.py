@@ -9,11 +9,13 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown
 from ca.errors import HintedError
+from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
 from grants.memory import MemoryScope
@@ -25,11 +27,16 @@ from rossec.net.aio.arrivals import next_messages
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.node.context import NodeConnection, NodeContext
+from rossec.node.wished_messages import WishedMessages, wished_messages
 from rossec.participant.connections import AuthorizedConnection
-from rossec.participant.definitions import size_of
+from rossec.participant.definitions import Definition, size_of
+from rossec.participant.deflating import OVERHEAD
+from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import Message
 from rossec.participant.topic_guard import guard_for
 from rossec.participant.topic_handshake import TopicEndpoint, admit_publisher, subscriber_header
+from rossec.participant.wire_names import granted_name
+from rossec.participant.wishes import NO_WISHES, Wishes
 from rossec.ros import header
 from rossec.ros.framing import Framing
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
@@ -55,6 +62,7 @@ class Subscriber:
         memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
+        wishes: Wishes = NO_WISHES,
     ) -> None:
         check_queue_size(queue_size)
         self.endpoint = endpoint
@@ -65,6 +73,7 @@ class Subscriber:
         self.memory_scope = memory_scope
         self._context = context
         self._on_close = on_close
+        self._wishes = wishes
         self._size = size_of(endpoint.type)
         self._longest = message_limit(self._size, MESSAGE_LIMIT)
         self._task_set = TaskSet()
@@ -78,6 +87,11 @@ class Subscriber:
     def topic(self) -> str:
         """Resolved topic name."""
         return self.endpoint.topic
+
+    @property
+    def publishers(self) -> list[str]:
+        """The API URIs that the master lists, connected or not."""
+        return list(self._tasks)
 
     def update(self, publishers: list[str]) -> None:
         """Connect to exactly `publishers` (API URIs), the master's list."""
@@ -138,51 +152,94 @@ class Subscriber:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
-                frames = FrameReader(self._longest, first=header.HEADER_LIMIT)
-                connection, early = await self._handshake(stream, frames)
+                limit = self._longest + (OVERHEAD if self._wishes.deflate else 0)
+                frames = FrameReader(limit, first=header.HEADER_LIMIT)
+                connection, answer, early = await self._handshake(stream, frames)
+                wished = wished_messages(self._wishes, answer, self._longest)
             except BaseException:
                 stream.abort("the connection header was refused")
                 raise
         self.links.add(connection)
         try:
             with self._context.connections.track(connection):
-                self._deliver(connection, early)
-                framing = Framing(frames)
+                self._opened(connection, answer)
+                framing, messages = Framing(frames), early
                 while True:
-                    self._deliver(connection, await next_messages(stream, framing))
+                    if wished is None:
+                        self._deliver(connection, messages)
+                    else:
+                        await self._deliver_wished(connection, wished, messages)
+                    messages = await next_messages(stream, framing)
         finally:
             self.links.discard(connection)
             stream.abort("no longer subscribed")
+            self._ended(connection)
 
     async def _handshake(
         self, stream: SecureStream[Identity], frames: FrameReader
-    ) -> tuple[PublisherConnection, list[bytes]]:
+    ) -> tuple[PublisherConnection, Fields, list[bytes]]:
         context = self._context
         name = context.name_for(stream.peer)
-        fields = subscriber_header(name, self.endpoint, context.access, clock.now())
-        await stream.send(header.encode(fields))
+        own = context.certified or context.name
+        endpoint = replace(self.endpoint, topic=granted_name(stream.peer, self.topic, own))
+        fields = subscriber_header(name, endpoint, context.access, clock.now())
+        await stream.send(header.encode(fields | self._wishes.fields))
         units: list[bytes] = []
         while not units:
             units = frames.feed(await stream.receive())
         answer = header.decode(units[0])
         decision = admit_publisher(
-            answer, stream.peer, self.endpoint.expected, context.access, clock.now()
+            answer, stream.peer, endpoint.expected, context.access, clock.now()
         )
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
-        guard = guard_for(self.endpoint.type, decision, context.filter_key, self.memory_scope)
-        return AuthorizedConnection(stream, decision, guard), units[1:]
+        kind = self._read_as(answer, decision)
+        guard = guard_for(kind, decision, context.filter_key, self.memory_scope)
+        return AuthorizedConnection(stream, decision, guard), answer, units[1:]
+
+    # -- what a raw subscriber does in another way
+
+    def _read_as(self, _answer: Fields, _decision: Decision) -> Definition:
+        """The type by which messages of a publisher are checked."""
+        return self.endpoint.type
+
+    def _opened(self, connection: PublisherConnection, answer: Fields) -> None:
+        """A publisher is connected, and nothing of it delivered yet."""
+
+    def _ended(self, connection: PublisherConnection) -> None:
+        """A publisher, opened or not, is connected no longer."""
+
+    def _keep(self, _connection: PublisherConnection, messages: list[bytes]) -> None:
+        """Keep what may be delivered."""
+        self._queue.extend(messages)
+        self._wake.set()
 
     def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
         if connection.guard is not None:
             messages = self._filtered(
-                connection.guard, messages, shown(connection.stream.peer.name), clock.now()
+                connection.guard, messages, shown(connection.stream.peer.name), clock.time()
             )
         if messages:
             self.received += len(messages)
-            self._queue.extend(messages)
-            self._wake.set()
+            self._keep(connection, messages)
 
-    def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: int) -> list[bytes]:
+    async def _deliver_wished(
+        self, connection: PublisherConnection, wished: WishedMessages, contents: list[bytes]
+    ) -> None:
+        """One by one: of what is inflated no more than the queue holds is kept.
+
+        It takes its time, in which the right may end.
+        """
+        for content in contents:
+            messages = [await wished.inflated(content)]
+            self._context.connections.check(connection)
+            if connection.guard is not None:
+                peer = shown(connection.stream.peer.name)
+                messages = self._filtered(connection.guard, messages, peer, clock.time())
+            if messages and wished.admits():
+                self.received += 1
+                self._keep(connection, messages)
+
+    def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: float) -> list[bytes]:
         """The messages that the right of the publisher allows, filtered."""
         filtered = []
         for message in messages:

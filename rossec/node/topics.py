@@ -2,20 +2,22 @@
 
 import contextlib
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 
 from ca.domains.aliases import split_alias
 from ca.errors import HintedError
-from grants.filters import layout
 from grants.memory import MemoryScope
 from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher
-from rossec.node.subscriber import Subscriber
+from rossec.node.raw_publisher import RawPublisher
+from rossec.node.raw_subscriber import RawReceiver, RawSubscriber
+from rossec.node.subscriber import OnClose, Subscriber
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.remote_names import refuse_offer
 from rossec.participant.topic_handshake import TopicEndpoint
+from rossec.participant.wishes import NO_WISHES, Wishes
 
 _log = logging.getLogger("rossec.node")
 
@@ -46,43 +48,87 @@ class Topics:
             RossecError: a second publisher of the topic, a name below /remote, or the master
                 refuses.
         """
-        refuse_offer(endpoint.topic, "published")
-        if endpoint.topic in self._publishers:
-            raise ConfigurationError(f"{endpoint.topic} is published by this node already")
-        shape = layout.parse(endpoint.type.name, endpoint.type.definition)
-        publisher = Publisher(endpoint, shape, self._context, latch=latch, queue_size=queue_size)
-        self._publishers[endpoint.topic] = publisher
+        publisher = Publisher(
+            endpoint, endpoint.type.layout, self._context, latch=latch, queue_size=queue_size
+        )
+        await self._offer(publisher)
+        return publisher
+
+    async def publish_raw(
+        self, topic: str, type_name: str, on_demand: Callable[[], None], *, queue_size: int
+    ) -> RawPublisher:
+        """Register a publisher whose type is described later; raises as `publish`."""
+        publisher = RawPublisher(topic, type_name, self._context, on_demand, queue_size=queue_size)
+        await self._offer(publisher)
+        return publisher
+
+    async def unpublish(self, publisher: Publisher) -> None:
+        """Cut the subscribers of a publisher of this node, and unregister it.
+
+        A master that is out of reach is not told: what is not published is not registered again.
+        """
+        if self._publishers.get(publisher.topic) is not publisher:
+            return
+        del self._publishers[publisher.topic]
+        publisher.close()
+        publisher.cut("no longer published")
+        with contextlib.suppress(HintedError, OSError):
+            await self._context.call("unregisterPublisher", publisher.topic, self._context.uri)
+
+    async def _offer(self, publisher: Publisher) -> None:
+        topic = publisher.topic
+        refuse_offer(topic, "published")
+        if topic in self._publishers:
+            raise ConfigurationError(f"{topic} is published by this node already")
+        self._publishers[topic] = publisher
         try:
             await self._register_publisher(publisher)
         except BaseException:
-            del self._publishers[endpoint.topic]
+            if self._publishers.get(topic) is publisher:
+                del self._publishers[topic]
             raise
-        return publisher
 
-    async def subscribe(self, endpoint: TopicEndpoint, *, queue_size: int) -> Subscriber:
+    async def subscribe(
+        self, endpoint: TopicEndpoint, *, queue_size: int, wishes: Wishes = NO_WISHES
+    ) -> Subscriber:
         """Register a subscriber.
 
         Raises:
             NameRefused: a name below /remote that is no alias.
             RossecError: the master refuses.
         """
-        split_alias(endpoint.topic)
-        context = self._context
-        existing = self._subscribers.setdefault(endpoint.topic, [])
         subscriber = Subscriber(
             endpoint,
-            context,
-            self._forget,
-            _unused_memory_scope(context.memory_scope, existing),
+            *self._for_subscriber(endpoint.topic),
             queue_size=queue_size,
+            wishes=wishes,
         )
-        existing.append(subscriber)
+        await self._listen(subscriber)
+        return subscriber
+
+    async def subscribe_raw(
+        self, topic: str, receiver: RawReceiver, *, wishes: Wishes = NO_WISHES
+    ) -> RawSubscriber:
+        """Register a subscriber of any type, which hands on what arrives; raises as `subscribe`."""
+        given = self._for_subscriber(topic)
+        subscriber = RawSubscriber(topic, receiver, *given, wishes=wishes)
+        await self._listen(subscriber)
+        return subscriber
+
+    def _for_subscriber(self, topic: str) -> tuple[NodeContext, OnClose, MemoryScope]:
+        """What every subscriber of a topic is given."""
+        split_alias(topic)
+        existing = self._subscribers.setdefault(topic, [])
+        memory = _unused_memory_scope(self._context.memory_scope, existing)
+        return self._context, self._forget, memory
+
+    async def _listen(self, subscriber: Subscriber) -> None:
+        self._subscribers[subscriber.topic].append(subscriber)
         try:
             await self._register_subscriber(subscriber)
         except BaseException:
             await subscriber.close()
             raise
-        return subscriber
 
     def describe(self) -> dict[str, object]:
         """The topics with their types, for the slave API."""

@@ -164,6 +164,9 @@ class LinkTransport:
 
     # -- writing
 
+    def limit_unsent(self) -> None:
+        """Nothing to do: what the link's window does not take waits in `backlog`."""
+
     @property
     def backlog(self) -> int:
         """Bytes that wait for the link's window."""

@@ -22,7 +22,7 @@ MAX_PEERS: Final = 64
 MAX_FILE: Final = 64 * 1024
 _FORM: Final = "rossec-overlay"
 _BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
-_HINT: Final = "it is written by rossec relay card, add and remove: use these"
+_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
 
 
 @dataclass(frozen=True)

@@ -231,7 +231,7 @@ class Relay:
         if listed is None:
             raise RelayRefused(
                 f"no trusted domain is called {peer.domain}",
-                "at this side's authority: rossec domain accept",
+                "at this side's authority: rossec domain accept CARD",
             )
         if not any(covers(pattern, peer.relay) for pattern in listed.entry.admitted):
             raise RelayRefused(

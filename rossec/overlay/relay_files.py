@@ -18,7 +18,9 @@ from rossec.overlay.routers import Routers
 
 PEERS: Final = "overlay.json"
 SEAT: Final = "seat.json"
-_NO_SEAT: Final = "the routers' operator makes one: rossec router seats add; rossec relay seat FILE"
+_NO_SEAT: Final = (
+    "the routers' operator makes one: rossec router seats add NAME; here: rossec relay seat FILE"
+)
 
 
 class RelayFiles:

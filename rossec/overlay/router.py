@@ -139,7 +139,7 @@ def seats_of(home: RouterHome, *, is_open: bool) -> Seats | None:
     if is_open and seats.names:
         raise ConfigurationError(
             f"the router has seats ({', '.join(seats.names)}), so it is not open",
-            "leave out --open, or remove them: rossec router seats remove",
+            "leave out --open, or remove them: rossec router seats remove NAME",
         )
     if not is_open and not seats.names:
         raise ConfigurationError(

@@ -201,7 +201,7 @@ class RouterHome:
     def _missing(self, name: str) -> ConfigurationError:
         return ConfigurationError(
             f"there is no {self.path / name}",
-            "this is made by: rossec router seats add, or the first start of: rossec router",
+            "this is made by `rossec router seats add`, or the first start of `rossec router`",
         )
 
 

@@ -28,7 +28,7 @@ _LOCATOR: Final = re.compile(
     re.ASCII,
 )
 _FORM: Final = "rossec-seat"
-_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 Pure: grants, revocations and `now` in; a `Decision` or an error out. Least disclosure: of the
 grants this node holds, a peer receives only those that cover the request. A name may be an alias: a
 right on it is the right on the origin's name, and only grants of the origin's domain prove it,
-whoever holds them; what a foreign authority signs counts for nothing else.
+whoever holds them; what a foreign authority signs counts for nothing else. What a gateway serves
+has a name of its own (`wire_names`), of this domain: only a gateway publishes under it.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,6 +14,7 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown, split_alias
+from ca.domains.served import alias_of_served, is_in_gateway
 from ca.domains.standing import Standing
 from ca.encoding import Value, encode
 from ca.errors import CAError, NotAdmitted, RevocationsStale
@@ -23,9 +25,11 @@ from grants.model import MESSAGE_RIGHTS, Grant, Right
 from grants.token import peek
 from rossec.participant.presentation import fitting
 from rossec.participant.token_opening import TokenOpener
+from rossec.participant.wire_names import is_own_gateway, possible_names
 from rossec.ros.names import MASTER
 
 FIELD: Final = "rossec_grants"
+_OFFERS: Final = Right.PUBLISH | Right.PROVIDE
 NO_LIST: Final = (
     "the master has no revocation list yet",
     "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
@@ -70,6 +74,11 @@ class Access:
         for data in held:
             self.hold(data)
 
+    @property
+    def standing(self) -> Standing:
+        """Which authorities count, and what they have revoked."""
+        return self._standing
+
     def hold(self, data: bytes) -> None:
         """Add a token to those this node can present: a grant as signed, or a chain."""
         grant = peek(data)
@@ -106,6 +115,16 @@ class Access:
         """The listed foreign domains whose grants this node holds."""
         listed = self._standing.anchors.listed_domain
         return frozenset(domain for domain in self._domains_held() if listed(domain) is not None)
+
+    def domain_called(self, label: str) -> str | None:
+        """The listed foreign domain with this label; None: there is none."""
+        listed = self._standing.anchors.listed(label)
+        return None if listed is None else listed.entry.domain
+
+    @property
+    def master(self) -> str:
+        """The certified name of this node's own master."""
+        return self._master
 
     def is_master(self, peer: Identity) -> bool:
         """Whether `peer` is this node's own master."""
@@ -182,7 +201,15 @@ class Access:
         return encode(list[Value](fitting(covering)))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
-        """Whether a grant this node holds covers `right` on `name` now."""
+        """Whether a grant this node holds covers `right` on `name` now.
+
+        To subscribe to an alias one for what a gateway serves of it suffices.
+        """
+        names = possible_names(name) if right is Right.SUBSCRIBE else (name,)
+        return any(self.covers(right, each, now) for each in names)
+
+    def covers(self, right: Right, name: str, now: int) -> bool:
+        """As `holds`, by that name alone: on an alias only a grant of its origin counts."""
         try:
             return bool(self._covering(right, name, now))
         except CAError:
@@ -205,19 +232,20 @@ class Access:
         Raises:
             NotAdmitted, NameRefused: an alias of no domain.
         """
-        found = split_alias(name)
+        served = alias_of_served(name)  # by the own domain's grants, while the label is of a domain
+        found = split_alias(name if served is None else served)
         if found is None:
             return self._anchor.domain, name
         label, origin = found
         listed = self._standing.anchors.listed(label)
-        if listed is not None:
-            return listed.entry.domain, origin
-        if right & MESSAGE_RIGHTS:
+        if listed is None and right & MESSAGE_RIGHTS:
             raise NotAdmitted(
                 f"{shown(name)}: no domain is called {label} here",
                 "at this side's authority: rossec domain list",
             )
-        return self._anchor.domain, origin
+        if served is not None:
+            return self._anchor.domain, name
+        return self._anchor.domain if listed is None else listed.entry.domain, origin
 
     def _current(self, now: int) -> list[HeldGrant]:
         usable = [
@@ -239,9 +267,16 @@ class Access:
 
         Raises:
             GrantError: the subclass for what is missing or wrong.
-            CAError: the peer or one of its grants is revoked, or revocations are stale.
+            CAError: the peer or one of its grants is revoked, or revocations are stale; or it is no
+                gateway, and offers what only they do.
         """
         self.check_peer(peer, now)
+        if right & _OFFERS and is_in_gateway(name) and not is_own_gateway(peer):
+            verb = "publishes" if right & Right.PUBLISH else "provides"
+            raise NotAdmitted(
+                f"{shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
+                "a gateway is a node that is enrolled as /gateway or /gateway/NAME",
+            )
         domain, origin = self._origin(right, name)
         if presented is None:
             raise GrantMissing(

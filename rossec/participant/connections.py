@@ -16,6 +16,7 @@ from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from ca.certificates import Identity
 from ca.domains.aliases import shown, split_alias
+from ca.domains.served import alias_of_served
 from ca.domains.standing import Standing
 from ca.errors import NotAdmitted, RevocationsStale, Revoked
 from grants.decision import Decision
@@ -111,11 +112,18 @@ def _error_of(
 
 
 def _check_label(decision: Decision, standing: Standing) -> None:
-    """Return while the label in an alias stands for the domain of the grants."""
-    found = split_alias(decision.name)
+    """Return while the label in an alias stands for the domain of the grants.
+
+    What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is
+    then, the gateway's own connections to the origin have been cut for.
+    """
+    served = alias_of_served(decision.name)
+    found = split_alias(decision.name if served is None else served)
     if found is None:
         return
     listed = standing.anchors.listed(found[0])
+    if served is not None and listed is not None:
+        return
     domain = None if listed is None else listed.entry.domain
     if any(grant.domain != domain for grant in decision.grants):
         raise NotAdmitted(f"{found[0]} is no longer the domain it was")

@@ -23,7 +23,7 @@ from rossec.ros.names import ANY_TYPE
 
 _HINT: Final = (
     "the publisher's right is restricted: install the package of this message type on this host;"
-    " a sidecar looks for its .msg files along ROS_PACKAGE_PATH"
+    " sidecars and gateways look for its .msg files along ROS_PACKAGE_PATH"
 )
 
 
@@ -34,6 +34,11 @@ class Definition:
     name: str
     md5sum: str
     definition: str
+
+    @property
+    def octets(self) -> bytes:
+        """The text as it is in a header: its comments need not be UTF-8."""
+        return self.definition.encode(errors="surrogateescape")
 
     @cached_property
     def layout(self) -> Layout:
@@ -141,6 +146,28 @@ def sender_definition(
     )
 
 
+def forwarded_definition(
+    sent: Definition, decision: Decision, find_installed: FindDefinition
+) -> Definition:
+    """The definition of messages that are forwarded for somebody who is not trusted.
+
+    As `sender_definition`, but where the md5sum does not prove it this host has to know the type:
+    the restrictions of a subscriber may protect it from the sender.
+
+    Raises:
+        ConnectionHeaderRefused, GrantError: as there; or the type is not installed.
+    """
+    if needs_definition(decision) and not sent.layout.is_proven:
+        trusted = find_installed(sent.name)
+        if trusted is None or trusted.md5sum != sent.md5sum:
+            raise ConnectionHeaderRefused(
+                f"how a {sent.name} is read is not known on this host",
+                "the subscriber's right is restricted: install the package of this message type"
+                " here, or name its place in ROS_PACKAGE_PATH",
+            )
+    return sender_definition(sent, decision, find_installed)
+
+
 def definition_fields(kind: Definition, decision: Decision) -> Fields:
     """Header fields that replace the publisher's, where a guard depends on the definition.
 
@@ -151,7 +178,7 @@ def definition_fields(kind: Definition, decision: Decision) -> Fields:
     return {
         "type": kind.name.encode(),
         "md5sum": kind.md5sum.encode(),
-        "message_definition": kind.definition.encode(),
+        "message_definition": kind.octets,
     }
 
 

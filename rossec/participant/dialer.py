@@ -8,13 +8,14 @@ which the master has sent it as well, and the subscriber's grant for that topic.
 from collections.abc import Callable
 
 from ca.certificates import Identity
-from ca.domains.aliases import origin_of, shown
+from ca.domains.aliases import shown
 from rossec import clock
 from rossec.errors import ConnectionHeaderRefused
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.remote_names import caller_for
+from rossec.participant.wire_names import wire_name
 from rossec.ros import settings
 
 CheckPeer = Callable[[Identity, int], None]
@@ -74,7 +75,7 @@ class Dialer:
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
         self._check_identity(stream)
         try:
-            named = origin_of(topic)
+            named = wire_name(stream.peer, topic, self._certified)
             caller = caller_for(stream.peer, self._name, self._certified)
             answer = await RpcClient(stream).ask("requestTopic", caller, named, [["TCPROS"]])
         finally:

@@ -9,7 +9,7 @@ from typing import Final
 from grants.memory import MemoryScope, MemoryStore
 from rossec import clock
 
-_MEMORIES: Final = MemoryStore(clock.now, Lock)
+_MEMORIES: Final = MemoryStore(clock.time, Lock)
 
 
 def memory_scope(node: str) -> MemoryScope:

@@ -21,8 +21,8 @@ from ca.revocation.state import digest, open_timestamp
 from ca.revocation.tree import is_tree
 from rossec import clock
 from rossec.environment import OWN_MASTER
-from rossec.errors import AnswerRefused, ConfigurationError, RossecError
-from rossec.net.aio import SecureStream
+from rossec.errors import AnswerRefused, ConfigurationError, PeerUnreachable, RossecError
+from rossec.net.aio import SecureStream, as_master
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import NO_LIST
 from rossec.participant.grant_renewal import MasterCall
@@ -104,7 +104,10 @@ class MasterSession:
         Raises:
             HintedError, OSError: the master is out of reach, is not the master, or refuses.
         """
-        stream = await self._dial()
+        try:
+            stream = await self._dial()
+        except PeerUnreachable as error:
+            raise as_master(error) from error
         if stream.peer.name != self._master:
             stream.abort("not the master")
             found = shown(stream.peer.name)

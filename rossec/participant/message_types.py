@@ -5,9 +5,9 @@ are added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags
 this module.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -132,6 +132,30 @@ def _check_nested(name: str, types: Mapping[str, Any]) -> None:
 def field_names(message: Message) -> list[str]:
     """Names of the fields of `message`, in order of its definition."""
     return _field_names(message.__msgtype__)
+
+
+def element_of(message: Message, field: str) -> Callable[[], Any]:
+    """What makes a zero element of the list `field` of `message`: a message, a time, a text."""
+    return partial(_zero_field, _element(message, field))
+
+
+def element_type(message: Message, field: str) -> str:
+    """The type of the elements of the list `field` of `message`, as ROS 1 writes it."""
+    kind, inner = _element(message, field)
+    if kind is Nodetype.BASE:
+        return str(inner[0])
+    return _TIMES.get(inner, str(inner).replace("/msg/", "/"))
+
+
+def _element(message: Message, field: str) -> Any:
+    _, fields = _store().fielddefs[message.__msgtype__]
+    return dict(fields)[field][1][0]
+
+
+_TIMES: Final = {
+    "builtin_interfaces/msg/Time": "time",
+    "builtin_interfaces/msg/Duration": "duration",
+}
 
 
 def _field_names(inner: str) -> list[str]:

@@ -50,7 +50,7 @@ class ServiceGuard:
         self._request = Guard(kind.request_layout, request, keys, memory)
         self._response = Guard(kind.response_layout, response, keys, memory.child("response"))
 
-    def request(self, data: Buffer, now: int) -> Pieces:
+    def request(self, data: Buffer, now: float) -> Pieces:
         """The request as it may be forwarded.
 
         Raises:
@@ -58,7 +58,7 @@ class ServiceGuard:
         """
         return self._filter(self._request, "request", data, now)
 
-    def response(self, data: Buffer, now: int) -> Pieces:
+    def response(self, data: Buffer, now: float) -> Pieces:
         """The response as it may be forwarded.
 
         Raises:
@@ -66,7 +66,7 @@ class ServiceGuard:
         """
         return self._filter(self._response, "response", data, now)
 
-    def _filter(self, guard: Guard, what: str, data: Buffer, now: int) -> Pieces:
+    def _filter(self, guard: Guard, what: str, data: Buffer, now: float) -> Pieces:
         pieces = guard(data, now)
         if pieces is None:
             raise ServiceRefused(

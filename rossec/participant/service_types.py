@@ -87,7 +87,8 @@ def service_type(name: str) -> ServiceType:
     except MessageError:
         raise MessageError(
             f"unknown service type {name!r}",
-            "names look like std_srvs/SetBool; add your own with register_service_type()",
+            "names look like std_srvs/SetBool; "
+            "add your own with register_service_type(), or --definition FILE",
         ) from None
 
 

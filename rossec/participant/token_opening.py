@@ -17,6 +17,7 @@ from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import Grant
 from grants.narrowing import check_one_domain
+from grants.tail import check_tail
 from grants.token import Verifier
 
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
@@ -47,7 +48,7 @@ class TokenOpener:
 
         Args:
             presented: a CBOR array of tokens.
-            peer: who presents them; a chain must stay in one domain.
+            peer: who presents them; a chain must stay in one domain, a tail must be its own.
 
         Raises:
             GrantMalformed: not such an array.
@@ -59,6 +60,7 @@ class TokenOpener:
             try:
                 grant = self._open_once(data, domain, now)
                 check_one_domain(grant, label, peer.name)
+                check_tail(grant, peer.name, tail=peer.wildcard)
                 grants.append(grant)
             except GrantError as error:
                 refusals.append(error)

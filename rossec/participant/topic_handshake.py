@@ -55,7 +55,7 @@ def subscriber_header(
         "topic": origin_of(endpoint.topic).encode(),
         "type": endpoint.type.name.encode(),
         "md5sum": endpoint.type.md5sum.encode(),
-        "message_definition": endpoint.type.definition.encode(),
+        "message_definition": endpoint.type.octets,
         "tcp_nodelay": b"1",
         FIELD: access.present(Right.SUBSCRIBE, endpoint.topic, now),
     }
@@ -70,7 +70,7 @@ def publisher_header(
         "topic": endpoint.topic.encode(),
         "type": endpoint.type.name.encode(),
         "md5sum": endpoint.type.md5sum.encode(),
-        "message_definition": endpoint.type.definition.encode(),
+        "message_definition": endpoint.type.octets,
         "latching": b"1" if latching else b"0",
         FIELD: access.present(Right.PUBLISH, endpoint.topic, now),
     }

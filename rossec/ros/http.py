@@ -25,6 +25,10 @@ _REASONS: Final = {
     413: b"Content Too Large",
     431: b"Request Header Fields Too Large",
 }
+COMPACT: Final = b"rossec-cbor/1"
+"""What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md."""
+_OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
+_SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
 _MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
 _END: Final = b"\r\n\r\n"
 _TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
@@ -44,8 +48,18 @@ class _Head(NamedTuple):
     @property
     def closes(self) -> bool:
         """Whether the connection ends after this exchange."""
+        return self.minor == b"0" or b"close" in self._options
+
+    @property
+    def switches(self) -> bool:
+        """Whether it offers, or takes, the compact form."""
+        named = self.fields.get(b"upgrade") == COMPACT and b"upgrade" in self._options
+        return named and self.minor == b"1"
+
+    @property
+    def _options(self) -> list[bytes]:
         options = self.fields.get(b"connection", b"").lower()
-        return self.minor == b"0" or b"close" in [option.strip() for option in options.split(b",")]
+        return [option.strip() for option in options.split(b",")]
 
 
 class _Reader:
@@ -100,6 +114,11 @@ class _Reader:
         self.skip(self._end)
         return body
 
+    def rest(self, begin: int) -> bytes:
+        """All that arrived after `begin`, which is taken with what precedes it."""
+        rest, self._data = self._data[begin:], b""
+        return rest
+
     def skip(self, count: int) -> None:
         self._data = self._data[count:]
         self._begin = self._end = 0
@@ -117,6 +136,8 @@ class HttpServer:
         self._reader = _Reader(limit)
         self._answering = False
         self._last = False  # the current request asks to close the connection
+        self.is_offered = False
+        """The current request offers the compact form: it may be answered with `switch`."""
         self.closing = False
         """No more requests are accepted on this connection (HTTP/1.0, close, an error)."""
 
@@ -143,6 +164,7 @@ class HttpServer:
                 begin, head = end + len(_END), _cached_request_head(data[:end])
                 if begin + head.length == len(data) and head.length <= self._reader.limit:
                     self._answering, self._last = True, head.closes
+                    self.is_offered = head.offers
                     return data[begin:]
         self.feed(data)
         return self.next_request()
@@ -181,6 +203,11 @@ class HttpServer:
         head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
         self._reader.expect(data, head.length)
         self._last = head.closes
+        self.is_offered = head.offers
+
+    def switch(self) -> bytes:
+        """The head that takes the offer; nothing else of HTTP follows on this connection."""
+        return _SWITCH
 
 
 class _RequestHead(NamedTuple):
@@ -188,6 +215,7 @@ class _RequestHead(NamedTuple):
 
     length: int
     closes: bool
+    offers: bool
 
 
 def _request_head(data: bytes) -> _RequestHead:
@@ -202,7 +230,8 @@ def _request_head(data: bytes) -> _RequestHead:
         raise HttpRefused("malformed HTTP")
     if b"origin" in head.fields:
         raise HttpRefused("an HTTP request from a web page", status=403)
-    return _RequestHead(_length(head.fields), head.closes)
+    offers = head.switches and not head.closes
+    return _RequestHead(_length(head.fields), head.closes, offers)
 
 
 _cached_request_head = lru_cache(256)(_request_head)
@@ -215,6 +244,9 @@ class HttpClient:
     def __init__(self, host: str, *, path: str = "/", limit: int = BODY_LIMIT) -> None:
         self._reader = _Reader(limit)
         self._first = f"POST {path} HTTP/1.1\r\nHost: {host}".encode("ascii")
+        self._offers = False
+        self.switched: bytes | None = None
+        """What follows the head by which the server took the offer; None: it did not."""
         self._waiting = False
         self._last = False
 
@@ -223,10 +255,11 @@ class HttpClient:
         """The server will not answer another request on this connection."""
         return self._waiting or self._last
 
-    def request(self, body: bytes) -> bytes:
-        """The bytes of one POST request."""
-        self._waiting = True
-        return _message(self._first, body, close=False)
+    def request(self, body: bytes, *, offers: bool = False) -> bytes:
+        """The bytes of one POST request; `offers` the compact form from the answer on."""
+        self._waiting, self._offers = True, offers
+        first = self._first + _OFFER if offers else self._first
+        return _message(first, body, close=False)
 
     def feed(self, data: bytes) -> None:
         """Take bytes from the peer."""
@@ -240,7 +273,7 @@ class HttpClient:
         """
         while not self._reader.in_body:
             data = self._reader.head()
-            if data is None:
+            if data is None or self.switched is not None:
                 return None
             self._begin(data)
         body = self._reader.body()
@@ -253,6 +286,11 @@ class HttpClient:
         if response is None:
             raise HttpRefused("malformed HTTP")
         fields = _fields(rest)
+        if response[2] == b"101":
+            if not (self._offers and _Head(response[1], fields).switches):
+                raise HttpRefused("HTTP that switches to a protocol that was not offered")
+            self.switched = self._reader.rest(len(data) + len(_END))
+            return
         if response[2].startswith(b"1"):  # an interim response: the real one follows
             self._reader.skip(len(data) + len(_END))
             return

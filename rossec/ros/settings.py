@@ -80,6 +80,15 @@ def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) 
     )
 
 
+def own_address(environ: Mapping[str, str]) -> str | None:
+    """ROS_HOSTNAME or ROS_IP; None: neither is set.
+
+    Raises:
+        ConfigurationError: it is not the address of a host.
+    """
+    return _address({}, environ)
+
+
 def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str, int]:
     """Host and port of an `http://host:port` URI; of a service's, `scheme` is `rosrpc`.
 

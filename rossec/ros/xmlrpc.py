@@ -19,12 +19,13 @@ from rossec.ros.xmlscan import Body, scan
 Fault = xmlrpc.client.Fault
 """What a server answers when there is no value: `Fault(faultCode, faultString)`."""
 
+FAULT_CODE: Final = 1  # the only one stock ROS uses
 BODY_LIMIT: Final = 1024 * 1024
 DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay below ten
 _TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
 _TAGS_AROUND: Final = 6
-_METHOD_LIMIT: Final = 256
-_NOT_ENCODABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
+METHOD_LIMIT: Final = 256
+NOT_ENCODABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
 
 
 class Call(NamedTuple):
@@ -48,7 +49,7 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
     """
     try:
         return xmlwrite.call(method, params).encode()
-    except _NOT_ENCODABLE as error:
+    except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
@@ -64,7 +65,7 @@ def dump_response(value: object) -> bytes:
         if isinstance(value, Fault):
             return xmlrpc.client.dumps(value).encode()
         return xmlwrite.response(value).encode()
-    except _NOT_ENCODABLE as error:
+    except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
@@ -82,7 +83,7 @@ def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
         raise XmlRpcRefused("XML that is not an XML-RPC call") from fault
     if root != "methodCall" or not isinstance(method, str) or not method:
         raise XmlRpcRefused("XML that is not an XML-RPC call")
-    if len(method) > _METHOD_LIMIT:
+    if len(method) > METHOD_LIMIT:
         raise XmlRpcRefused("a method name that is too long")
     return Call(method, params)
 
@@ -131,6 +132,14 @@ def is_unknown_method(error: Exception) -> bool:
     """
     text = str(error.faultString) if isinstance(error, Fault) else ""
     return 'method "' in text and text.endswith('" is not supported')
+
+
+def too_long(size: int, limit: int) -> Fault:
+    """What is answered in place of a response that is longer than peers accept."""
+    return Fault(
+        FAULT_CODE,
+        f"rossec: the answer has {size} bytes, at most {limit} are sent: ask for less at a time",
+    )
 
 
 def _check_size(data: bytes, limit: int) -> None:

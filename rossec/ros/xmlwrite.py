@@ -16,13 +16,27 @@ _INTS: Final = range(-(2**31), 2**31)
 
 
 class EncodedList(list[object]):
-    """A list with its encoding; it must not change any more."""
+    """A list that keeps its encodings; it must not change any more.
 
-    __slots__ = ("text",)
+    Attributes:
+        compact: the other form's encoding, if it was made, of `pieces` values
+            (`rossec.ros.compactwrite`).
+    """
+
+    __slots__ = ("_text", "compact", "pieces")
 
     def __init__(self, items: list[object]) -> None:
         super().__init__(items)
-        self.text = _array(items)
+        self._text: str | None = None
+        self.compact: bytes | None = None
+        self.pieces = 0
+
+    @property
+    def text(self) -> str:
+        """The value element."""
+        if self._text is None:
+            self._text = _array(self)
+        return self._text
 
 
 def call(method: str, params: Iterable[object]) -> str:

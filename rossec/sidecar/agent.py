@@ -20,6 +20,7 @@ from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.halfopen import HalfOpenCount
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
+from rossec.participant.host_types import known_type
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.remote_names import NOT_OFFERED
@@ -33,9 +34,8 @@ from rossec.sidecar.core.endpoints import Endpoint, EndpointMap
 from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.egress import Egress
 from rossec.sidecar.executor import SlaveApiClient, run_layer
-from rossec.sidecar.host_types import known_type
 from rossec.sidecar.ingress import Ingress
-from rossec.sidecar.refusals import log_refusal
+from rossec.sidecar.refusals import RefusalLog
 from rossec.sidecar.resubscriber import Resubscriber
 
 _log = logging.getLogger("rossec.sidecar")
@@ -91,6 +91,7 @@ class Agent:
             self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
         )
         self._cache = ConnectionCache()
+        self._refusals = RefusalLog()
         self._has_failed = False
         self._start_lock = asyncio.Lock()
         self._started = False
@@ -113,6 +114,7 @@ class Agent:
 
     async def close(self) -> None:
         """Close every port and every connection."""
+        self._refusals.flush()
         await self._ingress.close()
         await self._egress.close()
         await self._cache.close()
@@ -156,7 +158,7 @@ class Agent:
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer; refusals are logged, since a program may not print them."""
         answer = await self._membership.session.forward(method, *params)
-        log_refusal("the master", method, answer)
+        self._refusals.log("the master", method, answer)
         return answer
 
     def proof(self, right: Right, name: str) -> bytes:
@@ -181,6 +183,9 @@ class Agent:
             self._started = True
             self._membership.start()
             self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
+            self._membership.tasks.spawn(
+                self._egress.leave_publishers(), f"{self.name}: publishers to leave"
+            )
 
     # --- hooks of the membership (MembershipHooks)
 

@@ -22,6 +22,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc.client import serve_calls
 from rossec.participant.connections import AuthorizedConnection, ConnectionTable
+from rossec.participant.followed_publishers import PERIOD, FollowedPublishers
 from rossec.participant.header_fields import text
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
@@ -38,7 +39,7 @@ from rossec.sidecar.loopback_port import LoopbackPort
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
-from rossec.sidecar.refusals import log_refusal
+from rossec.sidecar.refusals import RefusalLog
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
@@ -68,9 +69,11 @@ class Egress:
         self._filter_key = filter_key
         self._on_topic_ended = on_topic_ended
         self._tasks = TaskSet()
+        self._refusals = RefusalLog()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(
             memory_scope(agent.identity.name)
         )
+        self._followed: FollowedPublishers[Endpoint] = FollowedPublishers(agent.is_listed)
         self.ports = PortPool(self._close_port)
 
     def open(self, remote: Endpoint) -> int:
@@ -87,6 +90,7 @@ class Egress:
 
     async def close(self) -> None:
         """Close every port."""
+        self._refusals.flush()
         for listener in self.ports:
             await listener.close()
         await self._tasks.close()
@@ -113,11 +117,11 @@ class Egress:
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
             layer = slave_calls.handle_program_call(self._agent, remote, method, params)
             answer = await executor.run(layer)
-            log_refusal(remote.uri, method, answer)
+            self._refusals.log(remote.uri, method, answer)
             return answer
 
         try:
-            await serve_calls(program, dispatch)
+            await serve_calls(program, dispatch, compact=False)
         finally:
             await executor.close()
 
@@ -146,6 +150,7 @@ class Egress:
                 return
             if executor.stream is not None:
                 began = time.monotonic()
+                self._follow(executor.stream, remote, fields)
                 await self._forward(
                     admitted, program, executor.stream, after_request, executor.after_header
                 )
@@ -154,7 +159,22 @@ class Egress:
             _log.info("a connection to %s ended: %s", remote.uri, error)
         finally:
             self._memories.release(executor)
+            if executor.stream is not None:
+                self._followed.discard(executor.stream)
             await executor.close()
+
+    def _follow(
+        self, stream: SecureStream[Identity], remote: Endpoint, fields: Mapping[str, bytes]
+    ) -> None:
+        api = self._agent.endpoints.api_of(remote)
+        if api is not None and "topic" in fields:
+            self._followed.add(stream, text(fields, "topic"), api)
+
+    async def leave_publishers(self) -> None:
+        """Periodically leave what the master lists no longer, until cancelled."""
+        while True:
+            await asyncio.sleep(PERIOD)
+            self._followed.leave_unlisted()
 
     def _topic_ended(self, fields: Mapping[str, bytes], began: float) -> None:
         """A connection with this header has ended, or could not be made; of a service: nothing."""

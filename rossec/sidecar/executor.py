@@ -14,15 +14,17 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
+from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.aio.dial import dial
 from rossec.net.aio.stream import SecureStream
 from rossec.net.rpc.client import RpcClient
-from rossec.ros import header, xmlrpc
+from rossec.ros import header
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.commands import (
+    AuthenticatePeer,
     CallMaster,
     CallPeer,
     CallProgram,
@@ -43,6 +45,7 @@ from rossec.sidecar.core.events import (
     HeaderArrived,
     NoAnswer,
     Opened,
+    PeerAuthenticated,
     RawResponse,
 )
 from rossec.sidecar.core.layers import Layer, Outcome
@@ -195,15 +198,31 @@ class CommandExecutor:
             case Probe(local):
                 await self._rpc_to_program(local)
                 return CommandDone()
-            case ConnectProgram(local, fields):
-                await self._close_program_rpc()
-                self.program = await self._connect_program(local)
-                return await self._exchange_headers(self.program, None, fields)
-            case ConnectPeer(remote, fields):
-                self.stream = await self._services.dial(remote)
-                return await self._exchange_headers(self.stream, self.stream.peer, fields)
+            case AuthenticatePeer(remote):
+                return PeerAuthenticated(await self._authenticate(remote))
+            case ConnectProgram() | ConnectPeer():
+                return await self._connect(request)
             case _:
                 assert_never(request)
+
+    async def _connect(self, request: ConnectProgram | ConnectPeer) -> Event:
+        if isinstance(request, ConnectPeer):
+            stream = await self._stream_to(request.remote)
+            return await self._exchange_headers(stream, stream.peer, request.fields)
+        await self._close_program_rpc()
+        self.program = await self._connect_program(request.local)
+        return await self._exchange_headers(self.program, None, request.fields)
+
+    async def _authenticate(self, remote: Endpoint) -> Identity:
+        if remote.protocol is WireProtocol.HTTP:
+            return (await self._client_of_peer(remote, None)).peer
+        return (await self._stream_to(remote)).peer
+
+    async def _stream_to(self, remote: Endpoint) -> SecureStream[Identity]:
+        """The TCPROS connection to the peer there, which a layer makes one of."""
+        if self.stream is None:
+            self.stream = await self._services.dial(remote)
+        return self.stream
 
     async def _exchange_headers(
         self,
@@ -218,7 +237,9 @@ class CommandExecutor:
     async def _rpc_to_program(self, local: Endpoint) -> RpcClient:
         if self._program_rpc is None or self._program_rpc.closed:
             self._program_rpc = RpcClient(
-                await self._connect_program(local), host=self._services.callers.loopback.host
+                await self._connect_program(local),
+                host=self._services.callers.loopback.host,
+                compact=False,
             )
         return self._program_rpc
 
@@ -280,8 +301,9 @@ class CommandExecutor:
 
 
 async def _call(rpc: RpcClient, method: str, params: tuple[object, ...], *, parse: bool) -> Event:
-    body = await rpc.fetch(method, *params)
-    return Answered(xmlrpc.load_response(body)) if parse else RawResponse(body)
+    if parse:
+        return Answered(await rpc.call(method, *params))
+    return RawResponse(await rpc.fetch(method, *params))
 
 
 async def run_layer(services: AgentServices, layer: Layer[Outcome]) -> Outcome:

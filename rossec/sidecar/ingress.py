@@ -26,7 +26,7 @@ from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header, names
 from rossec.ros.names import SIGNED_UPDATES
-from rossec.sidecar import pump
+from rossec.sidecar import pump, wish_pump
 from rossec.sidecar.connector import PeerConnector
 from rossec.sidecar.core import slave_calls, tcpros
 from rossec.sidecar.core.copies import CopyTracker
@@ -38,6 +38,7 @@ from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
+from rossec.sidecar.wish_pump import WishSender
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 
@@ -198,11 +199,16 @@ class Ingress:
             elif after_request:
                 _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
             else:
-                now, latching = clock.now(), admitted.latching
+                now, latching = clock.time(), admitted.latching
                 with self._copies.share(admitted.guard, now, latching=latching) as (
                     guard,
                     initial,
                 ):
+                    if admitted.wishes:
+                        sender = WishSender(stream, admitted.wishes)
+                        sender.put(initial)
+                        await wish_pump.publish(program, stream, guard, after_answer, sender)
+                        return
                     if initial:
                         await stream.send(*pump.framed(initial))
                     await pump.publish(program, stream, guard, after_answer)

@@ -64,6 +64,7 @@ class LocalPort:
         self._socket = bind_loopback(port, callers.loopback)
         self._loop = asyncio.get_running_loop()
         self._tasks = TaskSet()
+        self._accepted: set[socket.socket] = set()  # whose task has not begun
         self._is_open = False
         self.port: Final[int] = self._socket.getsockname()[1]
 
@@ -95,6 +96,9 @@ class LocalPort:
         self.suspend()
         self._socket.close()
         await self._tasks.close()
+        for sock in self._accepted:  # a task that is cancelled before it begins closes nothing
+            sock.close()
+        self._accepted.clear()
 
     def _start_accepting(self) -> None:
         if self._is_open:
@@ -114,9 +118,11 @@ class LocalPort:
             _log.warning("too many connections at port %d", self.port)
             sock.close()
             return
+        self._accepted.add(sock)
         self._tasks.spawn(self._serve(sock), f"loopback port {self.port}")
 
     async def _serve(self, sock: socket.socket) -> None:
+        self._accepted.discard(sock)
         try:
             await self._callers.check(sock)
         except (PeerUserRefused, OSError) as error:

@@ -68,7 +68,7 @@ async def exchange(
     program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
 ) -> None:
     """Forward bytes in both directions, for a service; the bytes after the headers go first."""
-    await _run_both(
+    await run_both(
         program, peer, to_peer(program, peer, outward), to_program(peer, program, inward)
     )
 
@@ -77,7 +77,7 @@ async def publish(
     program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> None:
     """Forward a program's messages to a subscribing peer; `initial` came after its header."""
-    await _run_both(program, peer, outgoing(program, peer, guard, initial), _expect_no_data(peer))
+    await run_both(program, peer, outgoing(program, peer, guard, initial), expect_no_data(peer))
 
 
 async def subscribe(
@@ -89,7 +89,7 @@ async def subscribe(
 ) -> None:
     """Forward a peer's messages to a subscribing program; a guard takes none above `max_length`."""
     direction = incoming(peer, program, guard, initial, max_length)
-    await _run_both(program, peer, direction, _expect_no_data(program))
+    await run_both(program, peer, direction, expect_no_data(program))
 
 
 async def to_peer(program: PlainStream, peer: SecureStream[Identity], initial: bytes) -> None:
@@ -148,7 +148,7 @@ async def send_filtered(
     (peer,) = (shown(end.peer.name) for end in (source, sink) if not isinstance(end, PlainStream))
     messages = framing.feed(initial, clock.now())
     while True:
-        now = clock.now()
+        now = clock.time()
         guard.check(now)
         pieces = _filter_messages(guard, messages, peer, now)
         if pieces:
@@ -167,7 +167,7 @@ async def send_filtered_nowait(
     framing = Framing(FrameReader())
     messages = framing.feed(initial, clock.now())
     while True:
-        now = clock.now()
+        now = clock.time()
         guard.check(now)
         pieces = [] if peer.lags else _filter_messages(guard, messages, shown(peer.peer.name), now)
         if pieces:
@@ -176,19 +176,19 @@ async def send_filtered_nowait(
 
 
 def _filter_messages(
-    guard: MessageGuard, messages: list[bytes], peer: str, now: int
+    guard: MessageGuard, messages: list[bytes], peer: str, now: float
 ) -> list[Buffer]:
     """The messages that pass the guard, as sent."""
-    return [piece for message in messages for piece in _filter_message(guard, message, peer, now)]
+    return [piece for message in messages for piece in framed(filtered(guard, message, peer, now))]
 
 
-def _filter_message(guard: MessageGuard, message: bytes, peer: str, now: int) -> list[Buffer]:
+def filtered(guard: MessageGuard, message: bytes, peer: str, now: float) -> list[Buffer]:
+    """What the guard lets pass of a message for `peer`, in pieces; empty: it is withheld."""
     try:
-        filtered = guard.apply(message, now)
+        return guard.apply(message, now) or []
     except GrantError as error:
         withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []
-    return framed(filtered or [])
 
 
 def framed(pieces: list[Buffer]) -> list[Buffer]:
@@ -196,15 +196,16 @@ def framed(pieces: list[Buffer]) -> list[Buffer]:
     return [_LENGTH.pack(sum(map(len, pieces))), *pieces] if pieces else []
 
 
-async def _expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
+async def expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
     """A subscriber sends nothing after its header."""
     await end.receive()
     raise ConnectionHeaderRefused("a subscriber that sends data")
 
 
-async def _run_both(
+async def run_both(
     program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
+    """Run all directions, until one end is closed; then close the other."""
     try:
         async with asyncio.TaskGroup() as group:
             for direction in directions:

@@ -101,7 +101,7 @@ class Sidecar:
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
     async def _serve(self, program: PlainStream) -> None:
-        await serve_calls(program, self._dispatch)
+        await serve_calls(program, self._dispatch, compact=False)
 
     async def _dispatch(self, method: str, params: tuple[object, ...], _: str) -> object:
         if method == MULTICALL and params == ([],):  # no caller: roslaunch without parameters

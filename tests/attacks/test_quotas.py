@@ -54,7 +54,7 @@ async def test_nodes_cannot_suppress_the_audit_of_others(
             assert (await robot("getParam", "/robot/speed"))[0] == -1
     finally:
         denials.removeFilter(throttle)
-    assert "/robot needs the right param-get on /robot/speed" in caplog.text
+    assert "/robot may not param-get /robot/speed" in caplog.text
     assert len(caplog.records) < 2000
 
 

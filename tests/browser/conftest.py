@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 
 import pytest
+from playwright.sync_api import expect
 
-from tests.support.browser import Chromium, Window, running_chromium
+from tests.support.browser import WAIT_MS, Chromium, Window, running_chromium
 from tests.support.consolesite import ConsoleSite, console_site, with_robot
 from tests.support.pagecheck import PageCheck, from_environment
 from tests.support.person import set_up
+
+expect.set_options(timeout=WAIT_MS)  # its own default, 5 s, is short on a busy machine
 
 
 @pytest.fixture(scope="module")

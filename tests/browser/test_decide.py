@@ -51,7 +51,7 @@ def test_a_question_is_approved_coarser_and_for_today(
     assert "/lamp" in site.run("grant", "list")
     check(phone, "ask-approved", "phone")
     phone.open("/see/robot/pose")
-    expect(phone.page.locator("main")).to_contain_text("at most one every 5 s")  # /lamp's
+    expect(phone.page.locator("main")).to_contain_text("at most one every 30 s")  # /lamp's
     check(phone, "see", "phone", "desktop")
 
 
@@ -64,7 +64,7 @@ def test_a_question_is_denied_without_the_passkey(
         press(other, "Deny")
         expect(other.page.locator("h1")).to_have_text("This is answered")
         check(other, "asked")
-    assert CAMERA not in site.run("grant", "list").partition("/lamp")[2].partition("\n/")[0]
+    assert CAMERA not in site.run("grant", "list", "/lamp")
 
 
 def test_what_ended_is_ticked_off_as_it_comes_true(
@@ -125,11 +125,11 @@ def test_what_is_approved_while_the_key_is_locked_waits_for_it(
     press(phone, ANSWER)
     expect(phone.page.locator("h1")).to_have_text("Approved. The key is locked")
     check(phone, "approved-locked", "phone")
-    assert CAMERA not in site.run("grant", "list").partition("/heating")[2]
+    assert CAMERA not in site.run("grant", "list", "/heating")
     site.run("ca", "unlock", *site.key)
     expect(phone.page.locator("h1")).to_have_text("Done", timeout=30_000)  # by itself
     check(phone, "approved-done", "phone")
-    assert CAMERA in site.run("grant", "list")
+    assert CAMERA in site.run("grant", "list", "/heating")
 
 
 def test_what_is_ended_while_the_key_is_locked_waits_for_it(

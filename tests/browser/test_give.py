@@ -61,7 +61,7 @@ def test_a_join_code_is_made_shown_once_used_and_ended(
     phone.page.get_by_role("link", name="I have it").click()
     expect(phone.page.locator("main")).to_contain_text("/kitchen/kettle")
     check(phone, "invite", "phone")
-    phone.page.go_back()
+    phone.back()
     expect(phone.page.locator("#text")).to_have_count(0)
     phone.open("/invite")
     press(phone, "End it")

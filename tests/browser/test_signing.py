@@ -149,7 +149,7 @@ def test_a_grant_that_was_approved_while_locked_is_signed_at_unlock(
     expect(phone.page.locator("main")).to_contain_text("rossec ca unlock")
     assert TOPIC not in site.run("grant", "list")
     phone.open("/log")
-    phone.page.go_back()
+    phone.back()
     site.run("ca", "unlock", "--for", "0", *site.key)
     expect(phone.page.locator("h1")).to_have_text("Done", timeout=SOON)
     assert TOPIC in site.run("grant", "list")

@@ -10,6 +10,7 @@ from ca.names import (
     check_name,
     check_wildcard,
     covers,
+    is_gateway,
     is_master_name,
     is_relay_name,
     is_reserved,
@@ -17,7 +18,9 @@ from ca.names import (
     spiffe_id,
 )
 
-RESERVED = ("/ca", "/master", "/master/kitchen", "/relay", "/relay/attic")
+RESERVED = (
+    "/ca", "/master", "/master/kitchen", "/relay", "/relay/attic", "/gateway", "/gateway/attic",
+)  # fmt: skip
 
 names = st.from_regex(r"(/[A-Za-z][A-Za-z0-9_]{0,9}){1,8}", fullmatch=True)
 domains = st.from_regex(r"[a-z0-9._-]{1,30}", fullmatch=True)
@@ -170,6 +173,20 @@ def test_the_names_of_masters(name: str, is_master: bool) -> None:
 def test_the_names_of_relays(name: str, is_relay: bool) -> None:
     assert is_relay_name(name) is is_relay
     assert is_reserved(name) is is_relay
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("/gateway", True), ("/gateway/attic", True), ("/gateway/attic/a", False),
+        ("/gateway/", False),
+        ("/gateways", False), ("/gateway_1", False), ("/remote/office/gateway", False),
+        ("/gateway/attic\n", False),
+    ],
+)  # fmt: skip
+def test_the_names_of_gateways(name: str, expected: bool) -> None:
+    assert is_gateway(name) is expected
+    assert is_reserved(name) is expected
 
 
 def test_reserved_names_have_no_tail() -> None:

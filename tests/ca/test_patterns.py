@@ -1,12 +1,21 @@
 """Patterns over names: whole segments, absolute, ASCII."""
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ca.errors import NameRefused, PatternRefused
 from ca.names import MAX_NAME, check_name
-from ca.patterns import check_pattern, covers, covers_below, covers_tree, touches
+from ca.names import covers as identity_covers
+from ca.patterns import (
+    check_pattern,
+    check_tail_pattern,
+    covers,
+    covers_below,
+    covers_tree,
+    tail_base,
+    touches,
+)
 
 COVERED = [
     ("/a", "/a"),
@@ -158,3 +167,68 @@ def test_a_pattern_has_no_label() -> None:
     with pytest.raises(PatternRefused) as caught:
         check_pattern("hospital:/robot/**")
     assert "have no label" in caught.value.hint
+
+
+TAILS = [
+    ("/rviz~", "/rviz", True), ("/rviz~", "/rviz_1", True), ("/rviz~", "/rviz_1_2", True),
+    ("/rviz~", "/rviz_", False), ("/rviz~", "/rvizx", False), ("/rviz~", "/rviz_1/a", False),
+    ("/rviz~/a", "/rviz_1/a", True), ("/rviz~/a", "/rviz/a", True), ("/rviz~/a", "/rviz_/a", False),
+    ("/rviz~/a", "/rviz_1/b/a", False), ("/rviz~/a", "/x/rviz_1/a", False),
+    ("/rviz~/**", "/rviz_1/a/b", True), ("/rviz~/**", "/rviz_1", False),
+    ("/a/rviz~/*", "/a/rviz_1/b", True), ("/a/rviz~/*", "/a_1/rviz/b", False),
+    ("/rviz_1~/a", "/rviz_1x/a", False), ("/rviz_1~/a", "/rviz_1_x/a", True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("pattern", "name", "expected"), TAILS)
+def test_a_tail_pattern_covers_the_names_of_the_tail(
+    pattern: str, name: str, expected: bool
+) -> None:
+    assert check_tail_pattern(pattern) == pattern
+    assert covers(pattern, name) is expected
+    if expected:
+        assert covers_tree(pattern, f"{name}/below")
+        assert touches(pattern, name)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "~", "/~", "~/a", "/rviz~x", "/rviz~~", "/rviz~/~", "/rviz~/a~", "/*~", "/**/rviz~",
+        "/a/*~/b",
+        "/rviz_~/", "/rviz~//a", "/rviz~/../a", "rviz~/a", "/master~/a", "/relay~", "/gateway/x~/a",
+        "/rviz~/%61", "/rviz\u0303/a", "/rviz\uff5e/a", "/rviz~\n", "/1~",
+        "/" + "r" * 200 + "~/" + "p" * 60,
+    ],
+)  # fmt: skip
+def test_other_places_of_the_mark_are_refused(pattern: str) -> None:
+    with pytest.raises(PatternRefused):
+        check_tail_pattern(pattern)
+    with pytest.raises(PatternRefused):
+        covers(pattern, "/rviz_1/a")
+
+
+@pytest.mark.parametrize("pattern", [each for each, _, _ in TAILS])
+def test_a_tail_pattern_is_no_pattern_for_those_who_do_not_know_it(pattern: str) -> None:
+    with pytest.raises(PatternRefused):
+        check_pattern(pattern)
+    assert tail_base(pattern) == pattern.split("~", maxsplit=1)[0]
+    assert tail_base(pattern.replace("~", "")) is None
+
+
+near = st.sampled_from(["r", "r_", "r_1", "r_1x", "rx", "r1", "_1", "a"])
+
+
+@given(st.lists(near, min_size=1, max_size=2), st.lists(near, min_size=1, max_size=3))
+def test_a_tail_pattern_agrees_with_the_identity(base: list[str], parts: list[str]) -> None:
+    node, name = "/" + "/".join(base), "/" + "/".join(parts)
+    assume(all(part[0].isalpha() for part in (*base, *parts)))
+    assert covers(f"{node}~", name) is identity_covers(node, name, wildcard=True)
+    assert covers(f"{node}~/a", f"{name}/a") is identity_covers(node, name, wildcard=True)
+
+
+def test_no_tail_covers_a_whole_namespace() -> None:
+    assert not covers_below("/rviz~/**", "/")
+    assert not covers_below("/rviz~/**", "/rviz_")
+    assert covers_below("/rviz~/**", "/rviz_1")
+    assert touches("/rviz~/a", "/")

@@ -1,4 +1,4 @@
-"""What is fuzzed: every decoder of bytes from unauthenticated peers, with its seeds.
+"""What is fuzzed: every decoder of bytes from unauthenticated peers, and of calls, with its seeds.
 
 A target returns, or raises one of our own errors; anything else is a finding. Seeds are real bytes:
 messages of a handshake between two connections, of RFC 9529, and of plain peers.
@@ -17,9 +17,11 @@ from ca.enrollment import invitation, join_messages, ndef, qr
 from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
+from ca.enrollment.join_claim import JoinClaim
 from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason
 from ca.enrollment.join_node import NodeJoin, NodeJoinState
 from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.join_transcript import sign_claim
 from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
 from rossec.channel.edhoc.known import KnownCertificates, reference
@@ -41,6 +43,7 @@ from rossec.channel.opening import (
 from rossec.overlay import link_frames
 from rossec.overlay.link import Link
 from rossec.overlay.link_frames import Kind
+from tests.fuzz import compact_calls
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.linknet import REPLY, frame, opened
 from tests.support.pki import NOW as SOME_TIME
@@ -182,6 +185,12 @@ def joins() -> list[bytes]:
     return [node.hello(), welcome, sent, *written, face.request.to_bytes()]
 
 
+def claims() -> list[bytes]:
+    """The octets of a claim that reach the authority's key."""
+    proof = sign_claim(INVITATION.signer, bytes(32), b"<node/>")
+    return [JoinClaim(INVITATION.id, bytes(32), b"<node/>", proof).to_bytes()]
+
+
 def _joining_node(data: bytes) -> None:
     """Nothing but its own identity is taken, at any moment."""
     fresh = NodeJoin(INVITATION, bytes(15) + b"1")  # a recorded welcome is not for it
@@ -253,10 +262,15 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
         lambda data: JoinRequest.from_bytes(data).verify(INVITATION.key),
         joins,
     ),
+    "join_claim": (lambda data: JoinClaim.from_bytes(data).verify(INVITATION.key), claims),
     "joining_node": (_joining_node, joins),
     "joining_authority": (_joining_authority, joins),
     "enrolling_node": (_enrolling_node, enrollments),
     "enrolling_authority": (_enrolling_authority, enrollments),
+    "compact_call": (compact_calls.call, compact_calls.calls),
+    "compact_answer": (compact_calls.answer, compact_calls.answers),
+    "compact_server": (compact_calls.server, compact_calls.requests),
+    "compact_client": (compact_calls.client, compact_calls.responses),
 }
 
 

@@ -1,18 +1,25 @@
-"""Well-formed, invalid texts: XML-RPC's elements in every place, policies with every type."""
+"""Invalid texts: XML-RPC's elements in every place, policies with every type, broken rules."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import pytest
 from ruamel.yaml import YAML
 
 from ca.errors import HintedError
 from rossec.authority.policyfile import parse_policy
+from rossec.errors import RossecError
+from rossec.naming import frames, metadata, orders, shipped, xslt
+from rossec.naming.frames import NameRequest
+from rossec.naming.metadata import Kind
+from rossec.naming.proposed import check_proposed
 from rossec.ros import xmlrpc
 from tests.fuzz.mutants import mutants
+from tests.rossec.namespace.launch_texts import FIGURES, simple, transform
 
 POLICIES: Final = sorted((Path(__file__).parents[2] / "examples" / "policies").glob("*.yaml"))
 ELEMENTS: Final = (
@@ -82,3 +89,54 @@ def test_every_type_in_every_place_of_a_policy(path: Path) -> None:
                     parse_policy(text, "policy.yaml")
             except Exception as error:
                 raise AssertionError(text[:400]) from error
+
+
+RULES: Final = shipped.rules()
+PHONE: Final = shipped.example("phone.xml")
+QUERIES: Final = ((Kind.NODE, ""), (Kind.TOPIC, "temperature"))
+
+
+def broken(text: bytes, every: int) -> Iterator[bytes]:
+    """A byte, or some, less or other than it was, at every place or every few."""
+    for at in range(0, len(text), every):
+        yield text[:at] + text[at + 1 :]
+        yield text[:at] + text[at + 17 :]
+        for byte in b"<>&'\"/\0\xff]{":
+            yield text[:at] + bytes((byte,)) + text[at + 1 :]
+
+
+def test_metadata_with_every_byte_broken() -> None:
+    for text in broken(PHONE, 1):
+        with suppress(RossecError):
+            metadata.read(text)
+            list(orders.orders(text))
+        with suppress(RossecError):
+            frames.read_names(xslt.answer(NameRequest(RULES, text, QUERIES)), len(QUERIES))
+
+
+def test_rules_with_bytes_broken_at_many_places() -> None:
+    for text in broken(RULES, 7):
+        with suppress(RossecError):
+            frames.read_names(xslt.answer(NameRequest(text, PHONE, QUERIES)), len(QUERIES))
+
+
+def checked(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:
+    return [check_proposed(name) for name in simple(metadata, queries)]
+
+
+def other_elements(data: bytes) -> list[tuple[str, set[str]]]:
+    """What is neither metadata nor made of them, by tags and attributes."""
+    return [
+        (element.tag, set(element.keys()) - {"ns"})
+        for element in ElementTree.fromstring(data).iter()
+        if element.tag != "remap" and not element.tag.startswith("{")
+    ]
+
+
+def test_launch_files_with_every_byte_broken() -> None:
+    """One that is not refused is a launch file again, with all that it had beside metadata."""
+    figure = (FIGURES / "phones.launch").read_bytes()
+    for text in broken(figure, 1):
+        with suppress(RossecError):
+            made, _ = transform(text, checked)
+            assert other_elements(made) == other_elements(text), text

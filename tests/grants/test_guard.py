@@ -3,6 +3,8 @@
 import importlib
 import struct
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -252,3 +254,52 @@ def test_hash_filters_need_their_keys() -> None:
     treated = received(Guard(LAYOUT, decision(hashed), {"ward": bytes(32)}), message())
     assert treated is not None
     assert b"map" not in treated
+
+
+def of_holder(holder: int, *restrictions: Restriction) -> Decision:
+    grant: Any = SimpleNamespace(holder=bytes([holder]) * 32, chain=())
+    grant.links = (grant,)
+    return replace(decision(*restrictions), grants=(grant,))
+
+
+def test_pseudonyms_for_each_receiver_are_not_shared() -> None:
+    """What was filtered for one receiver is sent to others whose guards have the same key."""
+    keys = {"map": bytes(32)}
+    own = filtered(frame={"hash": {"key": "map", "per": "receiver"}})
+    common = filtered(frame={"hash": {"key": "map"}})
+    one, two = (Guard(LAYOUT, of_holder(holder, own), keys) for holder in (1, 2))
+    again = Guard(LAYOUT, of_holder(1, own), keys)
+    assert received(one, message()) == received(again, message()) != received(two, message())
+    assert one.key == again.key != two.key
+    assert len({Guard(LAYOUT, of_holder(n, common), keys).key for n in (1, 2)}) == 1
+
+
+def test_a_slot_tells_no_moment() -> None:
+    restriction = replace(filtered(x={"clear": True}), slot=60)
+    guard = Guard(LAYOUT, replace(decision(restriction), expires=NOW + 10**6))
+    times = [NOW + n / 10 for n in range(123, 3000)]
+    assert [now for now in times if guard(message(), now)] == [NOW + 60 * n for n in range(1, 5)]
+    assert not guard.ready(NOW + 299)
+    assert guard.ready(NOW + 300.5)
+
+
+def test_the_longest_slot_and_the_lowest_rate_apply_together() -> None:
+    restrictions = (Restriction(slot=10), Restriction(slot=20, rate=1 / 40))
+    guard = Guard(None, replace(decision(*restrictions), expires=NOW + 10**6))
+    times = range(NOW, NOW + 100)
+    assert [now - NOW for now in times if guard(b"", now)] == [20, 60]
+
+
+def test_a_message_in_a_slot_goes_to_all_connections_of_a_key() -> None:
+    memory = Memory()
+    guards = [Guard(None, decision(Restriction(slot=10)), None, lambda _: memory) for _ in "ab"]
+    assert [guard.apply(b"x", NOW - 1, "first") for guard in guards] == [None, None]
+    assert [guard.apply(b"x", NOW + 0.25, "second") for guard in guards] == [[b"x"], [b"x"]]
+    assert [guard.apply(b"y", NOW + 0.25, "another") for guard in guards] == [None, None]
+
+
+def test_conditions_see_whole_seconds() -> None:
+    early = Restriction(None, ("now.getSeconds() == 0",))
+    guard = Guard(None, decision(early))
+    assert guard(b"", NOW + 0.75) == [b""]
+    assert guard(b"", NOW + 1.25) is None

@@ -51,12 +51,12 @@ def test_another_rate_starts_with_the_remaining_tokens() -> None:
     assert [admitted(fresh, 2.5, 0) for _ in range(3)] == [True, True, False]
 
 
-def test_ready_when_a_token_is_available() -> None:
+def test_a_bucket_is_ready_when_a_token_is_available() -> None:
     memory = Memory()
     bucket = memory.bucket(0.5)
-    assert memory.ready(bucket, 0)
+    assert bucket.refill(0)
     assert memory.take(bucket, object(), 0)
-    assert [memory.ready(bucket, now) for now in (0, 1, 2)] == [False, False, True]
+    assert [bucket.refill(now) for now in (0, 1, 2)] == [False, False, True]
 
 
 def test_a_memory_is_fresh_when_its_buckets_are_full_and_no_value_is_stored() -> None:

@@ -159,3 +159,19 @@ def test_keep_when_stale_does_not_restrict_messages() -> None:
     assert keep.lines() == ["kept while revocation data is stale"]
     assert both.lines()[0] == "at most 2 messages a second"
     assert merge([keep, both, None]) == (Restriction(rate=2),)
+
+
+def test_limits_as_text() -> None:
+    lines = [Restriction(rate=rate).lines() for rate in (5, 0.2, 0.1, 1 / 30)]
+    assert lines == [
+        ["at most 5 messages a second"], ["at most 0.2 messages a second"],
+        ["at most 0.1 messages a second"], ["at most one message every 30 s"],
+    ]  # fmt: skip
+    assert Restriction(slot=60).lines() == ["one message at the start of each 60 s"]
+    assert Restriction(slot=60).restricts_messages
+
+
+@pytest.mark.parametrize("slot", [9, 86_401, 0, -60])
+def test_a_slot_has_a_length(slot: int) -> None:
+    with pytest.raises(GrantMalformed, match="a slot must have 10 to 86400 seconds"):
+        Restriction(slot=slot)

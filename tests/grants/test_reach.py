@@ -9,11 +9,13 @@ from grants.model import ALL_RIGHTS, Permission, Right
 from grants.reach import Reach
 from tests.ca.test_patterns import COVERED, NOT_COVERED
 
-segments = st.sampled_from(["a", "ab", "b"])
+segments = st.sampled_from(["a", "ab", "a_b", "b"])
 names = st.lists(segments, min_size=1, max_size=4).map(lambda parts: "/" + "/".join(parts))
-patterns = st.lists(segments | st.sampled_from(["*", "**"]), min_size=1, max_size=4).map(
+plain = st.lists(segments | st.sampled_from(["*", "**"]), min_size=1, max_size=4).map(
     lambda parts: check_pattern("/" + "/".join(parts))
 )
+tails = st.sampled_from(["/a~", "/a~/b", "/a~/**", "/a/a~/*", "/a_b~/a"])
+patterns = plain | tails
 permissions = st.builds(Permission, patterns, st.integers(1, int(ALL_RIGHTS)).map(Right), st.none())
 
 
@@ -35,7 +37,7 @@ def test_any_of_several_rights_is_covered(held: list[Permission], rights: Right,
 
 tree_rights = st.sampled_from([Right.PARAM_GET, Right.PARAM_SET])
 spaces = st.just("/") | names
-PARTS = ("a", "ab", "b", "zz")  # the last is in no pattern
+PARTS = ("a", "ab", "a_b", "b", "zz")  # the last is in no pattern
 
 
 def below(space: str, depth: int) -> list[str]:

@@ -94,3 +94,15 @@ def test_invalid_names_cannot_be_requested() -> None:
         replace(REQUESTED, node="toaster")
     with pytest.raises(PatternRefused):
         replace(REQUESTED, rights=(RequestedRight(Right.CALL, "x"),))
+
+
+def test_names_of_anonymous_nodes_are_asked_for_by_their_identity_alone() -> None:
+    right = RequestedRight(Right.PROVIDE, "/toaster~/get_loggers")
+    asked = replace(REQUESTED, rights=(right,))
+    assert opened(sign_request(NODE, asked)).rights == (right,)
+    for pattern in ("/other~/get_loggers", "/toaster_1~/get_loggers"):
+        with pytest.raises(GrantMalformed, match="another's anonymous nodes"):
+            replace(REQUESTED, rights=(RequestedRight(Right.PROVIDE, pattern),))
+    for pattern in ("{node}/pose", "~/pose", "/toaster~x"):
+        with pytest.raises(PatternRefused):
+            replace(REQUESTED, rights=(RequestedRight(Right.PROVIDE, pattern),))

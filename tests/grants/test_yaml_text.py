@@ -73,6 +73,20 @@ def test_text_outside_the_subset_is_refused(
     assert (error.line, error.column) == position
 
 
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("a:\n\t- b", "indent with spaces"),
+        ("who: *", "put text that begins with * or & in quotes"),
+        ("{why: because: so}", "put text with a colon in quotes"),
+        ("why: because: so", "put text with a colon in quotes"),
+        ("- a\n b: 1\n  c", "check the indentation"),
+    ],
+)
+def test_usual_mistakes_are_told_with_their_remedy(text: str, hint: str) -> None:
+    assert refusal(text).hint.find(hint) >= 0
+
+
 def test_size_depth_and_events_are_bounded() -> None:
     assert "5 characters where at most 4" in str(refusal("aaaaa", Bounds(size=4)))
     assert "deeper than 1" in str(refusal("[[1]]", Bounds(depth=1)))

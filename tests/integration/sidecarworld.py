@@ -143,8 +143,9 @@ class World:
         """Enroll a program with the rights every ROS node needs, and more: `publish="/a /b"`."""
         self.site.enroll(name, lifetime, wildcard=wildcard)
         self.site.publish(name, "/rosout")
-        self.site.grant(name, Right.PROVIDE, "/*/get_loggers")
-        self.site.grant(name, Right.PROVIDE, "/*/set_logger_level")
+        own = f"{name}~" if wildcard else name
+        self.site.grant(name, Right.PROVIDE, f"{own}/get_loggers")
+        self.site.grant(name, Right.PROVIDE, f"{own}/set_logger_level")
         self.site.grant(name, Right.PARAM_GET, "/**")
         for right, patterns in rights.items():
             for pattern in patterns.split():

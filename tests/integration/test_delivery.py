@@ -197,8 +197,8 @@ def test_a_killed_master_loses_no_deposit_and_a_node_that_was_off_gets_it(place:
     master.end(signal.SIGKILL)
     place.start_master()
     assert place.states() == {"/listener": "waiting", "/talker": "waiting"}
-    place.sign("grant", "sign", "/talker", "--publish", "/gone")
-    gone = json.loads(place.rossec("office", "grant", "list", "--json"))[-1]["id"]
+    signed = place.sign("grant", "sign", "/talker", "--publish", "/gone", "--json")
+    gone = json.loads(signed)["id"]
     place.sign("grant", "revoke", gone)
     listener = place.start("/listener", sys.executable, "-c", _LISTENER)
     place.start("/talker", *TALKERS["builtin"])

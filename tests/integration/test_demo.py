@@ -168,7 +168,7 @@ def test_the_kept_home_of_the_demo_works(played: Played) -> None:
             heard = shell(f"{export}; {echo} -n 2", env)
             assert heard.returncode == 0, heard.stderr
             assert heard.stdout.count("---") == 2
-            assert "frame_id: \n" in heard.stdout
+            assert "frame_id: ''\n" in heard.stdout
             assert FRAME not in heard.stdout
     for line in (line for line in lines if line.startswith("rossec grant ")):
         done = shell(f"{export}; {line}", env)

@@ -75,7 +75,7 @@ def test_the_viewer_gets_the_room_but_not_the_position(enrolled: dict[str, str])
     done = run("3_room_not_position.sh", enrolled)
     assert done.returncode == 0, done.stderr
     assert "    x: 4.0\n    y: 0.0\n" in done.stdout
-    assert "frame_id: \n" in done.stdout
+    assert "frame_id: ''\n" in done.stdout
 
 
 def test_a_service_and_a_parameter_are_used(enrolled: dict[str, str]) -> None:

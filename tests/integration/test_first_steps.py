@@ -281,7 +281,7 @@ def test_a_revocation_is_kept_while_the_master_is_down(home: Home) -> None:
 def test_a_node_without_a_running_master_is_refused(home: Home) -> None:
     home.variables["ROS_MASTER_URI"] = f"http://127.0.0.1:{free_port()}/"
     words = ("topic", "echo", "/robot/pose", POSE, "--as", "/robot")
-    home.refuses(1, "cannot connect to 127.0.0.1 port", "is the peer running", *words)
+    home.refuses(1, "cannot connect to 127.0.0.1 port", "start it: rossec master", *words)
 
 
 @pytest.mark.parametrize("uri", ["localhost:11311", "http://localhost", "http://", "11311", ""])

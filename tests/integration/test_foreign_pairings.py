@@ -172,6 +172,6 @@ def test_rossecs_own_tools_write_the_label(cast: Cast) -> None:
     assert "identity" not in said
     assert "builtin answers" in own("service", "call", "hospital:/builtin/switch", "{data: true}")
     echo = "topic", "echo", "hospital:/sidecar/latched", "std_msgs/String", "-n", "1"
-    assert own(*echo) == "data: sidecar kept\n---\n"
+    assert own(*echo) == 'data: "sidecar kept"\n---\n'
     refused = own("topic", "pub", "hospital:/x", "std_msgs/String", "{data: hi}")
     assert f"/{LABEL}/x cannot be published here" in refused

@@ -16,6 +16,8 @@ from typing import Final
 import pytest
 
 from ca.enrollment import invitation
+from rossec.sidecar.processes import descendants, parents
+from tests.integration.sidecarworld import wait
 from tests.support.ports import free_port
 
 ROSSEC: Final = str(Path(sys.executable).parent / "rossec")
@@ -57,10 +59,10 @@ class Office(Host):
         self.port = free_port()
 
     @contextmanager
-    def serving(self) -> Iterator[subprocess.Popen[str]]:
+    def serving(self, *options: str) -> Iterator[subprocess.Popen[str]]:
         where = f"127.0.0.1:{self.port}"
         words = ("ca", "serve", "--unlock-for", "0", "--join-address", where, "--json", *self.key)
-        process = self.start(*words)
+        process = self.start(*words, *options)
         try:
             assert process.stdout is not None
             assert json.loads(process.stdout.readline())["join_port"] == self.port
@@ -122,6 +124,33 @@ def test_a_join_waits_while_the_authority_is_locked(office: Office, tmp_path: Pa
         assert office.joined(code) == []
         office.run("ca", "unlock", *office.key)
         assert "/robot is enrolled until" in robot.run("node", "join", given=code)
+
+
+def processes_of(service: subprocess.Popen[str]) -> list[int]:
+    return descendants(parents(), service.pid)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_robot_is_named_by_the_rules_and_no_process_is_left(
+    office: Office, tmp_path: Path, number: signal.Signals
+) -> None:
+    robot, meta, rules = Host(tmp_path / "robot"), tmp_path / "lamp.xml", tmp_path / "names.xsl"
+    meta.write_text("<node><group>lamps</group><owner>ann</owner><name>desk</name></node>")
+    rules.write_text(office.run("namespace", "rules"))
+    with office.serving("--rules", str(rules)) as service:
+        code = office.invite("/lamps/**", 1)
+        said = robot.run("node", "join", "--meta", str(meta), given=code)
+        assert "/lamps/ann/desk is enrolled until" in said
+        children = processes_of(service)
+        assert len(children) >= 2, "the network's process, and that for rules"
+        service.send_signal(number)
+        service.wait(PATIENCE)
+        wait(lambda: not set(children) & set(parents()))
+    with office.serving():
+        other = Host(tmp_path / "other")
+        code = office.invite("/lamps/**", 1)
+        said = other.run("node", "join", "--meta", str(meta), given=code, code=1)
+        assert "the authority has no rules that give names" in said
 
 
 def test_a_service_that_is_killed_loses_and_doubles_nothing(

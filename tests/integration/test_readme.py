@@ -42,8 +42,8 @@ def test_the_commands_of_the_readme_work_as_printed(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
-    assert done.stdout.count("x: 4.0") == 2
-    assert done.stdout.count("frame_id: \n") == 2
+    assert done.stdout.count("x: 4.0") == 1
+    assert done.stdout.count('frame_id: "map"\n') == 1
     assert done.stdout.count("the master has the new list") == 2
 
 

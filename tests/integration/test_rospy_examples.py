@@ -105,7 +105,7 @@ def test_parameters_are_set_and_read(site: dict[str, str]) -> None:
     said = done.stdout + done.stderr
     assert "speed 0.5\n" in said
     assert "secret not for us\n" in said
-    assert "rossec: the master refuses getParam: /viewer needs the right param-get on" in said
+    assert "rossec: /viewer may not param-get " in said
 
 
 def test_the_viewer_does_not_see_where_the_camera_is(site: dict[str, str]) -> None:

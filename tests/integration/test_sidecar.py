@@ -1,6 +1,7 @@
 """Unmodified ROS programs of Debian on two hosts, secured from outside."""
 
 import asyncio
+import re
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -69,6 +70,21 @@ def test_rosnode_works(world: World, talker: Running) -> None:
     about = world.tool("rosnode", "info", "/talker")
     assert "Pid: " in about
     assert "/chatter [std_msgs/String]" in about
+
+
+def test_an_anonymous_node_provides_the_services_of_its_own_name(
+    world: World, talker: Running
+) -> None:
+    """Its grant says `/rostopic~/get_loggers`: the name is known when it starts."""
+    with world.secured(world.hosts.far, "rostopic", "echo", "/chatter") as echo:
+        echo.wait_for("data:")
+        listed = world.tool("rosservice", "list")
+        (own,) = re.findall(r"^/rostopic_\w+/get_loggers$", listed, re.MULTILINE)
+        assert "loggers" in world.tool("rosservice", "call", own)
+        level = own.replace("get_loggers", "set_logger_level")
+        world.tool("rosservice", "call", level, "rosout", "warn")
+        echo.end(signal.SIGINT)
+    assert own.rpartition("/")[0] not in world.tool("rosnode", "list")
 
 
 def test_rosservice_works(world: World, talker: Running) -> None:

@@ -30,5 +30,5 @@ def test_two_robots_work_as_printed(shells: dict[str, TypedShell]) -> None:
     for block in blocks_of(PAGE):
         shells[block.host].type(block.commands)
     beta = shells["beta"]
-    assert beta.said.count("data: at the door") == 2
+    assert beta.said.count('data: "at the door"') == 2
     assert "Traceback" not in "".join(shell.said for shell in shells.values())

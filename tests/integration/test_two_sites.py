@@ -78,7 +78,7 @@ async def test_two_sites_work_as_printed(
         with wan.lossy(one_of=50):
             shells["ben"].type(HEAR_MORE)
     assert shells["ben"].said.count("x: 3.0") == 2
-    assert shells["kitchen"].said.count("data: still warm") == 2
+    assert shells["kitchen"].said.count('data: "still warm"') == 2
     said = "".join(shell.said for shell in shells.values())
     assert "Traceback" not in said
     assert "x: 3.3" not in said

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
+from rossec.discovery import choose
 from tests.support.commands import PASSPHRASE, Shell
+from tests.support.discovered import Searches
 from tests.support.site import Site
 
 
@@ -37,3 +39,11 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
     """A site whose master runs."""
     async with Site(tmp_path / "site").running() as site:
         yield site
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> Searches:
+    """Masters are found at once, where nothing listens."""
+    found = Searches()
+    monkeypatch.setattr(choose, "discover_master", found.discover)
+    return found

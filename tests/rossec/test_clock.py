@@ -132,8 +132,8 @@ def test_times_are_formatted_in_utc() -> None:
     assert clock.format_time(1_795_000_000) == "2026-11-18 11:06:40 UTC"
 
 
-# Of the demonstration: they only show the time.
-_MEASURES = {"demo/steps.py", "demo/subscriber.py"}
+# Of the demonstration and of Tab: they only show something, and nothing is decided by it.
+_MEASURES = {"demo/steps.py", "demo/subscriber.py", "cli/completion/sources.py"}
 
 
 def test_no_other_module_reads_the_hosts_clock() -> None:

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PathRefused
-from rossec.environment import own_home, own_master, own_relay, rossec_home
+from rossec.environment import own_gateway, own_home, own_master, own_relay, rossec_home
 from rossec.errors import ConfigurationError
 
 
@@ -77,3 +77,19 @@ def test_the_relay_of_this_host_is_called_as_the_environment_says(
 def test_what_is_not_the_name_of_a_relay(name: str) -> None:
     with pytest.raises(ConfigurationError, match="is not the name of a relay"):
         own_relay({"ROSSEC_RELAY": name})
+
+
+@pytest.mark.parametrize(
+    ("variables", "name"),
+    [({}, "/gateway"), ({"ROSSEC_GATEWAY": "/gateway/attic"}, "/gateway/attic")],
+)
+def test_the_gateway_of_this_host_is_called_as_the_environment_says(
+    variables: dict[str, str], name: str
+) -> None:
+    assert own_gateway(variables) == name
+
+
+@pytest.mark.parametrize("name", ["/robot", "/gateway/a/b", "gateway", "/master"])
+def test_what_is_not_the_name_of_a_gateway(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="is not the name of a gateway"):
+        own_gateway({"ROSSEC_GATEWAY": name})

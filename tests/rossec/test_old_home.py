@@ -17,8 +17,12 @@ from grants import document
 from grants.model import Right
 from rossec.authority.backup import restore
 from rossec.authority.home import AuthorityHome
+from rossec.authority.service import AuthorityService
+from rossec.authority.thing_operations import ThingOrder
+from rossec.authority.thing_records import IN_FORCE
 from rossec.home import NodeHome
 from rossec.operation import audit
+from tests.vectors.make_things import KEY
 
 ARCHIVE: Final = Path(__file__).parents[1] / "vectors" / "homes" / "1.tar.gz"
 PASSPHRASE: Final = "correct horse battery staple"
@@ -43,6 +47,15 @@ def test_the_authority_goes_on(home: Path) -> None:
     assert robot.thumbprint in revocations.entries
     assert len(revocations.entries) == 2
     unlocked.store.log.audit(unlocked.signer.public_key)
+
+
+def test_the_authority_can_say_what_a_thing_is(home: Path) -> None:
+    place = AuthorityHome(home / "ca")
+    service = AuthorityService(home, lambda: PASSPHRASE, lambda _: None, lambda: NOW)
+    service.sign_thing(ThingOrder("/things/lamp", "/robot", KEY, 60))
+    assert [each.state for each in service.things()] == [IN_FORCE]
+    service.unlock().store.log.audit(place.own_key())
+    service.close()
 
 
 def test_a_node_goes_on(home: Path) -> None:

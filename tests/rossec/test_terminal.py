@@ -34,6 +34,14 @@ def test_names_of_peers_cannot_control_the_terminal(hostile: str, shown: str) ->
     assert terminal.printable(hostile) == shown
 
 
+def test_what_a_peer_refused_begins_with_the_name_of_the_program_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    terminal.fail("rossec: /other needs the right subscribe on /robot/pose")
+    said = capsys.readouterr().err
+    assert said == "rossec: error: /other needs the right subscribe on /robot/pose\n"
+
+
 def test_what_is_secret_is_printed_to_a_file_of_this_user_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -62,3 +70,21 @@ def test_a_file_that_cannot_be_closed_to_others_is_named(
         monkeypatch.setattr("sys.stdout", file)
         terminal.say_secret("a password")
     assert "others may read the file: Operation not permitted" in capsys.readouterr().err
+
+
+def test_facts_are_kept_where_a_document_is_made(capsys: pytest.CaptureFixture[str]) -> None:
+    terminal.record(lost=True)  # nobody asked for a document
+    facts: dict[str, object] = {}
+    token = terminal.FACTS.set(facts)
+    try:
+        terminal.record(name="/robot")
+        terminal.record(expires=7)
+        terminal.say("for people")
+        terminal.say_secret("S3CRET")
+    finally:
+        terminal.FACTS.reset(token)
+    assert facts == {"name": "/robot", "expires": 7}
+    assert capsys.readouterr() == ("", "for people\n")
+    terminal.say_secret("S3CRET")
+    assert capsys.readouterr().out == "S3CRET\n"
+    assert terminal.to_json({"b": 1, "a": None}) == '{"a": null, "b": 1}'

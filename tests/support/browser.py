@@ -7,7 +7,7 @@ of the content security policy, requests that failed, answers of 500 and above.
 import contextlib
 import io
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -68,6 +68,16 @@ def _jpeg(frame: Image.Image) -> bytes:
     return out.getvalue()
 
 
+def _again_if_aborted(go: Callable[[], object]) -> None:
+    """Go to a page; twice, if the old one loaded itself again just then."""
+    try:
+        go()
+    except Error as error:
+        if "ERR_ABORTED" not in str(error):
+            raise
+        go()
+
+
 class Window:
     """One browser profile with one page: its own cookies, its own passkey."""
 
@@ -82,13 +92,12 @@ class Window:
     def open(self, path: str) -> Page:
         """Go to a page of the site."""
         self.sizes.clear()
-        try:
-            self.page.goto(self.origin + path)
-        except Error as error:
-            if "ERR_ABORTED" not in str(error):
-                raise
-            self.page.goto(self.origin + path)  # the old page loaded itself again just then
+        _again_if_aborted(lambda: self.page.goto(self.origin + path))
         return self.page
+
+    def back(self) -> None:
+        """Go back to the page before."""
+        _again_if_aborted(self.page.go_back)
 
     def add_authenticator(self) -> None:
         """Give the page a passkey store, as a phone has; its user agrees to everything."""

@@ -48,11 +48,11 @@ class Shell:
         """Directory of a node."""
         return self.root / "nodes" / name.lstrip("/").replace("/", ".")
 
-    def enroll(self, name: str) -> None:
-        """Request, sign and install the identity of a node."""
-        assert self("node", "request", name).code == 0
+    def enroll(self, name: str, *options: str) -> None:
+        """Request, sign and install the identity of a node; `options`: `--anonymous`."""
+        assert self("node", "request", name, *options).code == 0
         request = str(self.node(name) / "node.csr")
-        assert self.unlocked("ca", "sign", request, "--yes").code == 0
+        assert self.unlocked("ca", "sign", request, "--yes", *options).code == 0
         assert self("node", "install", str(self.node(name) / "node.pem"), "--yes").code == 0
 
 

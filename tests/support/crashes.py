@@ -27,12 +27,14 @@ from ca.revocation.state import open_list
 from ca.store.approvals import ApprovalState
 from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
+from ca.things.statement import sign_statement
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from tests.support import approving
 from tests.support.killing import run_killed
 from tests.support.oldstore import write_version_1
 from tests.support.passkeys import Passkey
+from tests.support.things import LAMP, again, row_of
 from tests.vectors.make_domains import ENTRY
 
 NOW = 1_800_000_000
@@ -40,6 +42,7 @@ ROOT, NODE, NEW = (KeySigner(generate()) for _ in range(3))
 CERTIFICATE = create_root(ROOT, "home", now=NOW, serial=1)
 HELD, ASKED = build_request(NODE, "home", "/held"), build_request(NEW, "home", "/robot")
 DUE = NOW + 20 * DAY
+LIGHT = again(LAMP, 2, name="/things/light")
 Scenario = Callable[[SigningAuthority, Path], None]
 
 
@@ -137,13 +140,35 @@ def check_trusted(directory: Path) -> None:
         assert terms == [*listed], "a domain is trusted that is not listed, or the reverse"
 
 
+def rename(authority: SigningAuthority, _: Path) -> None:
+    """A thing is stated; under another name, its former statement ends in the same step."""
+    store = authority.store
+    for statement in (LAMP, LIGHT):
+        with store.transaction():
+            if any(row.id == statement.id for row in store.things.all()):
+                continue
+            if former := frozenset(row.id for row in store.things.in_force(NOW)):
+                authority.revoke_all(former, "renamed", NOW)
+            data = sign_statement(authority.signer, statement)
+            store.things.add(row_of(statement)._replace(data=data), statement, NOW)
+
+
+def check_renamed(directory: Path) -> None:
+    """The audit finds two names in force; here: what was stated is not lost with its successor."""
+    with closing(opened(directory).store) as store:
+        names = [row.name for row in store.things.all()]
+        assert names in ([], [LAMP.name], [LAMP.name, LIGHT.name])
+        assert len(store.things.in_force(NOW)) == min(len(names), 1)
+
+
 def migrate(authority: SigningAuthority, _: Path) -> None:
     assert authority.store.log.entries()[-1].what == "migrated"
 
 
 SCENARIOS: dict[str, Scenario] = {
     "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
-    "replace": replace, "approve": approve, "trust": trust, "migrate": migrate,
+    "replace": replace, "approve": approve, "trust": trust, "rename": rename,
+    "migrate": migrate,
 }  # fmt: skip
 
 
@@ -185,11 +210,13 @@ def run(name: str, base: Path, work: Path) -> Counter[str]:
         check(directory, _count(base))
         check_approved(directory)
         check_trusted(directory)
+        check_renamed(directory)
         recorded = _newest(directory) if _count(directory) == total else None
         act(scenario, directory)
         check(directory, _count(base))
         check_approved(directory)
         check_trusted(directory)
+        check_renamed(directory)
         assert _count(directory) == total, "doing it again did not complete it"
         if name != "migrate":  # the old database has no list
             check_listed(directory)

@@ -30,6 +30,7 @@ class Crew:
         self._group = group
         self._nodes: dict[str, Node] = {}
         self._tasks: dict[str, list[asyncio.Task[None]]] = {}
+        self._said: dict[tuple[str, str], Publisher] = {}
         self._joining = asyncio.Lock()
 
     async def node(self, name: str) -> Node:
@@ -44,6 +45,18 @@ class Crew:
         """Number messages on `topic` from now on."""
         publisher = await (await self.node(name)).publisher(topic, TYPE)
         self._keep(name, self._publish(publisher))
+
+    async def say(self, name: str, topic: str, data: str) -> None:
+        """Publish one message, which is latched; the topic is begun with the first."""
+        if (name, topic) not in self._said:
+            node = await self.node(name)
+            self._said[name, topic] = await node.publisher(topic, TYPE, latch=True)
+        publisher = self._said[name, topic]
+        publisher.publish(publisher.create(data=data))
+
+    async def links(self, name: str, topic: str) -> int:
+        """How many subscribers of a topic are connected."""
+        return len((await self.node(name)).topics.publishers[topic].links)
 
     async def subscribe(self, name: str, topic: str) -> None:
         """Print what arrives on `topic` from now on."""

@@ -23,11 +23,12 @@ class NotDone(Exception):
 
 
 class CrewProcess:
-    """Nodes of one host; `arrivals` are the times of the messages of (node, topic)."""
+    """Nodes of one host; messages of (node, topic): `arrivals` their times, `heard` the data."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self.process = process
         self.arrivals: dict[tuple[str, str], list[float]] = defaultdict(list)
+        self.heard: dict[tuple[str, str], list[str]] = defaultdict(list)
         self._answers: dict[int, asyncio.Future[object]] = {}
         self._numbers = itertools.count(1)
         self._reading = asyncio.ensure_future(self._read())
@@ -99,6 +100,7 @@ class CrewProcess:
             said = json.loads(line)
             if "topic" in said:
                 self.arrivals[said["node"], said["topic"]].append(said["at"])
+                self.heard[said["node"], said["topic"]].append(said["data"])
             else:
                 self._answered(said)
         for answer in self._unanswered():

@@ -13,14 +13,16 @@ from typing import Self
 from ca.certificates import build_request
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_messages import Issued, JoinAnswer, Refused, RefuseReason
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import Issued, JoinAnswer, NameAnswer, Refused, RefuseReason
 from ca.enrollment.join_node import NodeJoin
 from ca.enrollment.join_request import JoinRequest
 from ca.keys.signer import KeySigner
 from ca.names import AUTHORITY
 from ca.store.invitations import InvitationRow
 from rossec.authority.home import AuthorityHome
-from rossec.authority.joining import join
+from rossec.authority.joining import allowed_pattern, join
+from rossec.authority.keyservice.join_names import JoinNames
 from rossec.enrollment.join_server import JoinServer
 from tests.support.pki import NOW, new_signer
 from tests.support.site import Site
@@ -117,10 +119,12 @@ class JoinSite:
 class JoinPort:
     """The join port of an authority's directory, in a thread: its key is unlocked in there.
 
-    `answers` are given first, before the authority decides; `requests` are those that came.
+    `answers` are given first, before the authority decides; `requests` are those that came. Where
+    there are `rules`, claims are named by them.
     """
 
-    def __init__(self, root: Path, passphrase: str) -> None:
+    def __init__(self, root: Path, passphrase: str, rules: bytes | None = None) -> None:
+        self._rules = rules
         self.answers: list[JoinAnswer] = []
         self.requests: list[JoinRequest] = []
         self.port = 0
@@ -152,12 +156,20 @@ class JoinPort:
                 return self.answers.pop(0)
             return join(authority, request, int(time.time()))
 
-        server = JoinServer(lambda: identity, admit)
-        await server.listen("127.0.0.1", 0)
-        self.port = server.port
-        self._listening.set()
-        await asyncio.get_running_loop().run_in_executor(None, self._stop.wait)
-        await server.close()
+        async with JoinNames(self._rules) as names:
+
+            async def name(claim: JoinClaim) -> NameAnswer:
+                pattern = allowed_pattern(authority.store, claim, int(time.time()))
+                if isinstance(pattern, Refused):
+                    return pattern
+                return await names.answer(claim.metadata, pattern)
+
+            server = JoinServer(lambda: identity, admit, name=name)
+            await server.listen("127.0.0.1", 0)
+            self.port = server.port
+            self._listening.set()
+            await asyncio.get_running_loop().run_in_executor(None, self._stop.wait)
+            await server.close()
         authority.store.close()
 
 

@@ -8,6 +8,7 @@ this program's.
 import os
 import pty
 import select
+import signal
 import sys
 from collections.abc import Iterator
 
@@ -19,6 +20,7 @@ def main(answers: Iterator[str], command: list[str]) -> int:
     """Run `command` on its own terminal."""
     child, terminal = pty.fork()
     if child == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a test run by nohup ignores it
         os.execvp(command[0], command)
     said, typed = b"", b""
     while part := _read(terminal, typed):

@@ -5,6 +5,7 @@ its host's network namespace; a person answers its prompts. After commands that 
 background it waits until they work, as a person sees by their output.
 """
 
+import contextlib
 import itertools
 import os
 import pty
@@ -21,14 +22,20 @@ from tests.support.hosts import Host
 
 _BLOCK: Final = re.compile(r"<!-- (\w+)[^>]*-->\n```\w*\n(.*?)```", re.DOTALL)
 _READY: Final = {
+    "rossec border": "until rossec border status >/dev/null 2>&1; do sleep 0.1; done",
     "rossec ca serve": "until rossec ca status >/dev/null 2>&1; do sleep 0.1; done",
     "rossec master": "until (: >/dev/tcp/$ROS_IP/11311) 2>/dev/null; do sleep 0.1; done",
+    "rossec gateway": "until rossec gateway status 2>&1 | grep -q ' as /gateway/'"
+    "; do sleep 0.1; done",
+    "rossec namespace serve": "until rossec service list --as /namespace"
+    " 2>/dev/null | grep -q get_topic_name; do sleep 0.1; done",
     "rossec relay": "until rossec relay status >/dev/null 2>&1; do sleep 0.1; done",
     "rossec router": "until (: >/dev/tcp/127.0.0.1/7447) 2>/dev/null; do sleep 0.1; done",
 }
 _BACKGROUND: Final = re.compile(rf"(?m)^({'|'.join(_READY)})\b[^\n]*&[^\n]*$")
 _ENDED: Final = "shell ended early"
-_YES_OR_NO: Final = "[y/N]"
+_YES_OR_NO: Final = "[y/N]: "
+_PASSPHRASE: Final = "passphrase of the authority's key: "
 
 
 class Block(NamedTuple):
@@ -77,7 +84,8 @@ class TypedShell:
         """Hang up, then kill what is left of its session."""
         for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGKILL):
             for process in _session(self._pid):
-                os.kill(process, number)
+                with contextlib.suppress(ProcessLookupError):  # it ended meanwhile
+                    os.kill(process, number)
             time.sleep(0.2 if number != signal.SIGKILL else 0)
         os.waitpid(self._pid, 0)
         os.close(self._terminal)
@@ -90,10 +98,14 @@ class TypedShell:
             self.said += part
             assert part, f"it did not say {words!r}: {self.said}"
             assert _ENDED not in said, f"a command failed: {self.said}"
-            if answer := _answer(said[answered:]):
+            if (answer := _answer(said[answered:])) and not self._goes_on():
                 answered = len(said)
                 self._write(answer + "\n")
         return said
+
+    def _goes_on(self) -> bool:
+        """Whether more is printed: then it was the beginning of a line, `pose: ` of a message."""
+        return bool(select.select([self._terminal], [], [], 0.2)[0])
 
     def _read(self, end: float) -> str:
         left = max(0.0, end - time.monotonic())
@@ -109,11 +121,15 @@ class TypedShell:
 
 
 def _answer(prompt: str) -> str:
-    """What a person types at the end of this output; nothing: it is no prompt."""
-    last = prompt.rpartition("\n")[2]
-    if not last.endswith(": "):
-        return ""
-    return "y" if _YES_OR_NO in last else SECRET
+    """What a person types at the end of this output; nothing: it is no prompt.
+
+    A job in the background may print behind a question: a person answers it all the same.
+    """
+    if _YES_OR_NO in prompt:
+        return "y"
+    if _PASSPHRASE in prompt or prompt.rpartition("\n")[2].endswith(": "):
+        return SECRET
+    return ""
 
 
 def _session(leader: int) -> list[int]:

@@ -48,7 +48,18 @@ VALID = {
     "every right on everything": replace(DRAFT, permissions=(Permission("/**", ALL_RIGHTS),)),
     "parameters": replace(DRAFT, permissions=(Permission("/a/*/b", Right.PARAM_SET),)),
     "only a rate": replace(DRAFT, permissions=(Permission("/a", Right.CALL, Restriction(rate=5)),)),
+    "a rate and a slot": replace(
+        DRAFT, permissions=(Permission("/a", Right.SUBSCRIBE, Restriction(rate=5, slot=60)),)
+    ),
     "a domain of 255 bytes": replace(DRAFT, domain="a" * 255),
+    "names of anonymous nodes": replace(
+        DRAFT,
+        subject="/rviz",
+        permissions=(
+            Permission("/rviz~/get_loggers", Right.PROVIDE),
+            Permission("/rviz~/**", Right.PUBLISH),
+        ),
+    ),
     "other letters and a far end": replace(
         DRAFT, domain="zuhäuse", not_before=0, expires=1 << 40, cap=1 << 40
     ),
@@ -151,7 +162,14 @@ _GOOD_FILTERS: Final[dict[str, dict[str, Any]]] = {
     "truncate to nothing": {"a": {"truncate": {"length": 0}}},
     "truncate, the longest": {"a": {"truncate": {"length": (1 << 32) - 1}}},
     "hash": {"a": {"hash": {"key": "k-1_x", "length": 64}}},
+    "hash for each receiver": {"a": {"hash": {"key": "k", "per": "receiver"}}},
     "pixelate": {"data": {"pixelate": {"block": 2}}},
+    "pixelate in grey": {"data": {"pixelate": {"block": 32, "levels": 8}}},
+    "rooms": {
+        "a": {"rooms": {"kitchen": "0 0, 4 3", "hall": "4 0,9.5 0, 9 -6.125", "b_2": "0 3, 1 4"}}
+    },
+    "rooms with hysteresis": {"a": {"rooms": {"kitchen": "0 0, 4 3", "hysteresis": 0.5}}},
+    "sort beside a filter inside": {"a": {"sort": True}, "a[*].b": {"clear": True}},
     "pixelate a region": {
         "data": {"pixelate": {"block": 65535, "x": 0, "y": 0, "width": 1, "height": 65535}}
     },
@@ -194,6 +212,21 @@ _BAD_FILTERS: Final[dict[str, dict[str, Any]]] = {
     "a hash of no digit": {"a": {"hash": {"key": "k", "length": 0}}},
     "a block of 1": {"data": {"pixelate": {"block": 1}}},
     "a block of 65536": {"data": {"pixelate": {"block": 65536}}},
+    "one level of grey": {"data": {"pixelate": {"block": 2, "levels": 1}}},
+    "257 levels of grey": {"data": {"pixelate": {"block": 2, "levels": 257}}},
+    "a hash for somebody else": {"a": {"hash": {"key": "k", "per": "node"}}},
+    "rooms without a room": {"a": {"rooms": {"hysteresis": 1}}},
+    "65 rooms": {"a": {"rooms": {f"r{n}": "0 0, 1 1" for n in range(65)}}},
+    "a room in other letters": {"a": {"rooms": {"Hall": "0 0, 1 1"}}},
+    "a room without corners": {"a": {"rooms": {"hall": ""}}},
+    "a room of one corner": {"a": {"rooms": {"hall": "0 0"}}},
+    "a room without area": {"a": {"rooms": {"hall": "0 0, 1 1, 2 2"}}},
+    "a corner that is no number": {"a": {"rooms": {"hall": "0 0, inf 1"}}},
+    "a corner with a plus": {"a": {"rooms": {"hall": "0 0, +1 1"}}},
+    "a corner with a zero before": {"a": {"rooms": {"hall": "0 0, 01 1"}}},
+    "corners with two spaces": {"a": {"rooms": {"hall": "0 0,  1 1"}}},
+    "a room that is a number": {"a": {"rooms": {"hall": 1}}},
+    "sort with a parameter": {"a": {"sort": {"by": "b"}}},
     "half a region": {"data": {"pixelate": {"block": 2, "x": 0, "y": 0}}},
 }
 

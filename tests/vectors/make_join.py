@@ -15,11 +15,14 @@ from ca.authority import Authority, create_root
 from ca.certificates import build_request
 from ca.enrollment import join_transcript, ndef
 from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_claim import JoinClaim
 from ca.enrollment.join_messages import (
+    Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    Named,
     Refused,
     RefuseReason,
     Waiting,
@@ -37,6 +40,7 @@ ROOT, OWN, NODE = (
 )
 NODE_NONCE, OWN_NONCE = bytes(range(16)), bytes(range(16, 32))
 NAME: Final = "/fleet/robot07"
+METADATA: Final = b"<node><group>fleet</group><name>robot07</name></node>"
 
 
 def code_of(root: bytes) -> InvitationCode:
@@ -55,6 +59,8 @@ def vectors() -> dict[str, Any]:
     agreed = join_transcript.transcript(code.id, NODE_NONCE, OWN_NONCE, [own], root)
     live = join_transcript.sign_live(OWN, agreed)
     proof = join_transcript.sign_proof(code.signer, agreed, csr, NAME)
+    claim = join_transcript.sign_claim(code.signer, agreed, METADATA)
+    named_proof = join_transcript.sign_proof(code.signer, agreed, csr, NAME, METADATA)
     messages: dict[str, JoinMessage] = {
         "hello": Hello(code.id, NODE_NONCE),
         "welcome": Welcome(OWN_NONCE, (own,), root, live),
@@ -62,6 +68,9 @@ def vectors() -> dict[str, Any]:
         "issued": Issued((leaf,)),
         "waiting": Waiting(WaitReason.PERSON),
         "refused": Refused(RefuseReason.ENDED),
+        "claim": Claim(METADATA, claim),
+        "named": Named(NAME),
+        "named_join": Join(NAME, csr, named_proof, METADATA),
     }
     return {
         "now": NOW, "name": NAME,
@@ -74,6 +83,11 @@ def vectors() -> dict[str, Any]:
         "transcript": agreed.hex(), "live": live.hex(), "proof": proof.hex(),
         "messages": {name: write(message).hex() for name, message in messages.items()},
         "request": JoinRequest(code.id, agreed, NAME, csr, proof).to_bytes().hex(),
+        "metadata": METADATA.hex(),
+        "claim": JoinClaim(code.id, agreed, METADATA, claim).to_bytes().hex(),
+        "named_request": JoinRequest(
+            code.id, agreed, NAME, csr, named_proof, METADATA
+        ).to_bytes().hex(),
     }  # fmt: skip
 
 

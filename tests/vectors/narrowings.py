@@ -85,6 +85,7 @@ def chains(ca: FixedSigner, draft: Draft) -> dict[str, tuple[bytes, str | None]]
         "that has ended": (with_claims(c4=draft.not_before + 1), "GrantExpired"),
         "of another id": (with_claims(c_70032=bytes(16)), "NarrowingForOther"),
         "with a claim more": (with_claims(c10=1), "GrantMalformed"),
+        "with names of anonymous nodes": (with_claims(c9=encode([["/b~/a", 1]])), "GrantMalformed"),
         "with a restricted administrator": (
             with_claims(c9=encode([["/a", 128, {3: {"rate": 1}}]])), "GrantMalformed",
         ),

@@ -17,7 +17,7 @@ from ca.names import check_name, is_master_name
 from ca.store.approvals import ApprovalState
 from ca.store.record import Store
 from ca.store.rows import INTERMEDIATE
-from rossec.authority import invitations
+from rossec.authority import invitations, thing_records
 from rossec.authority.approvals import DENIED
 from rossec.authority.invitations import InvitationStatus
 from rossec.authority.keyservice.work import AuthorityWork
@@ -167,17 +167,19 @@ def checked_reason(text: str) -> str:
 
 
 def keys_of(name: str) -> Find:
-    """Finds the keys of `name`. It raises `ConfigurationError` if there is none to revoke."""
+    """Finds the keys of `name`, and the things that end with them.
+
+    It raises `ConfigurationError` if there is no key to revoke.
+    """
 
     def find(store: Store, at: int) -> frozenset[bytes]:
-        found = store.unrevoked_keys(
-            name if name.startswith(INTERMEDIATE) else check_name(name), at
-        )
+        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        found = store.unrevoked_keys(sought, at)
         if not found:
             raise ConfigurationError(
                 f"{name} has no valid identity to revoke", "it may have been revoked already"
             )
-        return found
+        return found | thing_records.ended_with(store, sought, at)
 
     return find
 

@@ -17,7 +17,17 @@ from typing import Any, Final
 
 from ca.encoding import Value
 from ca.enrollment.join_authority import LiveIdentity
-from ca.enrollment.join_messages import Issued, JoinAnswer, Refused, Waiting, read
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import (
+    Issued,
+    JoinAnswer,
+    JoinMessage,
+    NameAnswer,
+    Named,
+    Refused,
+    Waiting,
+    read,
+)
 from ca.enrollment.join_request import JoinRequest
 from ca.errors import EnrollmentMessageRefused, HintedError
 from rossec.authority.keyservice import inner_messages
@@ -38,6 +48,7 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 ANY: Final = "*"  # as the host of a join address: every address of this host
+_ODD: Final = "the service does not answer as it should"
 _FRESH: Final = 10.0  # seconds for which the own identity is not read again
 _log = logging.getLogger("rossec.authority.face")
 
@@ -61,7 +72,7 @@ class Face:
         self._suites = suites
         self._identity: LiveIdentity | None = None
         self._read_at = 0.0
-        self._server = JoinServer(self._live, self._admit, _report)
+        self._server = JoinServer(self._live, self._admit, _report, name=self._name)
         self._channel: InnerChannel | None = None
 
     async def run(self, sock: socket.socket) -> None:
@@ -96,14 +107,23 @@ class Face:
         return self._identity
 
     async def _admit(self, request: JoinRequest) -> JoinAnswer:
+        found = await self._ask(inner_messages.JOIN, request.to_bytes())
+        if not isinstance(found, Issued | Waiting | Refused):
+            raise EnrollmentMessageRefused(_ODD)
+        return found
+
+    async def _name(self, claim: JoinClaim) -> NameAnswer:
+        found = await self._ask(inner_messages.NAME, claim.to_bytes())
+        if not isinstance(found, Named | Refused):
+            raise EnrollmentMessageRefused(_ODD)
+        return found
+
+    async def _ask(self, operation: str, data: bytes) -> JoinMessage | None:
+        """The service's answer to what a node sent."""
         if self._channel is None:
             raise ConfigurationError("the service is not there yet")
-        data = request.to_bytes()
-        answer = await self._channel.call(inner_messages.JOIN, data, within=DECISION)
-        found = read(answer) if isinstance(answer, bytes) else None
-        if not isinstance(found, Issued | Waiting | Refused):
-            raise EnrollmentMessageRefused("the service does not answer as it should")
-        return found
+        answer = await self._channel.call(operation, data, within=DECISION)
+        return read(answer) if isinstance(answer, bytes) else None
 
     async def _call(self, method: str, arguments: list[Value], seconds: int) -> Value:
         """Call `method` of the master; returns the value of its answer.

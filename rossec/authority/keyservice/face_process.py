@@ -86,13 +86,13 @@ class FaceProcess:
         if self._process is not None and peer.process == self._process.pid:
             raise PeerUserRefused("the network process may not use the service's socket")
 
-    async def run(self, join: Handler) -> None:
-        """Keep a face running until this is cancelled; `join` answers its requests."""
+    async def run(self, join: Handler, name: Handler | None = None) -> None:
+        """Keep a face running until this is cancelled; `join` and `name` answer its requests."""
         delay = 0.5
         while True:
             begin = asyncio.get_running_loop().time()
             try:
-                await self._run_once(join)
+                await self._run_once(join, name)
             except KeyMessageRefused as error:
                 _log.error("the network process breaks the protocol: %s", error)
             finally:
@@ -129,7 +129,7 @@ class FaceProcess:
         operation = inner_messages.CALL
         return await self._channel.call(operation, method, arguments, within, within=within + 1)
 
-    async def _run_once(self, join: Handler) -> None:
+    async def _run_once(self, join: Handler, name: Handler | None) -> None:
         if self._socket is None:
             return
         handlers: dict[str, Handler] = {
@@ -137,6 +137,8 @@ class FaceProcess:
             inner_messages.FAILED: self._failed,
             inner_messages.JOIN: join,
         }
+        if name is not None:
+            handlers[inner_messages.NAME] = name
         self._channel = InnerChannel(self._socket, handlers, inner_messages.MAX_FROM_FACE)
         self._socket = None
         try:

@@ -3,13 +3,15 @@
 Frames as in `messages`, of deterministic CBOR. `[0, number, operation, argument...]` is a request,
 `[1, number, value]` its answer, `[2, number, message, hint]` a refusal. Each side numbers its own
 requests. `OPERATIONS` is all that the two may ask of each other: what strangers send reaches the
-service as the octets of one `join`, of a fixed layout and bounded (`ca.enrollment.join_request`).
+service as the octets of one `join` or `name`, of a fixed layout and bounded
+(`ca.enrollment.join_request`, `join_claim`).
 """
 
 from collections.abc import Mapping
 from typing import Final, NamedTuple, TypeAlias
 
 from ca.encoding import Value, decode, encode
+from ca.enrollment.join_claim import MAX_SIZE as MAX_CLAIM
 from ca.enrollment.join_request import MAX_SIZE as MAX_JOIN
 from ca.errors import EncodingError
 from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
@@ -20,11 +22,12 @@ MAX_FROM_FACE: Final = 1024 * 1024  # the master answers so much at most
 MAX_FROM_SERVICE: Final = MAX_TREE_ENTRIES_SIZE + 64 * 1024
 MAX_NUMBER: Final = 1 << 32
 
-READY, FAILED, JOIN, CALL = "ready", "failed", "join", "call"
+READY, FAILED, JOIN, NAME, CALL = "ready", "failed", "join", "name", "call"
 OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     READY: (int,),  # from the face: it listens on this port; 0: on none
     FAILED: (str, str),  # from the face: it cannot; message and hint
     JOIN: (bytes,),  # from the face: a node's request; answered with a message for the node
+    NAME: (bytes,),  # from the face: a node's claim; answered with a message for the node
     CALL: (str, list, int),  # from the service: method, arguments, seconds; the master's answer
 }
 
@@ -109,6 +112,8 @@ def _fits(operation: str, arguments: list[Value]) -> bool:
     match operation, arguments:
         case "join", [bytes() as request]:
             return len(request) <= MAX_JOIN
+        case "name", [bytes() as claim]:
+            return len(claim) <= MAX_CLAIM
         case "ready", [int() as port]:
             return 0 <= port < 1 << 16
         case _:

@@ -13,8 +13,12 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from ca.encoding import Value
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import NameAnswer, Named, Refused, RefuseReason, write
+from ca.enrollment.join_request import JoinRequest
 from ca.errors import EncodingError, HintedError
 from rossec.authority.keyservice.face_process import FaceProcess
+from rossec.authority.keyservice.join_names import JoinNames
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.rounds import Rounds
 from rossec.authority.keyservice.work import AuthorityWork
@@ -25,6 +29,7 @@ from rossec.net.aio.tasks import TaskSet
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 SLOW: Final = 1.0  # seconds in which a master that runs, or does not, has answered
 PAUSE: Final = 45.0  # seconds without calls after one that failed slowly; less than a round
+_OTHER_NAME: Final = Refused(RefuseReason.NAME)
 _T = TypeVar("_T")
 _log = logging.getLogger("rossec.authority.service")
 
@@ -38,6 +43,7 @@ class NetworkWork:
         face: the network face.
         applies: put the policy in force in every round; a node that joins gets its grants anyhow.
         policy: its file; None: the usual place.
+        rules: by which nodes that join are named; None: none is.
     """
 
     def __init__(
@@ -48,7 +54,9 @@ class NetworkWork:
         *,
         applies: bool = False,
         policy: Path | None = None,
+        rules: bytes | None = None,
     ) -> None:
+        self._names = JoinNames(rules)
         self._face = face
         self._applies = applies
         self.work = AuthorityWork(rossec_home, operations, self.deliver, policy)
@@ -93,14 +101,31 @@ class NetworkWork:
     async def run(self) -> None:
         """Serve until this is cancelled."""
         self._loop = asyncio.get_running_loop()
-        self._tasks.spawn(self._rounds(), name="rounds of the authority")
-        try:
-            await self._face.run(self._join)
-        finally:
-            await self._tasks.close()
-            await asyncio.to_thread(self._thread.shutdown, cancel_futures=True)
+        async with self._names:  # first of all: rules that are refused end it
+            self._tasks.spawn(self._rounds(), name="rounds of the authority")
+            try:
+                await self._face.run(self._join, self._name)
+            finally:
+                await self._tasks.close()
+                await asyncio.to_thread(self._thread.shutdown, cancel_futures=True)
+
+    async def _name(self, data: bytes) -> Value:
+        return write(await self._named(JoinClaim.from_bytes(data)))
+
+    async def _named(self, asked: JoinClaim | JoinRequest) -> NameAnswer:
+        """The name for the metadata in there, which are looked at by the process for rules only."""
+        pattern = await self._in_thread(self.work.allowed_pattern, asked)
+        if isinstance(pattern, Refused):
+            return pattern
+        return await self._names.answer(asked.metadata, pattern)
 
     async def _join(self, data: bytes) -> Value:
+        request = JoinRequest.from_bytes(data)
+        # One that was issued gets its answer again, whatever the rules say meanwhile.
+        if request.metadata and not await self._in_thread(self.work.was_issued, request):
+            named = await self._named(request)
+            if named != Named(request.name):
+                return write(named if isinstance(named, Refused) else _OTHER_NAME)
         answer, name = await self._in_thread(self.work.join, data)
         if name is not None:
             self._joined.append(name)

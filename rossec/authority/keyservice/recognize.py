@@ -17,6 +17,7 @@ from ca.errors import CertificateRefused, EncodingError, SignatureError
 from ca.revocation.lists import LIST_PROFILE, MAX_LIST
 from ca.revocation.tree import TREE
 from ca.store.log_entries import HEAD_PROFILE
+from ca.things.statement import THING
 from ca.unsigned import read_unsigned
 from grants.document import GRANT
 from grants.renewal import DELEGATION
@@ -31,6 +32,7 @@ _STATEMENTS: Final[Mapping[str, Profile]] = {
     "a head of the log": HEAD_PROFILE,
     "a list of domains": DOMAINS,
     "a card of its domain": CARD,
+    "a statement about a thing": THING,
 }
 _HINT: Final = "the program that asked is of another version of rossec, or not rossec"
 

@@ -12,7 +12,8 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Final
 
-from ca.enrollment.join_messages import Issued, write
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import Issued, Refused, write
 from ca.enrollment.join_request import JoinRequest
 from ca.errors import HintedError, StoreError
 from grants.errors import PolicyRefused
@@ -92,6 +93,24 @@ class AuthorityWork:
                 with contextlib.closing(service.home.store()) as store:
                     answer = joining.join_locked(store, request, self._now())
         return write(answer), request.name if isinstance(answer, Issued) else None
+
+    def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | Refused:
+        """The names that the invitation allows whose secret is proved, or why there is no answer.
+
+        Raises:
+            HintedError: it could not be decided now.
+        """
+        with contextlib.closing(self.home().store()) as store:
+            return joining.allowed_pattern(store, asked, self._now())
+
+    def was_issued(self, request: JoinRequest) -> bool:
+        """Whether there is an identity for exactly this request.
+
+        Raises:
+            HintedError: the record cannot be used now.
+        """
+        with contextlib.closing(self.home().store()) as store:
+            return store.identities.issued_for(request.digest) is not None
 
     def apply(self, names: Collection[str] | None = None) -> None:
         """Make the policy true, for the nodes `names` or for all; does nothing while locked.

@@ -12,13 +12,16 @@ from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
 from rossec.cli.shared import options, passphrase
+from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.terminal import note, say
+from rossec.cli.shared.results import json_result
+from rossec.terminal import note, record, say
 
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
 @passphrase.option
+@json_result()
 @pass_environment
 def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
     """Write the authority into the new file FILE, encrypted under its passphrase.
@@ -27,10 +30,13 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     """
     home = AuthorityHome.at(environment.home)
     secret = passphrase.read(passphrase_file, environment.variables)
-    home.unlock(secret).store.close()  # a backup that its key does not open is invalid
-    files.create(file, backups.back_up(home, secret))
+    with working("encrypting the backup"):
+        home.unlock(secret).store.close()  # a backup that its key does not open is invalid
+        files.create(file, backups.back_up(home, secret))
+    found = fingerprint(home.anchor())
+    record(domain=home.domain, file=str(file), fingerprint=found)
     say(f"backup of {home.domain}: {file}")
-    say(f"fingerprint {fingerprint(home.anchor())}")
+    say(f"fingerprint {found}")
 
 
 @click.command()
@@ -53,6 +59,7 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     help="a newer list of domains, for example a node's domains.cose; else no domain is trusted",
 )  # fmt: skip
 @passphrase.option
+@json_result()
 @pass_environment
 def restore(
     environment: Environment,
@@ -73,10 +80,16 @@ def restore(
     if entries is None and newest is not None and newest.with_name(ENTRIES).exists():
         entries = newest.with_name(ENTRIES)
     secret = passphrase.read(passphrase_file, environment.variables)
-    found = backups.restore(
-        environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
-        entries=None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE),
-        newest_domains=None if domains is None else files.read(domains, MAX_DOMAINS),
+    with working("proving the backup, entry by entry"):
+        found = backups.restore(
+            environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
+            entries=None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE),
+            newest_domains=None if domains is None else files.read(domains, MAX_DOMAINS),
+        )  # fmt: skip
+    record(
+        domain=found.home.domain, path=str(found.home.path), entries=found.entries,
+        fingerprint=fingerprint(found.home.anchor()), ended_domains=found.ended_domains,
+        revocations=found.restored_revocations, ended_phones=bool(found.ended_phones),
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")

@@ -23,12 +23,13 @@ from rossec.cli.ca.sign import write_identity
 from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.context import ask_yes_no, now, reraise_interrupt
 from rossec.cli.shared.outright import give_outright
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, publish_if_revoked, remind_to_publish
 from rossec.enrollment import address
 from rossec.enrollment.authority import deliver, fetch
 from rossec.enrollment.scan import code_in_file
 from rossec.errors import ConfigurationError
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 Destination = tuple[str, int]
 _DENIED: Final = "denied at the authority"
@@ -55,6 +56,7 @@ _DENIED: Final = "denied at the authority"
 )
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
 @pass_service
 def enroll(
     service: AuthorityService,
@@ -85,21 +87,25 @@ def enroll(
     core = AuthorityEnrollment(found, domain, wildcard=anonymous)
     _fetch_request(core, csr_file, destination)
     row = service.add_request(core.request, core.csr, _source(found, csr_file, destination))
+    record(name=row.name, request=row.digest.hex(), state="pending")
     show_request(service, row, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
     if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
         service.deny_request(row, _DENIED)
+        record(state="denied")
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
     bundle = service.issue(
         row.der, lifetime,
         replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
     )  # fmt: skip
+    record(state="signed")
     if destination is None:
         assert csr_file is not None  # noqa: S101 - without an address there is a file
         target = write_identity(csr_file, bundle)
+        record(file=str(target))
         say(f"signed: {target}; at the node: rossec node install {target.name}")
     else:
         try:
@@ -107,6 +113,7 @@ def enroll(
         except HintedError:
             remind_to_publish(service)
             raise
+        record(state="enrolled")
         say(f"enrolled {row.name}")
     give_outright(service, row.name)
     publish_if_revoked(service)

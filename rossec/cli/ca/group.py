@@ -57,7 +57,7 @@ _CA: Final = {
     "restore": ("ca.backup:restore", "Prove the backup FILE and put its authority back."),
     "revoke": (
         "ca.revocation:revoke",
-        "Revoke the identity of the node NAME, and notify the master at once.",
+        "Revoke the identity of the node NAME, or with --thing the thing NAME, at once.",
     ),
     "serve": (
         "ca.serve:serve",
@@ -68,6 +68,14 @@ _CA: Final = {
     "status": (
         "ca.unlock:status",
         "Show whether the authority's service runs, and whether it holds the key.",
+    ),
+    "thing": (
+        "ca.things:thing",
+        "State that the thing NAME has this key or secret, and which border router serves it.",
+    ),
+    "things": (
+        "ca.things:things",
+        "List the things that are stated now, with their border routers.",
     ),
     "unlock": (
         "ca.unlock:unlock",

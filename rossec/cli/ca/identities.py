@@ -8,15 +8,20 @@ import click
 from ca.authority import DAY, MAX_LIFETIME
 from ca.store.record import Store
 from ca.store.rows import CertificateRow
-from rossec import files
+from rossec import files, terminal
+from rossec.authority import thing_records as things
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
+from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import say, say_json
+from rossec.terminal import record, say, say_json
+
+_ITS = "its machine", "their machines"
 
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
@@ -57,7 +62,7 @@ def line(row: CertificateRow, state: str) -> str:
         f"until {format_time(row.not_after)}",
         f"fingerprint {format_fingerprint(row.thumbprint)}",
     )
-    return "  ".join([name, until, key, *[state] * (state != "valid")])
+    return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
 
 
 @click.command("list")
@@ -96,27 +101,55 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
     say(f"fingerprint {fingerprint(home.anchor())}")
     for row, state in with_states:
         say(line(row, state))
+    for each in things.states(home.store(), now()) if name is not None else ():
+        if name in {each.row.name, each.row.border} and each.state == things.IN_FORCE:
+            say(
+                f"thing {each.row.name} at {each.row.border}, until {format_time(each.row.expires)}"
+            )
 
 
 @click.command()
-@click.argument("name")
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @click.option(
     "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
     help="how long the new identity lasts",
 )  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
+@json_result()
 @pass_service
-def renew(service: AuthorityService, name: str, lifetime: int, out: Path | None) -> None:
+def renew(
+    service: AuthorityService, names: tuple[str, ...], lifetime: int, out: Path | None
+) -> None:
     """Renew the identity of NAME for the key it has; /ca is the authority's own node.
 
-    The new one is written to a file to install on the node; that of /ca is installed here.
+    The new one is written to a file to install on the node; that of /ca is installed here. Where
+    one of several is refused the others are renewed, and the exit code is 1.
     """
-    if name == OWN_NODE:
-        say(f"renewed {name} until {format_time(service.renew_own_node())}")
-    else:
-        bundle = service.renew(name, lifetime)
-        target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
-        files.replace(target, bundle, 0o644)
-        say(f"renewed {name}: {target}")
-        say(f"next, on its machine: rossec node install {target}")
+    names = unique(names)
+    if out is not None and len(names) > 1:
+        raise click.UsageError("--out is of one NAME")
+    if len(names) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a name
+    batch, written = Batch(len(names), "name"), list[Path]()
+    for name in names:
+        with batch.item(name):
+            if name == OWN_NODE:
+                expires = service.renew_own_node()
+                record(expires=expires)
+                say(f"renewed {name} until {format_time(expires)}")
+            else:
+                written.append(_renew(service, name, lifetime, out))
+    if written:
+        listed = " ".join(map(str, written))
+        say(f"next, on {_ITS[len(written) > 1]}: rossec node install {listed}")
     remind_to_publish(service)
+    batch.finish()
+
+
+def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None) -> Path:
+    bundle = service.renew(name, lifetime)
+    target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
+    files.replace(target, bundle, 0o644)
+    record(file=str(target))
+    say(f"renewed {name}: {target}")
+    return target

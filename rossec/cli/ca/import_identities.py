@@ -11,9 +11,10 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, publish_if_revoked
 from rossec.clock import format_time
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 _MAX_BUNDLE = 64 * 1024
 
@@ -23,6 +24,7 @@ _MAX_BUNDLE = 64 * 1024
 @signing_options.replace_key(multiple=True)
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
 @pass_service
 def import_(
     service: AuthorityService, bundles: tuple[Path, ...], replaced: tuple[str, ...], yes: bool
@@ -34,7 +36,7 @@ def import_(
     home, batch = service.home, Batch(len(bundles))
     found: list[tuple[Path, bytes]] = []
     for path in bundles:
-        with batch.item(path):
+        with batch.item(path, last=False):
             data = files.read(path, _MAX_BUNDLE)
             _show_identity(home, path, home.anchor().verify(from_pem(data)[:-1], now()))
             found.append((path, data))
@@ -44,6 +46,7 @@ def import_(
         for path, data in found:
             with batch.item(path):
                 identity, new = service.import_identity(data, replaced)
+                record(name=identity.name, new=new)
                 say(f"{'imported' if new else 'known already:'} {identity.name}")
         publish_if_revoked(service)
     batch.finish()

@@ -10,10 +10,11 @@ from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.authority.local_node import check_new, enroll_here
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 
 @click.command()
@@ -23,6 +24,7 @@ from rossec.terminal import say
 )
 @click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
 @passphrase.option
+@json_result()
 @pass_environment
 def init(
     environment: Environment,
@@ -46,10 +48,13 @@ def init(
     else:
         secret = passphrase.read(passphrase_file, environment.variables)
     home = AuthorityHome.create(environment.home, domain, secret, now(), token)
+    found = fingerprint(home.anchor())
+    record(domain=domain, path=str(home.path), fingerprint=found)
     say(f"authority of {domain} in {home.path}")
-    say(f"fingerprint {fingerprint(home.anchor())}")
+    say(f"fingerprint {found}")
     if with_master:
         authority = home.unlock(secret)
         with closing(authority.store):
             expires = enroll_here(authority, master, now())
+        record(master=str(master.path), expires=expires)
         say(f"/master in {master.path}, until {format_time(expires)}; start it with: rossec master")

@@ -18,10 +18,11 @@ from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.own_address import own_address
+from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
 from rossec.enrollment import address
 from rossec.errors import ConfigurationError
-from rossec.terminal import note, printable, say
+from rossec.terminal import note, printable, record, say_secret
 
 _MAX_DAYS: Final = 30
 
@@ -45,6 +46,7 @@ _MAX_DAYS: Final = 30
 @click.option(
     "--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found"
 )
+@json_result(secret=True)
 @pass_environment
 def command(
     environment: Environment,
@@ -74,7 +76,11 @@ def command(
         note(f"written for an NFC tag: {tag}")
     if picture:
         sys.stderr.write(f"{qr.terminal(code.text())}\n")
-    say(code.text())
+    record(
+        id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires,
+        code=code.text(),
+    )  # fmt: skip
+    say_secret(code.text())
 
 
 def _address(given: str, home: AuthorityHome) -> str:

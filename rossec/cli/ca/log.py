@@ -11,11 +11,13 @@ from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
+from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import note, printable, say, say_json
+from rossec.terminal import note, printable, record, say, say_json
 
 _MAX_HEAD = 4096
 
@@ -45,7 +47,9 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     """
     home = AuthorityHome.at(environment.home)
     store = home.store()
-    newest = store.log.audit(home.own_key(), *(files.read(path, _MAX_HEAD) for path in heads))
+    kept = [files.read(path, _MAX_HEAD) for path in heads]
+    with working("recomputing the log", quiet=in_json):
+        newest = store.log.audit(home.own_key(), *kept)
     size = store.log.head(now()).size
     if in_json:
         say_json({"entries": size, "signed": newest.size, "at": newest.issued})
@@ -61,16 +65,19 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
 
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
+@json_result()
 @pass_service
 def head(service: AuthorityService, out: Path | None) -> None:
     """Sign the state of the log, to be kept elsewhere."""
     data = service.sign_head()
     remind_to_publish(service)
     size = open_head(data, service.home.own_key()).size
+    record(entries=size, head=base64.b64encode(data).decode())
     if out is None:
         say(base64.b64encode(data).decode())
         return
     files.replace(out, data, 0o644)
+    record(file=str(out))
     say(f"head of {size} entries: {out}")
 
 

@@ -21,7 +21,7 @@ from rossec.authority.keyservice.process import (
     audit_to,
     operations_of,
 )
-from rossec.cli.shared import options, passphrase
+from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at
 from rossec.cli.shared.own_address import own_address
@@ -54,6 +54,10 @@ OPERATOR = "the operator who started it"
 @click.option("--no-network", is_flag=True, help="only serve the commands of this host")
 @click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
 @options.policy
+@click.option(
+    "--rules", "rules_path", type=options.FILE, metavar="FILE",
+    help="name nodes that join with metadata by these rules; without, none is named",
+)  # fmt: skip
 @options.master_uri
 @click.option(
     "--console-user", metavar="NAME", help="another user whose console may show this authority"
@@ -74,6 +78,7 @@ def serve(
     no_network: bool,
     applies: bool,
     policy_path: Path | None,
+    rules_path: Path | None,
     master_uri: str | None,
     console_user: str | None,
     console_socket_path: Path | None,
@@ -91,7 +96,10 @@ def serve(
         log_as_json()
     if applies and no_network:
         raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
-    uri = master_at(environment, master_uri)
+    if rules_path is not None and no_network:
+        raise ConfigurationError("--rules are for nodes that join", "leave --no-network")
+    names = None if rules_path is None else rules.read_rules(rules_path)
+    uri = master_at(environment, home.node(), master_uri)
     settings.parse_uri(uri, "the master's URI")
     where = console_socket.place(home.path, console_socket_path, console_user)
     options_of_face = FaceOptions(join_address, uri, log)
@@ -106,7 +114,7 @@ def serve(
             stack.callback(face.close)
             face.spawn()  # before there is a key
             network = NetworkWork(
-                environment.home, operations, face, applies=applies, policy=policy_path
+                environment.home, operations, face, applies=applies, policy=policy_path, rules=names
             )
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)

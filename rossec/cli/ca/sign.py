@@ -14,9 +14,10 @@ from rossec.cli.shared import options, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import confirm, now
 from rossec.cli.shared.outright import give_outright
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, publish_if_revoked
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, say
+from rossec.terminal import printable, record, say
 
 _MAX_REQUEST = 16 * 1024
 
@@ -31,6 +32,7 @@ _MAX_REQUEST = 16 * 1024
 @signing_options.anonymous
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
 @pass_service
 def sign(
     service: AuthorityService,
@@ -53,7 +55,7 @@ def sign(
         _check_codes(codes, [data for _, data in read])
     checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
-        with batch.item(path):
+        with batch.item(path, last=False):
             request = check_request(data, home.domain, wildcard=anonymous)
             _show_request(path, request, home, code_checked=bool(codes))
             if anonymous:
@@ -68,7 +70,9 @@ def sign(
                 bundle = service.issue(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"
                 )
-                say(f"signed {name}: {write_identity(path, bundle)}")
+                target = write_identity(path, bundle)
+                record(name=name, identity=str(target))
+                say(f"signed {name}: {target}")
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()

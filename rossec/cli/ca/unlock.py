@@ -14,8 +14,9 @@ from rossec.authority.keyservice.messages import MAX_UNLOCKED
 from rossec.cli.ca.serve import describe_remaining
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.errors import ConfigurationError
-from rossec.terminal import say, say_json
+from rossec.terminal import record, say, say_json
 
 _START = "start it with: rossec ca serve"
 _STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
@@ -28,6 +29,7 @@ _PAUSE = 0.1
     help="how long the key is held; 0: while the service runs",
 )  # fmt: skip
 @passphrase.option
+@json_result()
 @pass_environment
 def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
     """Give the running service the passphrase: it holds the key from now on, for a time.
@@ -36,15 +38,20 @@ def unlock(environment: Environment, seconds: int, passphrase_file: Path | None)
     """
     with closing(_running(environment, wait=_STARTING)) as client:
         secret = passphrase.read(passphrase_file, environment.variables)
-        say(_describe(client.unlock(secret, seconds)))
+        found = client.unlock(secret, seconds)
+        record(**found)
+        say(_describe(found))
 
 
 @click.command()
+@json_result()
 @pass_environment
 def lock(environment: Environment) -> None:
     """Let the running service drop the key at once."""
     with closing(_running(environment)) as client:
-        say(_describe(client.lock()))
+        found = client.lock()
+        record(**found)
+        say(_describe(found))
 
 
 @click.command()

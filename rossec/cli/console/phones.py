@@ -8,9 +8,10 @@ from ca.approvals.assertion import Passkey
 from ca.store.record import Store
 from rossec.authority.home import AuthorityHome
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, say, say_json
+from rossec.terminal import printable, record, say, say_json
 
 
 def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
@@ -33,6 +34,7 @@ def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
 @click.command()
 @click.argument("name")
 @click.option("--reason", default="", help="why, for the record")
+@json_result()
 @pass_environment
 def remove(environment: Environment, name: str, reason: str) -> None:
     """Let the phone NAME approve nothing any more, also not what still waits for the key."""
@@ -43,6 +45,7 @@ def remove(environment: Environment, name: str, reason: str) -> None:
         before = len(store.approvals.waiting())
         store.remove_passkey(found[0].id, reason, now())
         ended = before - len(store.approvals.waiting())
+    record(name=name, ended=ended)
     say(f"{printable(name)} can approve nothing any more")
     if ended:
         say(f"what it approved and was not done yet comes to nothing: {ended}")

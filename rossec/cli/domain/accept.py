@@ -18,10 +18,11 @@ from rossec.cli.domain import terms
 from rossec.cli.domain.delivery import publish_domains
 from rossec.cli.shared import options
 from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service
 from rossec.enrollment.scan import code_in_file
 from rossec.errors import ConfigurationError
-from rossec.terminal import note, printable, say
+from rossec.terminal import note, printable, record, say
 
 
 @click.command()
@@ -39,6 +40,7 @@ from rossec.terminal import note, printable, say
 @click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
 @pass_service
 def accept(
     service: AuthorityService,
@@ -77,6 +79,7 @@ def accept(
     _show(home, domain, found, is_checked=code is not None or expected is not None)
     confirm("trust this domain so far?", yes=yes)
     listed = service.accept_domain(domain)
+    record(**terms.as_json(domain), list=listed.seq)
     say(f"{domain.domain} is trusted as {domain.label} (list of domains {listed.seq})")
     _say_what_is_next(home, domain, found)
     publish_domains(service)

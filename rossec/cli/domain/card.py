@@ -12,8 +12,9 @@ from rossec import files
 from rossec.authority.home import fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared.context import Duration
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service
-from rossec.terminal import note, say
+from rossec.terminal import note, record, say
 
 
 @click.command()
@@ -31,6 +32,7 @@ from rossec.terminal import note, say
     help="how long it can be accepted",
 )  # fmt: skip
 @click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
+@json_result()
 @pass_service
 def card(
     service: AuthorityService,
@@ -49,6 +51,10 @@ def card(
     data = service.domain_card(names, masters, lifetime)
     target = out or Path(f"{home.domain}.card")
     files.replace(target, data, 0o644)
+    record(
+        domain=home.domain, file=str(target), code=card_code(data),
+        fingerprint=fingerprint(home.anchor()),
+    )  # fmt: skip
     say(f"card of {home.domain}: {target}")
     say(f"fingerprint {fingerprint(home.anchor())}")
     say(f"code {card_code(data)}")

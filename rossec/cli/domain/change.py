@@ -11,9 +11,10 @@ from rossec.cli.domain import terms
 from rossec.cli.domain.delivery import publish_domains
 from rossec.cli.shared import options
 from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.errors import ConfigurationError
-from rossec.terminal import note, printable, say
+from rossec.terminal import note, printable, record, say
 
 
 @click.command()
@@ -24,6 +25,7 @@ from rossec.terminal import note, printable, say
 @terms.rules
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
 @pass_service
 def limit(
     service: AuthorityService,
@@ -62,6 +64,7 @@ def limit(
         say(printable(line))
     confirm("trust it so far?", yes=yes)
     listed = service.limit_domain(label, **changes)
+    record(**terms.as_json(new), list=listed.seq)
     say(f"changed (list of domains {listed.seq})")
     publish_domains(service)
 
@@ -73,6 +76,7 @@ def limit(
     "--revoke-grants", is_flag=True, help="also revoke every grant that was signed for its nodes"
 )
 @options.master_uri
+@json_result()
 @pass_service
 def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bool) -> None:
     """Trust the domain LABEL no more, and cut its connections.
@@ -80,6 +84,7 @@ def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bo
     The other side goes on trusting this one until it removes it as well.
     """
     removed = service.remove_domain(label, reason, revoke_grants=revoke_grants)
+    record(domain=removed.row.domain, label=label, revoked=len(removed.revoked))
     say(f"{removed.row.domain} is not trusted any more, nor called {label}")
     if removed.revoked:
         say(f"revoked {len(removed.revoked)} grants for its nodes")
@@ -97,4 +102,4 @@ def _note_grants(service: AuthorityService, label: str) -> None:
         count = len(living_grants(store, label, now()))
     if count:
         note(f"{count} grants for its nodes would hold again if it is accepted as {label}")
-        note("revoke those you do not want: rossec grant list, rossec grant revoke")
+        note("revoke those you do not want: rossec grant list, rossec grant revoke ID")

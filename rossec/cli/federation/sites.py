@@ -1,20 +1,23 @@
 """`rossec federation add | remove | param | list`: the file of sites in the master's home."""
 
 from dataclasses import replace
+from functools import partial
 
 import click
 
 from ca.domains.aliases import display_name
 from ca.errors import CAError
 from ca.names import MASTER
+from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteSettings, checked_sites
 from rossec.federation.site_file import SiteFile
 from rossec.home import NodeHome
 from rossec.saved_domains import DomainFiles
-from rossec.terminal import note, say, say_json
+from rossec.terminal import note, record, say, say_json
 
 
 @click.command()
@@ -32,6 +35,7 @@ from rossec.terminal import note, say, say_json
     "--via", metavar="PEER", default="",
     help="instead of a URI: the site that the relay of this site knows by this label",
 )  # fmt: skip
+@json_result()
 @pass_environment
 def add(
     environment: Environment, uri: str, label: str, master: str, domain: str | None, via: str
@@ -53,7 +57,7 @@ def add(
         raise ConfigurationError(
             f"{master} is the master of this host itself",
             "another one of this domain has another name: --name /master/kitchen;"
-            " that of another domain is followed once that is trusted: rossec domain accept",
+            " that of another domain is followed once that is trusted: rossec domain accept CARD",
         )
 
     def put(sites: dict[str, SiteSettings]) -> None:
@@ -66,30 +70,38 @@ def add(
         checked_sites(sites.values())
 
     SiteFile(home.path).change(put)
+    record(label=label, uri=uri, via=via, domain=found, master=master)
     say(f"{label} is followed: {display_name(found, master)} {site.place}")
 
 
 @click.command()
-@click.argument("label")
+@click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
+@json_result()
 @pass_environment
-def remove(environment: Environment, label: str) -> None:
+def remove(environment: Environment, labels: tuple[str, ...]) -> None:
     """Follow LABEL no longer: its names go at once.
 
     Subscribers here leave its publishers.
     """
+    labels = unique(labels)
+    batch = Batch(len(labels), "name")
+    for label in labels:
+        with batch.item(label):
+            SiteFile(_home(environment).path).change(partial(_take, label))
+            say(f"{label} is followed no longer")
+    batch.finish()
 
-    def take(sites: dict[str, SiteSettings]) -> None:
-        _find(sites, label)
-        del sites[label]
 
-    SiteFile(_home(environment).path).change(take)
-    say(f"{label} is followed no longer")
+def _take(label: str, sites: dict[str, SiteSettings]) -> None:
+    _find(sites, label)
+    del sites[label]
 
 
 @click.command()
 @click.argument("label")
 @click.argument("pattern")
 @click.option("--remove", "removing", is_flag=True, help="mirror it no longer")
+@json_result()
 @pass_environment
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
     """Mirror the parameters of LABEL that match PATTERN, read-only.
@@ -108,6 +120,7 @@ def param(environment: Environment, label: str, pattern: str, *, removing: bool)
         sites[label] = replace(site, parameters=(*patterns, *([] if removing else [pattern])))
 
     SiteFile(_home(environment).path).change(change)
+    record(label=label, pattern=pattern, mirrored=not removing)
     say(f"{pattern} of {label} is mirrored{' no longer' if removing else ''}")
 
 

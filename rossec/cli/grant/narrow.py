@@ -23,12 +23,13 @@ from rossec.cli.grant import permission_options
 from rossec.cli.grant.sign import check_new
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.tokens import read_token
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.participant.token_opening import MAX_PRESENTED
-from rossec.terminal import printable, say
+from rossec.terminal import printable, record, say
 
 MAX_DAYS: Final = 365
 _OVERHEAD: Final = 16  # of the array it is presented in
@@ -53,6 +54,7 @@ _OVERHEAD: Final = 16  # of the array it is presented in
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True, help="write the token to this new file"
 )
+@json_result()
 @pass_environment
 def narrow(
     environment: Environment,
@@ -90,6 +92,7 @@ def narrow(
             "fewer rights in one grant",
         )
     files.create(out, packed, 0o644)
+    record(id=peek(packed).id.hex(), node=receiver.name, expires=end, file=str(out))
     say(f"grant {peek(packed).id.hex()} for {receiver.name} until {format_time(end)}")
     say(f"written to {out}; on the machine of {receiver.name}: rossec grant install {out.name}")
 
@@ -114,7 +117,7 @@ def _check_held(home: NodeHome, held: Grant, may_narrow: int, at: int) -> None:
             f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
             "fewer with --may-narrow"
             if held.may_narrow
-            else "at the authority: rossec grant sign --may-narrow",
+            else "at the authority: rossec grant sign NODE --may-narrow N",
         )
 
 

@@ -1,16 +1,19 @@
 """The options of `rossec grant sign` as permissions: rights, conditions and filters."""
 
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import click
 
+from ca.errors import PatternRefused
 from grants.conditions.compile import compile_condition
 from grants.errors import ConditionRefused, FilterRefused
 from grants.filters.compile import compile_filter
 from grants.filters.layout import parse
 from grants.filters.presets import PRESETS, preset
 from grants.model import Permission, Restriction, Right, filter_rules
+from grants.policy.own_names import NODE, check_rule_pattern, resolve
 from rossec.errors import ConfigurationError
 from rossec.participant.service_types import part_type
 
@@ -61,6 +64,20 @@ def wishes(command: Callable[..., Any]) -> Callable[..., Any]:
     return rights(command)
 
 
+def own_pattern(text: str, node: str, *, tail: bool) -> str:
+    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is.
+
+    Raises:
+        PatternRefused: not a pattern, or none for this node.
+    """
+    if not is_own_text(text):
+        return text
+    found = resolve(check_rule_pattern(text), node, tail=tail)
+    if found is None:
+        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
+    return found
+
+
 def read(said: Mapping[str, Any]) -> tuple[Permission, ...]:
     """The permissions that the options of `wishes` say.
 
@@ -82,6 +99,31 @@ def rights(command: Callable[..., Any]) -> Callable[..., Any]:
             f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text
         )(command)
     return command
+
+
+def for_node(said: Mapping[str, Any], node: str, tail: Callable[[], bool]) -> dict[str, Any]:
+    """What `wishes` say, with own names as those of `node`.
+
+    Args:
+        tail: asked only if there are own names: whether the node has a wildcard tail.
+
+    Raises:
+        PatternRefused: as `own_pattern`.
+    """
+    named = patterns_by_right(said)
+    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
+        return dict(said)
+    has_tail = tail()
+    own = {
+        str(right.name).lower(): tuple(own_pattern(each, node, tail=has_tail) for each in patterns)
+        for right, patterns in named.items()
+    }
+    return {**said, **own}
+
+
+def is_own_text(text: str) -> bool:
+    """Whether it is meant as an own name, well-formed or not."""
+    return NODE in text or text.startswith("~")
 
 
 def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:

@@ -16,20 +16,24 @@ from rossec.authority import requests
 from rossec.authority.approvals import PendingApproval, verdict_change
 from rossec.authority.policyfile import PolicyFile, read_policy
 from rossec.authority.service import AuthorityService, SignedGrant
+from rossec.cli.grant.permission_options import own_pattern
 from rossec.cli.shared import options
+from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.results import add_entry, json_result
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import note, printable, say, say_json
+from rossec.terminal import note, printable, record, say, say_json
 
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
 
 def _wish_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for label in reversed(_ASKABLE):
-        command = click.option(f"--{label}", multiple=True, metavar="NAME")(command)
+        text = f"ask for the right {label} on NAME; may be repeated"
+        command = click.option(f"--{label}", multiple=True, metavar="NAME", help=text)(command)
     return command
 
 
@@ -38,6 +42,7 @@ def _wish_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @_wish_options
 @click.option("--why", required=True, help="the reason, for the person or policy that decides")
 @click.option("--out", type=click.Path(path_type=Path), help="write the request to this new file")
+@json_result()
 @pass_environment
 def request(
     environment: Environment, /, node: str, why: str, out: Path | None, **named: tuple[str, ...]
@@ -46,27 +51,33 @@ def request(
 
     The request is signed with the node's key. Carry it to the authority as a file; when the
     authority is in the same ROSSEC_HOME, it is put into its inbox.
+    A NAME may be '{node}/pose': one of NODE's own.
     """
     home = NodeHome.find(environment.home, node)
-    requested = tuple(
-        RequestedRight(Right[label.upper()], pattern)
-        for label, patterns in named.items()
-        for pattern in patterns
-    )
-    if not requested:
+    if not any(named.values()):
         raise ConfigurationError("a request for nothing", "add --subscribe NAME, --publish NAME")
     identity = home.identity(now())
+    requested = tuple(
+        RequestedRight(
+            Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard)
+        )
+        for label, names in named.items()
+        for name in names
+    )
     asked = GrantRequest(
         identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why
     )
     data = sign_request(home.credentials().signer, asked)
+    record(request=asked.id.hex(), node=asked.node)
     say(f"request {asked.id.hex()} of {asked.node}")
     authority = environment.home / "ca"
     if out is not None:
         files.create(out, data, 0o644)
+        record(file=str(out))
         say(f"written to {out}; at the authority: rossec grant decide {out}")
     elif (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, asked, data)
+        record(inbox=True)
         say("put into the authority's inbox; there: rossec grant decide")
     else:
         raise ConfigurationError("the authority is elsewhere", "give --out FILE, and carry it")
@@ -79,6 +90,7 @@ def request(
 )
 @options.policy
 @options.master_uri
+@json_result()
 @pass_service
 def decide(
     service: AuthorityService,
@@ -93,6 +105,7 @@ def decide(
     policy = _collected(service, policy_path, request_files)
     decided = service.decide_grants(policy)
     _deliver(service, decided.grants, out_dir)
+    record(allowed=decided.allowed, denied=decided.denied, waiting=decided.waiting)
     denied = f", {decided.denied} denied" if decided.denied else ""
     waiting = f"{decided.waiting} for you{denied}: see `rossec grant pending`"
     say(f"{decided.allowed} allowed, {waiting}")
@@ -117,16 +130,19 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
 
 
 @click.command()
-@click.argument("request_id")
+@click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @click.option("--approximate", "coarse", metavar="FILTER", help="only through this filter")
 @click.option("--today", "only_today", is_flag=True, help="only until midnight")
-@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too"
+)
 @options.policy
 @options.master_uri
+@json_result()
 @pass_service
 def approve(
     service: AuthorityService,
-    request_id: str,
+    request_ids: tuple[str, ...],
     coarse: str | None,
     only_today: bool,
     out_dir: Path | None,
@@ -134,24 +150,42 @@ def approve(
 ) -> None:
     """Approve the request REQUEST_ID (or its beginning), as it is or restricted.
 
-    --approximate adds a filter of the policy or a preset, --today ends it at midnight.
+    --approximate adds a filter of the policy or a preset, --today ends it at midnight. Where one of
+    several is refused the others are approved, and the exit code is 1.
     """
+    ids = unique(request_ids)
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     change = verdict_change(policy, coarse, now(), only_today=only_today)
     _collect(service, policy)
-    _deliver(service, service.approve_grants(policy, request_id, change), out_dir)
+    if len(ids) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a request
+    batch, signed = Batch(len(ids), "id"), list[SignedGrant]()
+    for request_id in ids:
+        with batch.item(request_id):
+            signed += service.approve_grants(policy, request_id, change)
+    _deliver(service, signed, out_dir)
+    batch.finish()
 
 
 @click.command()
-@click.argument("request_id")
+@click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @options.policy
+@json_result()
 @pass_environment
-def deny(environment: Environment, request_id: str, policy_path: Path | None) -> None:
-    """Deny the request REQUEST_ID (or the beginning of it)."""
-    service = service_of(environment)
+def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Path | None) -> None:
+    """Deny the request REQUEST_ID (or the beginning of it).
+
+    Where one of several is refused the others are denied, and the exit code is 1.
+    """
+    service, ids = service_of(environment), unique(request_ids)
     policy = _collected(service, policy_path)
-    for item in service.deny_grants(policy, request_id):
-        say(f"denied {item.stored.request.node} {item.stored.requested}")
+    batch = Batch(len(ids), "id")
+    for request_id in ids:
+        with batch.item(request_id):
+            for item in service.deny_grants(policy, request_id):
+                add_entry("requests", {"node": item.stored.request.node, **_right(item)})
+                say(f"denied {item.stored.request.node} {item.stored.requested}")
+    batch.finish()
 
 
 def _collected(
@@ -173,6 +207,8 @@ def _collect(
 def _deliver(service: AuthorityService, signed: list[SignedGrant], out_dir: Path | None) -> None:
     for draft, data in signed:
         number = document.grant_id(data).hex()
+        facts = {"id": number, "node": draft.subject, "expires": draft.expires}
+        add_entry("grants", facts)
         say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
         for permission in draft.permissions:
             say(f"  may {permission.rights.label} {permission.pattern}")
@@ -198,13 +234,17 @@ def _show(item: PendingApproval, policy: PolicyFile) -> None:
     say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
 
 
+def _right(item: PendingApproval) -> dict[str, object]:
+    requested = item.stored.requested
+    return {"right": requested.right.label, "name": requested.pattern}
+
+
 def _summary(item: PendingApproval) -> dict[str, object]:
     stored = item.stored
     return {
         "request": stored.request.id.hex(),
         "node": stored.request.node,
-        "right": stored.requested.right.label,
-        "name": stored.requested.pattern,
+        **_right(item),
         "why": stored.request.why,
         "asked": stored.at,
         "restrictions": restriction_lines(item.verdict),

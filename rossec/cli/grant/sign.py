@@ -1,5 +1,6 @@
 """`rossec grant sign | presets`: what nodes may do, signed."""
 
+import contextlib
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,11 +15,12 @@ from rossec import files
 from rossec.authority.service import AuthorityService
 from rossec.cli.grant import permission_options
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration
+from rossec.cli.shared.context import Duration, now
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 
@@ -46,6 +48,7 @@ MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
 )
 @options.master_uri
+@json_result()
 @pass_service
 def sign(
     service: AuthorityService,
@@ -61,7 +64,7 @@ def sign(
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
     The node gets the grant from the master, or from its directory if that is in this ROSSEC_HOME.
-    PATTERN is a name; * stands for one segment, ** for any depth.
+    PATTERN is a name; * stands for one segment, ** for any depth, '{node}' for NODE's own name.
 
     NODE may be one of another domain, as hospital:/rounds/robot3: its key is that of CERTIFICATE,
     verified below that domain's listed root, and the grant is a file that somebody carries there.
@@ -70,21 +73,36 @@ def sign(
     _check_foreign(node, renewal, out, certificate, foreign=is_alias(name))
     if out is not None:
         check_new(out)
-    permissions = permission_options.read(wishes)
+    wanted = permission_options.for_node(wishes, name, lambda: _has_tail(service, name))
+    permissions = permission_options.read(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
+    record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
     deliver_grant(service, data, out)
     remind_to_publish(service)
 
 
 @click.command()
+@json_result()
 def presets() -> None:
     """Show what each preset hides, and what it still discloses."""
+    record(
+        presets=[
+            {"name": entry.name, "hides": entry.hides, "discloses": entry.reveals}
+            for entry in PRESETS.values()
+        ]
+    )
     for entry in PRESETS.values():
         say(entry.name)
         say(f"  hides {entry.hides}")
         say(f"  still discloses {entry.reveals}")
+
+
+def _has_tail(service: AuthorityService, name: str) -> bool:
+    """Whether the newest identity of a node of this domain is for anonymous nodes too."""
+    with contextlib.closing(service.home.store()) as store:
+        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
 
 
 def _check_foreign(

@@ -5,10 +5,11 @@ from typing import Final
 import click
 
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.environment import own_master
 from rossec.home import NodeHome
 from rossec.master.operation.admin import send_command
-from rossec.terminal import printable, say, say_json
+from rossec.terminal import printable, record, say, say_json
 
 ADMIN_SOCKET: Final = "admin.sock"
 
@@ -27,10 +28,12 @@ def status(environment: Environment, as_json: bool) -> None:
 
 
 @click.command()
+@json_result()
 @pass_environment
 def stop(environment: Environment) -> None:
     """Stop the running master in order; it must have been started with --admin."""
     send_command(_home(environment).path / ADMIN_SOCKET, "stop")
+    record(stopping=True)
     say("the master ends")
 
 

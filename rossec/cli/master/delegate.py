@@ -7,12 +7,14 @@ import click
 from ca.names import is_master_name
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
 from rossec.authority.service import AuthorityService
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 DAY: Final = 86400
 
@@ -31,7 +33,8 @@ DAY: Final = 86400
     help="which of the domain's masters; give its address with --master",
 )  # fmt: skip
 @click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
-@click.option("--master", "master_uri", help="master to notify, instead of ROS_MASTER_URI")
+@options.master_uri
+@json_result()
 @pass_service
 def delegate(
     service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool
@@ -51,12 +54,15 @@ def delegate(
         )
     if withdraw:
         listed, count = service.revoke_delegations("withdrawn")
+        record(withdrawn=count, list=listed.seq)
         say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
         publish_list(service)
         return
     delegation, call = service.delegate(lifetime, ticket, master)
     until = format_time(delegation.expires)
+    record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
     service.deliver(call)
+    record(published=True)
     say("the master has the delegation")
     remind_to_publish(service)

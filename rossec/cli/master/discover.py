@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import click
 
+from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.discovery.candidates import Candidate
 from rossec.discovery.choose import masters, uri_of
@@ -28,9 +29,11 @@ def discover(environment: Environment, identity: str | None, seconds: float, as_
     Listens four seconds more than the first takes. Losses are counted by the numbers of the
     announcements, and by the time since the last: the loss of a dead master grows.
 
-    `ROS_MASTER_URI=discover:` makes `rossec run` and `rossec sidecar` take the first one.
+    `ROS_MASTER_URI=discover:` makes every command take the first one.
     """
-    for one in asyncio.run(masters(environment.home, identity, seconds)):
+    with working("listening for masters", quiet=as_json):
+        found = asyncio.run(masters(environment.home, identity, seconds))
+    for one in found:
         row = _row(one)
         if as_json:
             say_json(row)

@@ -36,7 +36,7 @@ _MASTER: Final = {
 @click.option(
     "--complaints",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="denial log: append each missing right, for: rossec policy learn --from-log",
+    help="denial log: append each missing right, for: rossec policy learn --from-log FILE",
 )
 @click.option(
     "--renew-identities", is_flag=True, help="with the intermediate of this host: see rossec ca"

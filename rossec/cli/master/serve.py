@@ -15,6 +15,7 @@ from rossec.channel import suite_selection
 from rossec.cli.master.admin import ADMIN_SOCKET
 from rossec.cli.master.audit import AUDIT
 from rossec.cli.shared.context import Environment, now
+from rossec.cli.shared.master import own_variables
 from rossec.errors import ConfigurationError
 from rossec.federation.config import FederationConfig, read_config
 from rossec.federation.mesh import Mesh
@@ -78,7 +79,7 @@ def run(
         stack.enter_context(denials_limited())
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
-        settings.read((), environment.variables, default_name=name)  # likewise
+        settings.read((), own_variables(environment), default_name=name)  # likewise
         federation = _federation(config, config_file, follow_announced=follow_announced)
         stack.enter_context(_only_master(home.path))
         if config.audit:
@@ -106,7 +107,7 @@ async def _serve(
     *,
     as_json: bool,
 ) -> None:
-    own = settings.read((), environment.variables, default_name=home.name)
+    own = settings.read((), own_variables(environment), default_name=home.name)
     stop = stop_on_signals()
     local_list = LocalList(environment.home)
     newest = local_list.newest()
@@ -208,6 +209,6 @@ def _renewer(environment: Environment, file: Path | None) -> Renewer:
     if authority.authority.is_root:
         raise ConfigurationError(
             f"{authority.path} holds the root, which signs no renewals for a master",
-            "make an intermediate: rossec ca intermediate request",
+            "make an intermediate: rossec ca intermediate request DOMAIN",
         )
     return partial(renew, authority)

@@ -6,86 +6,164 @@ connections that are allowed get a line of their own and are no failure: they we
 """
 
 import asyncio
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 
 import click
 
+from ca.certificates import Identity
 from ca.domains.aliases import display_name, shown
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationRefused
 from ca.names import is_master_name, is_relay_name
 from ca.renewal import signed_at
-from ca.revocation.state import Revocations, open_timestamp
+from ca.revocation.state import SKEW, open_statement
+from grants.errors import GrantRevoked
 from grants.model import Grant
 from rossec import files
-from rossec.channel.suite_selection import post_quantum
 from rossec.cli.node.known_domains import check_domains
 from rossec.cli.node.known_revocations import known_revocations
+from rossec.cli.node.master_check import Outcome, check_master
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.master import anew
 from rossec.cli.shared.tokens import open_held
-from rossec.clock import format_time
-from rossec.environment import OWN_MASTER, own_master
+from rossec.clock import format_duration, format_time
+from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.options import file_of, read
-from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import settings
 from rossec.saved_domains import DomainFiles
-from rossec.terminal import printable, say
+from rossec.terminal import printable, say, say_json, state
 
 _SOON = 1 / 3  # of an identity's life: by then it should have been renewed
 _MAX_FILE = 64 * 1024
 
 
+class IdentityRevoked(ConfigurationError):
+    """This host knows that the identity of a node is revoked."""
+
+
+Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
+
+
 @click.command()
-@click.argument("name", metavar="NODE")
+@click.argument("names", metavar="[NODE]...", nargs=-1)
 @click.option("--offline", is_flag=True, help="do not ask the master")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @pass_environment
-def doctor(environment: Environment, name: str, offline: bool) -> None:
-    """Check the set-up of NODE on this machine: identity, grants, master, what is plain."""
-    home = NodeHome.find(environment.home, name)
-    checks = [_identity, _grants, _domains] if offline else [_identity, _grants, _domains, _master]
-    failed = 0
-    for check in checks:
-        try:
-            for line in check(environment, home):
-                say(f"ok      {printable(line)}")
-        except HintedError as error:
-            failed += 1
-            say(f"not ok  {printable(str(error))}")
-            say(f"        {printable(error.hint)}")
-    for entry in _plain(environment):
-        say(f"PLAIN   {printable(entry)} is neither encrypted nor checked: allow_plain names it")
+def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
+    """Check the set-up of NODE on this machine: identity, grants, master, what is plain.
+
+    Without NODE every node of this machine; what several have in common is said once.
+    """
+    homes = [NodeHome.find(environment.home, name) for name in names] or _all(environment)
+    findings = [
+        finding for home in homes for finding in _examine(environment, home, offline=offline)
+    ]
+    plain = list(_plain(environment))
+    if as_json:
+        say_json({"findings": [asdict(finding) for finding in findings], "plain": plain})
+    else:
+        _say(findings, plain, several=len(homes) > 1)
+    failed = len({(finding.node, finding.check) for finding in findings if not finding.ok})
     if failed:
-        raise ConfigurationError(f"{failed} of {len(checks)} checks failed", "see above")
+        raise ConfigurationError(
+            f"{failed} of {len(homes) * len(_checks(offline=offline))} checks failed", "see above"
+        )
 
 
-def _identity(environment: Environment, home: NodeHome) -> Iterator[str]:
+@dataclass(frozen=True)
+class Finding:
+    """One line of a check, or the refusal that ended it."""
+
+    node: str
+    check: str
+    ok: bool
+    text: str
+    hint: str = ""
+
+
+def _all(environment: Environment) -> list[NodeHome]:
+    """The nodes of this machine, in order of their names: a directory has dots for slashes."""
+    found = sorted(path.parent.name for path in (environment.home / "nodes").glob("*/node.key"))
+    if not found:
+        raise ConfigurationError(
+            f"there is no node in {environment.home / 'nodes'}", "next: rossec node request NAME"
+        )
+    return [NodeHome.of(environment.home, "/" + name.replace(".", "/")) for name in found]
+
+
+def _checks(*, offline: bool) -> dict[str, Check]:
+    checks: dict[str, Check] = {"identity": _identity, "grants": _grants, "domains": _domains}
+    return checks if offline else {**checks, "master": _master}
+
+
+def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[Finding]:
+    for name, check in _checks(offline=offline).items():
+        try:
+            for found in check(environment, home):
+                yield _finding(home, name, found)
+        except IdentityRevoked as error:
+            yield _finding(home, name, error)
+            return  # nobody talks to it: whatever else would be said has this cause
+        except HintedError as error:
+            yield _finding(home, name, error)
+
+
+def _finding(home: NodeHome, check: str, found: Outcome) -> Finding:
+    if isinstance(found, str):
+        return Finding(home.name, check, True, found)
+    return Finding(home.name, check, False, str(found), found.hint)
+
+
+def _say(findings: list[Finding], plain: list[str], *, several: bool) -> None:
+    """Each cause once, with the nodes that have it."""
+    causes: dict[tuple[bool, str, str], list[str]] = {}
+    for finding in findings:
+        causes.setdefault((finding.ok, finding.text, finding.hint), []).append(finding.node)
+    for (ok, text, hint), nodes in causes.items():
+        who = f"{', '.join(map(shown, dict.fromkeys(nodes)))}: " if several else ""
+        say(f"{state('ok    ' if ok else 'not ok')}  {printable(who + text)}")
+        if not ok:
+            say(f"        {printable(hint)}")
+    for entry in plain:
+        say(f"PLAIN   {printable(entry)} is neither encrypted nor checked: allow_plain names it")
+
+
+def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     identity = home.identity(now())
-    revoked = known_revocations(environment.home, home)
-    for key in identity.keys:
-        if key in revoked:
-            which = "" if key == identity.thumbprint else "intermediate's "
-            raise ConfigurationError(
-                f"the {which}key of {identity.name} is revoked according to {revoked[key]}",
-                f"move {home.path} away and enroll it anew: rossec node request {identity.name}",
-            )
+    known = known_revocations(environment.home, home)
+    if revoked := [key for key in identity.keys if key in known]:
+        which = "" if revoked[0] == identity.thumbprint else "intermediate's "
+        raise IdentityRevoked(
+            f"the {which}key of {identity.name} is revoked according to {known[revoked[0]]}",
+            anew(home),
+        )
     yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
+    yield from _clock(home, identity)
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
     if identity.not_after - now() < life * _SOON:
         raise ConfigurationError("the identity ends soon, and was not renewed", "renew it in time")
 
 
-def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
-    held = home.grants()
-    revoked, refused = known_revocations(environment.home, home), list[HintedError]()
-    for data in held:
-        try:
-            grant = open_held(home, data, now())
-            _check_grant(grant, revoked)
-        except HintedError as error:
-            refused.append(error)
-            continue
+def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
+    """What the authority has signed shows a clock that is behind, also without a master."""
+    signed = signed_at(identity.not_before, identity.not_after)
+    if (data := home.load_revocations()) is not None:
+        with suppress(RevocationRefused):  # a list of another authority says nothing
+            signed = max(signed, open_statement(data, home.anchor().public_key).issued)
+    if now() < signed - SKEW:
+        yield ConfigurationError(
+            f"the clock of this host is {format_duration(signed - now())} or more behind:"
+            f" the authority has signed what is here at {format_time(signed)}",
+            "set the clock of this host, or synchronize it (NTP)",
+        )
+
+
+def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
+    held, (usable, refused) = home.grants(), _opened(environment, home)
+    for grant in usable:
         label = _label(home, grant)
         for permission in grant.links[-1].permissions:
             until = format_time(grant.expires)
@@ -97,9 +175,29 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
         yield "no grants: within its own domain a master needs none"
     elif not held:
         raise ConfigurationError("no grants: it may do nothing", f"rossec grant sign {home.name}")
-    if refused:
-        others = f" (and {len(refused) - 1} more)" if refused[1:] else ""
-        raise ConfigurationError(f"{refused[0]}{others}", refused[0].hint)
+    for errors in refused.values():
+        others = f" (and {len(errors) - 1} more)" if errors[1:] else ""
+        yield ConfigurationError(f"{errors[0]}{others}", errors[0].hint)
+
+
+def _opened(
+    environment: Environment, home: NodeHome
+) -> tuple[list[Grant], dict[type[HintedError], list[HintedError]]]:
+    """The grants that hold as far as this host knows, and why others do not, by kind."""
+    revoked, refused = (
+        known_revocations(environment.home, home),
+        defaultdict[type[HintedError], list[HintedError]](list),
+    )
+    usable = []
+    for data in home.grants():
+        try:
+            grant = open_held(home, data, now())
+            _check_grant(grant, revoked)
+        except HintedError as error:
+            refused[type(error)].append(error)
+        else:
+            usable.append(grant)
+    return usable, refused
 
 
 def _label(home: NodeHome, grant: Grant) -> str:
@@ -114,54 +212,33 @@ def _label(home: NodeHome, grant: Grant) -> str:
 def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
     for entry in (*grant.revocable, grant.holder):
         if entry in revoked:
-            raise ConfigurationError(
+            raise GrantRevoked(
                 f"grant {grant.short_id} is revoked according to {revoked[entry]}",
                 f"ask for another; it does no harm in {grant.subject}'s directory",
             )
 
 
-def _domains(environment: Environment, home: NodeHome) -> Iterator[str]:
+def _domains(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     yield from check_domains(environment.home, home, now())
 
 
-def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
-    variables = environment.variables
-    if home.name == own_master(variables):  # it would meet its own certificate
+def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
+    if home.name == own_master(environment.variables):  # it would meet its own certificate
         yield "the master of this host: rossec master status"
         return
-    own = settings.read((), variables, default_name=home.name)
-    yield asyncio.run(_ask_master(home, own, post_quantum(variables), own_master(variables)))
+    yield from asyncio.run(_ask_master(environment, home))
 
 
-async def _ask_master(
-    home: NodeHome, own: settings.Settings, suites: tuple[int, ...], master: str
-) -> str:
-    anchor = home.anchor()
-    anchors = DomainFiles(home, anchor).anchors()
-    context = SecureContext(home.credentials(), anchors.verify, suites=suites)
-    stream = await connect(own.master_host, own.master_port, context, WireProtocol.HTTP)
+async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
+    """All that is found, and what ended it."""
+    found = list[Outcome]()
     try:
-        if stream.peer.name != master:
-            raise ConfigurationError(
-                f"{shown(stream.peer.name)} answers there, not {master}",
-                f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
-            )
-        answer = await RpcClient(stream).ask("rossec.revocations", home.name)
-    finally:
-        await stream.close()
-    match answer:
-        case [bytes() as data, b""] if data:
-            raise ConfigurationError(
-                "the master says that this identity is revoked", "enroll the node with a new key"
-            )
-        case [bytes() as data, bytes() as timestamp] if data:
-            revocations = Revocations(anchor.public_key)
-            revocations.update(data, now())
-            revocations.confirm(open_timestamp(timestamp, stream.peer.public_key), now())
-            revocations.check(stream.peer.thumbprint, now())
-            return f"the master at {own.master_uri} has a fresh revocation list"
-        case _:
-            raise ConfigurationError("the master has no revocation list", "next: rossec ca publish")
+        usable, _ = _opened(environment, home)
+        async for outcome in check_master(environment, home, usable):
+            found.append(outcome)
+    except HintedError as error:
+        found.append(error)
+    return found
 
 
 def _plain(environment: Environment) -> tuple[str, ...]:

@@ -13,14 +13,25 @@ from ca.enrollment.node import NodeEnrollment
 from ca.requests import check_request
 from rossec import files
 from rossec.authority.home import format_fingerprint
-from rossec.cli.node.enroll_screen import EnrollmentScreen, authority_lines
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
-from rossec.cli.shared.context import confirm as ask_confirmation
+from rossec.cli.node.enroll_screen import (
+    SAME_DIGITS,
+    EnrollmentScreen,
+    authority_lines,
+    confirms,
+)
+from rossec.cli.shared.context import (
+    Duration,
+    Environment,
+    now,
+    pass_environment,
+    reraise_interrupt,
+)
 from rossec.cli.shared.own_address import own_address
+from rossec.cli.shared.results import json_result
 from rossec.enrollment import address, control
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 _DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
 
@@ -35,6 +46,7 @@ _DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
 @click.option("--for", "window", type=Duration(1), help="with --label: wait so long [15m]")
 @click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file too")
 @click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file too")
+@json_result()
 @pass_environment
 def enroll(
     environment: Environment,
@@ -73,6 +85,7 @@ def enroll(
     where = host or own_address(environment)
     listen = port if port is not None else address.DEFAULT_PORT * label
     asyncio.run(EnrollmentScreen(home, core, label=label, png=png, svg=svg).run(where, listen))
+    record(name=home.name, domain=domain, path=str(home.path))
 
 
 @click.command()
@@ -81,6 +94,7 @@ def enroll(
 @click.option(
     "--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed"
 )
+@json_result()
 @pass_environment
 def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: bool) -> None:
     """Confirm that the authority shows DIGITS for NAME, whose enrollment waits in another process.
@@ -94,19 +108,35 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
         given = waiting["digits"]
         for line in authority_lines(waiting):
             say(line)
-        ask_confirmation("does the authority show the same digits?", yes=yes)
+        if not yes:
+            _ask_whether_same(given)
     if _DIGITS.fullmatch(given) is None:
         raise ConfigurationError(
             "the authority shows six digits", f"rossec node confirm {name} 123 456"
         )
     control.ask(home.path, {"do": "confirm", "digits": given})
+    record(name=name)
     say(f"{name} is enrolled")
+
+
+def _ask_whether_same(digits: str) -> None:
+    """Raises ConfigurationError unless the answer is yes, or the digits themselves."""
+    try:
+        answer: str = click.prompt(
+            f"{SAME_DIGITS} [y/N]", default="n", show_default=False, err=True
+        )
+    except click.Abort as abort:
+        reraise_interrupt(abort)
+        answer = "n"
+    if not confirms(answer.strip().lower(), digits):
+        raise ConfigurationError("the digits were not confirmed", "nothing was accepted")
 
 
 @click.command()
 @click.argument("names", nargs=-1, required=True)
 @click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="HTML file to print")
+@json_result()
 @pass_environment
 def labels(environment: Environment, names: tuple[str, ...], domain: str, out: Path) -> None:
     """Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.
@@ -119,4 +149,5 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
         key = check_request(csr, domain).thumbprint
         made.append(Label(name, format_fingerprint(key), qr.label_code(csr)))
     files.replace(out, sheet(made).encode(), 0o644)
+    record(names=[each.name for each in made], file=str(out))
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")

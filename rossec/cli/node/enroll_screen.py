@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import re
 import signal
 import sys
 import termios
@@ -24,6 +25,7 @@ from rossec.home import NodeHome
 from rossec.ros.settings import is_loopback
 from rossec.terminal import note, printable, say
 
+SAME_DIGITS: Final = "does the authority show the same digits?"
 _CLEAR: Final = "\r\x1b[K"
 _MAX_LINE: Final = 256
 _MAX_REFUSALS: Final = 10  # any peer that reaches the port could fill the screen
@@ -119,7 +121,7 @@ class EnrollmentScreen:
             return
         # Input typed before the digits were shown is not an answer.
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
-        sys.stderr.write("does the authority show the same digits? [y/N]: ")
+        sys.stderr.write(f"{SAME_DIGITS} [y/N]: ")
         sys.stderr.flush()
         loop, stdin = asyncio.get_running_loop(), sys.stdin.fileno()
         loop.add_reader(stdin, self._read_answer, stdin)
@@ -130,7 +132,7 @@ class EnrollmentScreen:
 
     def _read_answer(self, stdin: int) -> None:
         answer = os.read(stdin, _MAX_LINE).decode(errors="replace").strip().lower()
-        if answer not in {"y", "yes"}:
+        if not confirms(answer, self._core.pending.digits):
             self._node.stop(EnrollmentOver("the digits were not confirmed", "nothing was accepted"))
             return
         with suppress(HintedError):  # the session gets the error from the node
@@ -155,6 +157,11 @@ class EnrollmentScreen:
     def _activate(self, pending: Pending) -> None:
         """From here on the node trusts the authority."""
         self._home.install(to_pem(*pending.chain, pending.root), now())
+
+
+def confirms(answer: str, digits: str) -> bool:
+    """Whether `answer` to "the same digits?" is yes; who types the right ones has compared them."""
+    return answer in {"y", "yes"} or re.sub("[ -]", "", answer) == digits
 
 
 def is_live() -> bool:

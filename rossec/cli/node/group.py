@@ -22,6 +22,10 @@ _NODE: Final = {
         "node.enroll:enroll",
         "Enroll the node NAME: show its code, wait for the authority, and for your confirmation.",
     ),
+    "info": (
+        "node.running_nodes:info",
+        "Show what the running node NAME publishes, subscribes to and provides.",
+    ),
     "install": (
         "node.identity:install",
         "Install the signed identity in BUNDLE, and trust the authority that signed it.",
@@ -34,6 +38,7 @@ _NODE: Final = {
         "node.enroll:labels",
         "Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.",
     ),
+    "list": ("node.running_nodes:list_", "List the running nodes that NODE may see."),
     "request": (
         "node.identity:request",
         "Make the key of the node NAME and a request for its identity.",

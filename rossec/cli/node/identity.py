@@ -4,31 +4,76 @@ from pathlib import Path
 
 import click
 
-from ca.certificates import Identity
+from ca.certificates import Identity, TrustAnchor
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
+from rossec.cli.shared import options, rules
+from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import say, say_json
+from rossec.terminal import record, say, say_json
 
 _MAX_BUNDLE = 64 * 1024
 
 
 @click.command()
-@click.argument("name")
+@click.argument("names", metavar="[NAME]...", nargs=-1)
 @click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
 @click.option("--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_17")
+@click.option(
+    "--meta", "meta_path", type=options.FILE, metavar="FILE",
+    help="take the name that rules give for the metadata there, instead of NAME",
+)  # fmt: skip
+@rules.option
+@json_result()
 @pass_environment
-def request(environment: Environment, name: str, domain: str, anonymous: bool) -> None:
-    """Make the key of the node NAME and a request for its identity. The key stays here."""
-    home = NodeHome.of(environment.home, name)
+def request(
+    environment: Environment,
+    names: tuple[str, ...],
+    domain: str,
+    anonymous: bool,
+    meta_path: Path | None,
+    rules_path: Path | None,
+) -> None:
+    """Make the key of the node NAME and a request for its identity. The key stays here.
+
+    Where one of several is refused the others are made, and the exit code is 1.
+    """
+    chosen, made = _names(names, meta_path, rules_path), list[Path]()
+    batch = Batch(len(chosen), "name")
+    for name in chosen:
+        with batch.item(name):
+            made.append(_request(NodeHome.of(environment.home, name), domain, anonymous=anonymous))
+    if made:
+        listed, option = " ".join(map(str, made)), " --anonymous" if anonymous else ""
+        say(f"next, at the authority: rossec ca sign {listed}{option}")
+    batch.finish()
+
+
+def _request(home: NodeHome, domain: str, *, anonymous: bool) -> Path:
     made = home.create_request(domain, wildcard=anonymous)
-    say(f"request of {name}: {home.request_path}")
+    record(file=str(home.request_path), key=made.thumbprint.hex())
+    say(f"request of {home.name}: {home.request_path}")
     say(f"fingerprint {format_fingerprint(made.thumbprint)}")
-    option = " --anonymous" if anonymous else ""
-    say(f"next, at the authority: rossec ca sign {home.request_path}{option}")
+    return home.request_path
+
+
+def _names(
+    given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None
+) -> tuple[str, ...]:
+    """The names of the requests: given, or by rules."""
+    if bool(given) is (meta_path is not None):
+        raise click.UsageError("give NAME, or --meta FILE")
+    if meta_path is not None:
+        found = rules.read_metadata(meta_path)
+        return (rules.name_of_node(rules.read_rules(rules_path), found),)
+    if rules_path is not None:
+        raise click.UsageError("--rules are for --meta FILE")
+    return unique(given)
 
 
 @click.command()
@@ -36,12 +81,14 @@ def request(environment: Environment, name: str, domain: str, anonymous: bool) -
 @click.option("--text", is_flag=True, help="only the text in the code, to paste")
 @click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file")
 @click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file")
+@json_result()
 @pass_environment
 def code(
     environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None
 ) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
+    record(name=name, code=payload)
     if svg is not None:
         files.replace(svg, qr.svg(payload), 0o644)
     if png is not None:
@@ -52,18 +99,43 @@ def code(
 
 
 @click.command()
-@click.argument("bundle", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=options.FILE)
 @click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
 @pass_environment
-def install(environment: Environment, bundle: Path, yes: bool) -> None:
-    """Install the signed identity in BUNDLE, and trust the authority that signed it."""
-    with bundle.open("rb") as stream:
-        data = stream.read(_MAX_BUNDLE)
+def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> None:
+    """Install the signed identity in BUNDLE, and trust the authority that signed it.
+
+    Asks once for each authority. Where one of several is refused the others are installed, and the
+    exit code is 1.
+    """
+    batch = Batch(len(bundles))
+    read: dict[bytes, tuple[TrustAnchor, list[Path]]] = {}
+    for bundle in bundles:
+        with batch.item(bundle, last=False):
+            _, anchor = NodeHome.for_bundle(environment.home, _read(bundle), now())
+            read.setdefault(anchor.thumbprint, (anchor, []))[1].append(bundle)
+    for anchor, found in read.values():
+        say(f"authority of {anchor.domain}, fingerprint {fingerprint(anchor)}")
+        confirm("does the authority show the same fingerprint (rossec ca show)?", yes=yes)
+        for bundle in found:
+            with batch.item(bundle):
+                _install(environment, _read(bundle), anchor)
+    batch.finish()
+
+
+def _install(environment: Environment, data: bytes, confirmed: TrustAnchor) -> None:
     home, anchor = NodeHome.for_bundle(environment.home, data, now())
-    say(f"authority of {anchor.domain}, fingerprint {fingerprint(anchor)}")
-    confirm("does the authority show the same fingerprint (rossec ca show)?", yes=yes)
+    if anchor.thumbprint != confirmed.thumbprint:
+        raise ConfigurationError("the file has changed meanwhile", "copy it here again")
     home.install(data, now())
+    record(name=home.name, domain=anchor.domain)
     say(f"{home.name} is enrolled in {anchor.domain}")
+
+
+def _read(bundle: Path) -> bytes:
+    with bundle.open("rb") as stream:
+        return stream.read(_MAX_BUNDLE)
 
 
 @click.command()

@@ -17,12 +17,14 @@ from ca.names import is_reserved
 from ca.patterns import covers
 from rossec import files
 from rossec.authority.home import fingerprint
+from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, now, pass_environment, reraise_interrupt
+from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
-from rossec.enrollment.join_node import join
+from rossec.enrollment.join_node import ask_name, join
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import note, say
+from rossec.terminal import note, record, say
 
 _MAX_INPUT: Final = 4096
 _QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
@@ -34,8 +36,15 @@ _QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
     help="read the code from this file: the line, or an NFC tag (NDEF)",
 )  # fmt: skip
 @click.option("--name", help="the node's name, if the invitation is for more than one")
+@click.option(
+    "--meta", "meta_path", type=options.FILE, metavar="FILE",
+    help="the node's metadata: take the name that the authority's rules give for them",
+)  # fmt: skip
+@json_result()
 @pass_environment
-def command(environment: Environment, path: Path | None, name: str | None) -> None:
+def command(
+    environment: Environment, path: Path | None, name: str | None, meta_path: Path | None
+) -> None:
     """Join a site by an invitation: make the key, prove the code, install the identity.
 
     The code is read from standard input, or from a file; never from an argument or the environment,
@@ -44,16 +53,23 @@ def command(environment: Environment, path: Path | None, name: str | None) -> No
 
     Exit codes: 0 joined, 1 refused, 2 wrong usage, 5 waiting, 130 interrupted.
     """
+    if name is not None and meta_path is not None:
+        raise click.UsageError("give --name or --meta, not both")
+    metadata = b"" if meta_path is None else rules.read_metadata(meta_path)
     code = _code(path, sys.stdin.buffer)
+    if metadata:
+        name = asyncio.run(ask_name(code, metadata, now))
     home = NodeHome.of(environment.home, _name(code, name))
     if _is_enrolled(home, code):
+        record(name=home.name, joined=False)
         say(f"{home.name} is enrolled already")
         return
     if not (home.path / "node.key").exists():
         code.check_time(now())  # a second run may be late: its request may have its answer
     wildcard = code.wildcard
-    found = asyncio.run(join(code, partial(home.join_request, wildcard=wildcard), now))
+    found = asyncio.run(join(code, partial(home.join_request, wildcard=wildcard), now, metadata))
     identity = home.install(to_pem(*found.chain, found.root), now())
+    record(name=home.name, joined=True, domain=identity.domain, expires=identity.not_after)
     say(f"authority of {identity.domain}, fingerprint {fingerprint(found.anchor)}")
     tail = f" and {home.name}_*" if wildcard else ""
     say(f"{home.name}{tail} is enrolled until {format_time(identity.not_after)}")
@@ -113,7 +129,7 @@ def _name(code: InvitationCode, given: str | None) -> str:
     if not covers(pattern, given):
         raise ConfigurationError(
             f"the invitation is not for {given}, but for {pattern}",
-            "give another name, or ask for another invitation: rossec ca invite",
+            "give another name, or ask for another invitation: rossec ca invite PATTERN",
         )
     return given
 

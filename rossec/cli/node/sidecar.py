@@ -12,7 +12,10 @@ _LAST_USER = (1 << 32) - 2  # the last number means "no user"
 
 @click.command()
 @click.option("--as", "identity", metavar="NAME", help="for nodes that are not enrolled themselves")
-@click.option("--port", "-p", type=click.IntRange(0, 65535), default=11311, show_default=True)
+@click.option(
+    "--port", "-p", type=click.IntRange(0, 65535), default=11311, show_default=True,
+    help="where programs find their master on this host",
+)  # fmt: skip
 @click.option("--user", "users", multiple=True, help="whose programs may use it, by default yours")
 @click.pass_context
 @pass_environment

@@ -1,16 +1,19 @@
 """`rossec policy apply`: make the grants in force what the policy allows outright."""
 
-from collections.abc import Callable
+import shlex
 from pathlib import Path
 
 import click
 
 from ca.domains.aliases import is_alias
+from grants.policy.lint import lint
 from rossec.authority.policy_plan import PolicyPlan
-from rossec.authority.policyfile import read_policy
+from rossec.authority.policyfile import PolicyFile, layout_of, read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.policy import apply_report
+from rossec.cli.policy.apply_report import count
 from rossec.cli.shared import options
+from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import confirm
 from rossec.cli.shared.service import pass_service, remind_to_publish
 from rossec.errors import NotDelivered, PolicyContradicted
@@ -48,23 +51,35 @@ def apply(
     policy denies; 130 interrupted.
     """
     policy = read_policy(service.rossec_home, policy_path, signs=True)
-    plan = service.plan_policy(policy, names or None, renew_due=renew, prune=prune)
+    with working("comparing the policy with the grants in force", quiet=as_json):
+        plan = service.plan_policy(policy, names or None, renew_due=renew, prune=prune)
     if as_json:
         say_json(apply_report.as_json(plan))
     else:
         for line in apply_report.lines(plan):
             say(line)
+    _remark(policy, policy_path)
     if not dry_run:
-        _carry_out(service, plan, yes=yes, report=note if as_json else say)
+        _carry_out(service, plan, yes=yes, as_json=as_json)
     _check_contradictions(plan)
 
 
-def _carry_out(
-    service: AuthorityService, plan: PolicyPlan, *, yes: bool, report: Callable[[str], None]
-) -> None:
+def _remark(policy: PolicyFile, given: Path | None) -> None:
+    """Say that lint finds leaks; it refuses nothing."""
+    leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
+    if leaks:
+        command = shlex.join(["rossec", "policy", "lint", *([str(given)] if given else [])])
+        note(
+            f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}"
+        )
+
+
+def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_json: bool) -> None:
     if not plan.is_empty:
         confirm(f"{apply_report.summary(plan)}?", yes=yes)
-        service.apply_policy(plan, report)
+        service.unlock()  # it may ask
+        with working("signing and delivering", quiet=as_json):
+            service.apply_policy(plan, note if as_json else say)
         if any(node.sign and is_alias(node.subject.name) for node in plan.nodes):
             say(f"grants for nodes of other domains are in {service.outgoing}: carry them there")
         if not plan.revoke:  # else the list was published

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from ca.domains.aliases import shown
 from ca.revocation.lists import MAX_ENTRIES
+from grants.policy.basics import is_basics
 from grants.policy.changes import Change, Kind
 from grants.policy.difference import Contradiction
 from grants.policy.model import Effect, PolicyRule
@@ -94,10 +95,11 @@ def _outlook(plan: PolicyPlan) -> Iterator[str]:
 
 def _by_nodes(rows: Iterable[tuple[str, tuple[str, str]]]) -> Iterator[str]:
     """One line for each text, with the nodes it is about after its first sign."""
-    nodes: dict[tuple[str, str], list[str]] = {}
+    nodes: dict[tuple[str, str], dict[str, None]] = {}
     for node, signed_text in rows:
-        nodes.setdefault(signed_text, []).append(node)
-    for (sign, text), names in nodes.items():
+        nodes.setdefault(signed_text, {})[node] = None
+    for (sign, text), each in nodes.items():
+        names = [*each]
         named = ", ".join(names[:_NAMED])
         more = f" and {count(len(names) - _NAMED, 'more node')}" if len(names) > _NAMED else ""
         yield printable(f"{sign} {named}{more}: {text}")
@@ -105,6 +107,8 @@ def _by_nodes(rows: Iterable[tuple[str, tuple[str, str]]]) -> Iterator[str]:
 
 def _change(change: Change) -> tuple[str, str]:
     what = f"{change.right.label} {change.pattern}"
+    if change.rules and all(map(is_basics, change.rules)):
+        what = "what every ROS program needs"
     if change.kind is Kind.GONE:
         return "-", f"{what} ({_rules(change.rules) or _NONE})"
     restrictions = "; ".join(change.restrictions)

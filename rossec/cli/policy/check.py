@@ -5,11 +5,14 @@ from pathlib import Path
 import click
 
 from grants.errors import PolicyRefused
+from grants.policy.assertion_check import check_tests
+from grants.policy.basics import is_basics
 from grants.policy.lint import Finding
 from grants.policy.lint import lint as advise
 from grants.policy.mistakes import Mistake
 from grants.policy.read import mistakes_in
 from rossec.authority.policyfile import PolicyFile, layout_of, place
+from rossec.cli.policy.apply_report import count
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.terminal import fail, say, say_json
 
@@ -24,17 +27,27 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @_JSON
 @pass_environment
 def check(environment: Environment, file: Path | None, as_json: bool) -> None:
-    """Check the policy in FILE: its form, its words, and every condition and filter in it."""
+    """Check the policy in FILE: its form, its words, conditions and filters, and its tests."""
     path = place(environment.home, file)
     try:
         read = PolicyFile.read(path)
     except PolicyRefused as error:
         _print_mistakes(mistakes_in(error), as_json=as_json)
         raise PolicyRefused(f"{path} is not a policy", "correct it, and check again") from None
+    outcomes = check_tests(read.policy, layout_of)
+    failures = [each for each in outcomes if not each]
+    if failures:
+        found = (Mistake(x.line, 1, x.failure, x.needed, str(path)) for x in failures)
+        _print_mistakes(tuple(found), as_json=as_json)
+        message = f"{len(failures)} of {len(outcomes)} assertions of {path} do not hold"
+        raise PolicyRefused(message, "correct the rules, or what the tests say")
     if as_json:
         say_json([])
-    else:
-        say(f"{path} is right: {len(read.policy.rules)} rules")
+        return
+    basics = any(map(is_basics, read.policy.rules))
+    rules = [f"rules: {len(read.policy.rules) - basics}", *(["basics"] if basics else [])]
+    tests = [f"tests that hold: {len(read.policy.tests)}"] if read.policy.tests else []
+    say(f"{path} is right; {', '.join([*rules, *tests])}")
 
 
 @click.command()
@@ -46,11 +59,16 @@ def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
     read = PolicyFile.read(place(environment.home, file))
     found = advise(read.policy, layout_of)
     if as_json:
-        say_json([vars(item) for item in found])
+        say_json([item.as_json() for item in found])
         return
     for item in found:
         say(_format_finding(read.path, item))
-    say(f"{len(found)} remarks" if found else "nothing to remark")
+    say(remarks(len(found)))
+
+
+def remarks(number: int) -> str:
+    """`1 remark`, `2 remarks`, `nothing to remark`."""
+    return count(number, "remark") if number else "nothing to remark"
 
 
 def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
@@ -62,4 +80,4 @@ def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
 
 
 def _format_finding(path: Path, item: Finding) -> str:
-    return f"{path}:{item.line}: {item.message}\n  {item.hint}"
+    return f"{path}:{item.line}: {item.message} [{item.code}]\n  {item.hint}"

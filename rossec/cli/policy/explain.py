@@ -11,6 +11,9 @@ from grants.model import Right
 from grants.policy.mistakes import suggest
 from grants.policy.model import Subject
 from grants.policy.rules import RIGHTS
+from grants.policy.shown import as_json as levels_json
+from grants.policy.shown import lines as level_lines
+from grants.policy.shown import shown
 from grants.policy.trial import Trial
 from rossec import files
 from rossec.authority import foreign_nodes
@@ -18,12 +21,14 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import layout_of, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.message_text import fill, parse_message, render
+from rossec.cli.shared.message_output import flat
+from rossec.cli.shared.message_text import fill, parse_message, stamp_now
 from rossec.errors import ConfigurationError
 from rossec.participant.message_types import MessageType, message_type
 from rossec.terminal import note, say, say_json
 
 _MAX_MESSAGE = 64 * 1024 * 1024
+_NO_KEY = bytes(32)
 
 
 @click.command()
@@ -50,7 +55,11 @@ def explain(
     read = read_policy(environment.home, policy_path)
     decider = read.decider
     asked = _right(right)
-    verdict = decider.decide(subject_of(environment, node), asked, name)
+    subject = subject_of(environment, node)
+    if subject.key == _NO_KEY and any(who.key for rule in read.policy.rules for who in rule.who):
+        note(f"{node} is not enrolled here: rules that pin its key do not count")
+    verdict = decider.decide(subject, asked, name)
+    seen = shown(read.policy, verdict, layout_of) if asked is Right.SUBSCRIBE else {}
     tried: dict[str, object] = {}
     if message_file is not None:
         kind = read.policy.type_of(name)
@@ -68,10 +77,12 @@ def explain(
             "decision": str(verdict.effect),
             "rules": [rule.id for rule in verdict.rules],
             "explanation": decider.explain(verdict),
+            "sees": levels_json(seen),
             **({"message": tried} if tried else {}),
         })  # fmt: skip
         return
-    for line in decider.explain(verdict):
+    headline, *explanation = decider.explain(verdict)
+    for line in (headline, *(f"  {line}" for line in level_lines(seen)), *explanation):
         say(line)
     if tried:
         say("this message would be sent" if tried["sent"] else f"withheld: {tried['reason']}")
@@ -92,34 +103,19 @@ def subject_of(environment: Environment, node: str) -> Subject:
         finally:
             store.close()
         if rows:
-            return Subject(name, rows[-1].thumbprint)
-    note(f"{node} is not enrolled here: rules that pin its key do not count")
-    return Subject(name, bytes(32))
+            return Subject(name, rows[-1].thumbprint, rows[-1].wildcard)
+    return Subject(name, _NO_KEY)
 
 
 def changes(kind: str, before: bytes, after: bytes) -> list[str]:
     """The fields changed for the receiver, `field: before -> after`."""
-    shown = [_fields(message_type(kind), data) for data in (before, after)]
+    read = message_type(kind).deserialize
+    shown = [flat(read(data)) for data in (before, after)]
     return [
         f"{path}: {_short(value)} -> {_short(shown[1].get(path, '(gone)'))}"
         for path, value in shown[0].items()
         if shown[1].get(path) != value
     ]
-
-
-def _fields(kind: MessageType, data: bytes) -> dict[str, str]:
-    """Field paths and values, parsed from the lines `rossec topic echo` prints."""
-    found: dict[str, str] = {}
-    path: list[str] = []
-    for line in render(kind.deserialize(data)).splitlines():
-        field, colon, value = line.strip().partition(":")
-        depth = (len(line) - len(line.lstrip())) // 2
-        if not colon or depth > len(path):
-            continue
-        path = [*path[:depth], field]
-        if not line.endswith(":"):
-            found[".".join(path)] = value.strip()
-    return found
 
 
 def _short(value: str) -> str:
@@ -137,5 +133,5 @@ def _message(file: Path, kind: MessageType) -> bytes:
     if file.suffix not in (".yaml", ".yml", ".json"):
         return data
     message = kind.create()
-    fill(message, parse_message(data.decode(errors="replace")))
+    fill(message, parse_message(data.decode(errors="replace")), stamp_now())
     return bytes(kind.serialize(message))

@@ -16,7 +16,7 @@ _POLICY: Final = {
     ),
     "check": (
         "policy.check:check",
-        "Check the policy in FILE: its form, its words, and every condition and filter in it.",
+        "Check the policy in FILE: its form, its words, conditions and filters, and its tests.",
     ),
     "import-sros2": (
         "policy.import_sros2:import_",
@@ -30,9 +30,17 @@ _POLICY: Final = {
         "policy.check:lint",
         "Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks.",
     ),
+    "init": (
+        "policy.init:init",
+        "Write the commented beginning of a policy to FILE, which must not exist.",
+    ),
     "review": (
         "policy.learn:review",
         "Go through a denial log, and answer for each line no rule decides.",
+    ),
+    "test": (
+        "policy.test:test",
+        "Run the tests in the policy FILE: what must stay true of it.",
     ),
 }
 

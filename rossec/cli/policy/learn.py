@@ -8,8 +8,18 @@ from pathlib import Path
 
 import click
 
-from grants.policy.editing import NewRule, add_rules, empty, free_id
-from grants.policy.learn import MAX_LINE, Observation, from_graph, from_log
+from grants.basics import own_form
+from grants.policy.basics import is_basics
+from grants.policy.beginning import beginning
+from grants.policy.editing import NewRule, add_rules, free_id
+from grants.policy.learn import (
+    MAX_LINE,
+    Observation,
+    from_graph,
+    from_log,
+    learnable,
+    needs_basics,
+)
 from grants.policy.learn import learn as learn_from
 from grants.policy.mistakes import suggest
 from rossec import files
@@ -17,11 +27,12 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.master import master_as, master_at
+from rossec.cli.shared.master import find_master, master_as
+from rossec.cli.shared.results import json_result
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.ros.names import PRESENT_GRANTS
-from rossec.terminal import say
+from rossec.terminal import note, record, say
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
@@ -29,10 +40,11 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 @click.command()
 @click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
 @click.option(
-    "--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints)"
+    "--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints FILE)"
 )
 @click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
 @options.policy
+@json_result()
 @pass_environment
 def learn(
     environment: Environment,
@@ -58,9 +70,12 @@ def learn(
     else:
         parse_policy(text, str(out))
         files.replace(out, text.encode(), 0o644)
+    record(rules=[rule.id for rule in rules], file=str(out or read.path))
+    if needs_basics(seen) and not any(map(is_basics, read.policy.rules)):
+        note("what every ROS program needs was left out: add basics: true to the policy")
     for rule in rules:
         say(f"learned {rule.id}: {_rights(rule)}")
-    say(f"{len(rules)} rules in {out or read.path}; next: rossec policy review")
+    say(f"{len(rules)} rules in {out or read.path}; next: rossec policy review --from-log FILE")
 
 
 @click.command()
@@ -70,20 +85,20 @@ def learn(
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
     """Go through a denial log, and answer for each line no rule decides."""
     read = _existing(place(environment.home, policy_path))
-    for item in _read_log(log):
-        verdict = _undecided(read, item)
-        if verdict:
+    for seen in _read_log(log):
+        item = learnable(seen)
+        if item is not None and _undecided(read, item):
             read = _ask_about(read, item)
     say(f"{len(read.policy.rules)} rules in {read.path}")
 
 
 def _existing(path: Path) -> PolicyFile:
-    """The policy, or a new one that denies everything; not written yet."""
+    """The policy, or a new one that gives basics alone; not written yet."""
     if path.exists():
         return PolicyFile.read(path)
     if not path.parent.is_dir():
         raise ConfigurationError(f"there is no {path.parent}", "give --policy FILE")
-    text = empty()
+    text = beginning("robot")
     return PolicyFile(path, text, parse_policy(text, str(path)))
 
 
@@ -95,7 +110,7 @@ def _read_log(path: Path) -> list[Observation]:
 async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
     """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
-    async with master_as(environment, home, master_at(environment)) as client:
+    async with master_as(environment, home, await find_master(environment, home)) as client:
         await client.ask(PRESENT_GRANTS, home.name, home.grants())
         state = await client.ask("getSystemState", home.name)
         types = await client.ask("getTopicTypes", home.name)
@@ -108,7 +123,12 @@ def _with_certified_names(environment: Environment, seen: list[Observation]) -> 
         return seen
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
         named = (
-            replace(item, node=store.identities.certified_name(item.node, now())) for item in seen
+            replace(
+                item,
+                node=store.identities.certified_name(item.node, now()),
+                name=own_form(item.node, item.name),
+            )
+            for item in seen
         )
         return list(dict.fromkeys(named))
 

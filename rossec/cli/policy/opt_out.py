@@ -9,8 +9,9 @@ from grants import document
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import deliver_grants, pass_service, publish_list
-from rossec.terminal import say
+from rossec.terminal import record, say
 
 
 @click.command("opt-out")
@@ -18,6 +19,7 @@ from rossec.terminal import say
 @click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
 @options.master_uri
 @options.policy
+@json_result()
 @pass_service
 def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Path | None) -> None:
     """Show the topic NAME to no node; or, when NAME is a node, show that node no topic.
@@ -28,10 +30,12 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     check_pattern(name)
     policy = read_policy(service.rossec_home, policy_path)
     opted_out = service.opt_out(policy, name, is_node=is_node)
+    record(rule=opted_out.rule, file=str(opted_out.policy.path))
     say(f"rule {opted_out.rule} in {opted_out.policy.path} denies it from now on")
     withdrawn = service.revoke_opted_out(opted_out)
     for grant, _ in withdrawn:
         say(f"revoked grant {grant.id.hex()} of {grant.subject}")
+    record(revoked_grants=[grant.id.hex() for grant, _ in withdrawn])
     reissued = [data for _, data in withdrawn if data is not None]
     for data in reissued:
         say(f"its other rights are grant {document.grant_id(data).hex()}")

@@ -9,7 +9,7 @@ from grants import document
 from grants.model import Grant, Permission, Right
 from grants.policy import privacy as report
 from grants.policy.decision import Decider
-from grants.policy.model import Subject
+from grants.policy.model import Policy, Subject
 from grants.policy.privacy import ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
@@ -37,12 +37,12 @@ def show(
         accesses = _held(AuthorityHome.at(environment.home), read.decider)
     if html is not None:
         wanted = partial(_is_wanted, node, field)
-        files.replace(html, _page(accesses, wanted, read.policy.robot).encode(), 0o644)
+        files.replace(html, _page(accesses, wanted, read.policy).encode(), 0o644)
         say(f"written to {html}")
         return
     rows = [
         row
-        for row in report.rows(accesses, layout_of)
+        for row in report.rows(accesses, layout_of, read.policy.vocabulary)
         if _is_wanted(node, field, row.receiver, row.field)
     ]
     if as_json:
@@ -70,7 +70,7 @@ def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
 
 
 def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverAccess:
-    subject = Subject(check_name(grant.subject), grant.holder)
+    subject = Subject(check_name(grant.subject), grant.holder, grant.has_tail_patterns)
     verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
     restriction = permission.restriction
     kind = decider.policy.type_of(permission.pattern)
@@ -90,7 +90,9 @@ def _is_wanted(node: str | None, field: str | None, receiver: str, path: str) ->
     return node in (None, receiver) and (field is None or field in path)
 
 
-def _page(accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], robot: str) -> str:
+def _page(
+    accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], policy: Policy
+) -> str:
     """The report as the console shows it, as one file.
 
     Raises:
@@ -104,4 +106,5 @@ def _page(accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], ro
             f"a page needs the package {error.name}",
             "pip install 'rossec[console]', or leave out --html",
         ) from error
-    return write(topics(accesses, layout_of, wanted), robot, now())
+    found = topics(accesses, layout_of, wanted, policy.vocabulary)
+    return write(found, policy.robot, now())

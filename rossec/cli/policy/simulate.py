@@ -21,6 +21,7 @@ from grants.policy.model import Policy, Subject
 from grants.policy.trial import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
+from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.errors import ConfigurationError, MessageError
 from rossec.terminal import note, printable, say, say_json
@@ -76,7 +77,8 @@ def simulate(
     read = PolicyFile.read(new)
     before = PolicyFile.read(old) if old is not None else _in_force(environment)
     receivers = _receivers(environment, nodes, before.policy, read.policy)
-    found = run(bag, receivers, (before.decider, read.decider))
+    with working("reading the bag", quiet=as_json):
+        found = run(bag, receivers, (before.decider, read.decider))
     if as_json:
         say_json([_row(key, tallies) for key, tallies in found.items()])
         return

@@ -2,6 +2,7 @@
 
 import secrets
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -11,14 +12,16 @@ from ca.domains.anchors import Anchors
 from rossec import files
 from rossec.cli.relay.home import known_domains, relay_files
 from rossec.cli.shared import options
+from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.results import json_result
 from rossec.errors import ConfigurationError
 from rossec.overlay.mailboxes import BOX, mailbox
 from rossec.overlay.peers import Peer
 from rossec.overlay.relay_cards import MAX_CARD, RelayCard
-from rossec.terminal import note, printable, say, say_json, say_secret
+from rossec.terminal import note, printable, record, say, say_json, say_secret
 
-_LISTED = "at the authority: rossec domain accept; then the master has the list, and the relay"
+_LISTED = "at the authority: rossec domain accept CARD; then the master has the list, and the relay"
 
 
 @click.command()
@@ -61,6 +64,7 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
 @click.command()
 @click.argument("label")
 @click.argument("file", type=options.FILE)
+@json_result()
 @pass_environment
 def add(environment: Environment, label: str, file: Path) -> None:
     """Take the card in FILE of another site's relay, and call it LABEL.
@@ -92,29 +96,35 @@ def add(environment: Environment, label: str, file: Path) -> None:
         peers[label] = replace(peer, domain=domain, relay=found.relay, mailbox=found.mailbox)
 
     store.change(put)
+    record(label=label, domain=domain, relay=found.relay)
     say(f"{label} is {store.peers()[label].shown}")
     note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
 
 
 @click.command()
-@click.argument("label")
+@click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
+@json_result()
 @pass_environment
-def remove(environment: Environment, label: str) -> None:
+def remove(environment: Environment, labels: tuple[str, ...]) -> None:
     """Link with LABEL no longer: its links end at once.
 
     Its mailbox is gone: a card that was handed out for it is of no use any more.
     """
+    labels = unique(labels)
+    batch = Batch(len(labels), "name")
+    for label in labels:
+        with batch.item(label):
+            relay_files(environment).change(partial(_take, label))
+            say(f"{label} is linked with no longer")
+    batch.finish()
 
-    def take(peers: dict[str, Peer]) -> None:
-        if label not in peers:
-            raise ConfigurationError(
-                f"there is no peer {label[:40]!a}",
-                f"there are: {', '.join(sorted(peers)) or 'none'}",
-            )
-        del peers[label]
 
-    relay_files(environment).change(take)
-    say(f"{label} is linked with no longer")
+def _take(label: str, peers: dict[str, Peer]) -> None:
+    if label not in peers:
+        raise ConfigurationError(
+            f"there is no peer {label[:40]!a}", f"there are: {', '.join(sorted(peers)) or 'none'}"
+        )
+    del peers[label]
 
 
 @click.command("list")

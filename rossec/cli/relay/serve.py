@@ -12,6 +12,7 @@ from typing import Final
 from rossec import files
 from rossec.cli.relay.home import ADMIN_SOCKET, relay_files
 from rossec.cli.shared.context import Environment
+from rossec.cli.shared.master import with_master
 from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.master.operation.admin import AdminPort
@@ -61,7 +62,7 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
 
 
 def _read_seat(file: Path) -> Routers:
-    missing = ConfigurationError(f"there is no {file}", "rossec router seats add made it")
+    missing = ConfigurationError(f"there is no {file}", "`rossec router seats add` made it")
     return Routers.read(files.read_own(file, MAX_FILE, missing, link=True))
 
 
@@ -75,7 +76,8 @@ async def _serve(
 ) -> None:
     stop = stop_on_signals()
     admission = _admission(doors)
-    member = RelayMember(own_relay(environment.variables), environment.variables)
+    name = own_relay(environment.variables)
+    member = RelayMember(name, await with_master(environment, name))
     carrier = await _carrier(routers, stop)
     if carrier is None:
         return

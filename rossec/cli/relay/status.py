@@ -1,21 +1,18 @@
 """`rossec relay status`: the links of the running relay."""
 
-import time
-from typing import Any, Final
+from typing import Any
 
 import click
 
 from rossec.cli.relay.home import ADMIN_SOCKET, relay_files
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.status_watch import as_json, show_status, watch
 from rossec.master.operation.admin import send_command
-from rossec.terminal import note, printable, say, say_json
-
-_PERIOD: Final = 1.0
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
-@click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
+@as_json
+@watch
 @pass_environment
 def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
     """Show the links of the running relay.
@@ -23,21 +20,14 @@ def status(environment: Environment, *, as_json: bool, watch: bool) -> None:
     To whom they are, how fast, what had to be sent again, and how many connections they carry.
     """
     socket = relay_files(environment).home.path / ADMIN_SOCKET
-    shown: list[str] | None = None
-    while True:
-        answer = send_command(socket, "status", "relay")
-        lines = [] if as_json else _lines(answer)
-        if as_json:
-            say_json(answer)
-        elif lines != shown:
-            for line in lines:
-                say(printable(line))
-            if not answer["peers"]:
-                note("no relay of another site is known: rossec relay card LABEL")
-        shown = lines
-        if not watch:
-            return
-        time.sleep(_PERIOD)
+    show_status(
+        lambda: send_command(socket, "status", "relay"),
+        _lines, _missing, as_json=as_json, watch=watch,
+    )  # fmt: skip
+
+
+def _missing(answer: dict[str, Any]) -> str:
+    return "" if answer["peers"] else "no relay of another site is known: rossec relay card LABEL"
 
 
 def _lines(answer: dict[str, Any]) -> list[str]:

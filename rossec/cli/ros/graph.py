@@ -2,23 +2,19 @@
 
 import asyncio
 from collections import defaultdict
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from typing import Final
 
 import click
 
 from ca.domains.aliases import is_alias, shown
 from ca.errors import CertificateExpired, HintedError
-from rossec.channel.edhoc.credentials import Credentials, LiveCredentials
+from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.master import master_as, master_at
+from rossec.cli.shared.master import calls_as, master_at
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.graph_view import METHOD, Fact, GraphView, ObservedChange
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
-from rossec.ros.names import PRESENT_GRANTS
 from rossec.terminal import note, printable, say, say_json
 
 PAUSE: Final = 1.0  # seconds until the first reconnection
@@ -37,7 +33,7 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
     NODE needs the right graph on /master: rossec grant sign NODE --graph
     """
     home = NodeHome.of(environment.home, node)
-    uri = master_at(environment)
+    uri = master_at(environment, home)
     asyncio.run(
         _print_changes(environment, home, uri, as_json)
         if watch
@@ -47,7 +43,7 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
 
 async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view = GraphView()
-    async with _connected(environment, home, home.credentials(), uri) as call:
+    async with calls_as(environment, home, uri) as call:
         while view.take(await call(METHOD, *view.next_params)).more:
             pass
     if as_json:
@@ -70,7 +66,7 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
     while True:
         before = view.version
         try:
-            async with _connected(environment, home, own.current, uri) as call:
+            async with calls_as(environment, home, uri, own.current) as call:
                 while not await renew_identity(call, renewal, now()):
                     _print_change(view, view.take(await call(METHOD, *view.next_params)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
@@ -84,20 +80,6 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
                 note(f"no graph changes received: {printable(last_error)}")
             await asyncio.sleep(pause)
             pause = min(2 * pause, MAX_PAUSE)
-
-
-@asynccontextmanager
-async def _connected(
-    environment: Environment, home: NodeHome, own: Credentials, uri: str
-) -> AsyncIterator[MasterCall]:
-    """A connection on which NODE has presented its grants; yields a function that calls over it."""
-    async with master_as(environment, home, uri, own) as client:
-
-        async def call(method: str, *parameters: object) -> object:
-            return await client.ask(method, home.name, *parameters)
-
-        await call(PRESENT_GRANTS, home.grants())
-        yield call
 
 
 def _check_identity(home: NodeHome) -> None:

@@ -26,11 +26,30 @@ _SERVICE: Final = {
         "Show which node provides the service NAME, where, and its type.",
     ),
     "list": ("ros.service:list_", "List the services that NODE may see."),
+    "type": ("ros.service:type_", "Print the type of the service NAME."),
 }
 
 _TOPIC: Final = {
+    "bw": (
+        "ros.topic_rate:bw",
+        "Show how many bytes of the topic NAME arrive, as NODE may see them.",
+    ),
     "echo": ("ros.topic:echo", "Print the messages of the topic NAME, as NODE may see them."),
+    "find": ("ros.topic_list:find", "List the topics whose messages are of TYPE."),
+    "hz": (
+        "ros.topic_rate:hz",
+        "Show how often messages of the topic NAME arrive, as NODE may see them.",
+    ),
+    "info": (
+        "ros.topic_list:info",
+        "Show the type of the topic NAME and the nodes that publish and subscribe to it.",
+    ),
+    "list": (
+        "ros.topic_list:list_",
+        "List the topics that NODE may see, all or those below NAMESPACE.",
+    ),
     "pub": ("ros.topic:pub", "Publish CONTENT (YAML, as in rostopic) on the topic NAME."),
+    "type": ("ros.topic_list:type_", "Print the type of the topic NAME."),
 }
 
 

@@ -9,12 +9,14 @@ from typing import Any
 import click
 
 from ca.domains.aliases import local_name, shown
+from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.master import node_as
 from rossec.cli.shared.message_text import parse_message
+from rossec.cli.shared.results import json_result
 from rossec.errors import ConfigurationError
-from rossec.node import Node
 from rossec.node.params import NodeParameters
-from rossec.terminal import printable, say, say_json
+from rossec.terminal import printable, record, say, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
@@ -56,33 +58,44 @@ def get(environment: Environment, name: str, node: str, as_json: bool) -> None:
 @click.argument("name")
 @click.argument("value")
 @_AS
+@json_result()
 @pass_environment
 def set_(environment: Environment, name: str, value: str, node: str) -> None:
     """Set the parameter NAME to VALUE (YAML, as in rosparam)."""
     content = parse_message(value)
     if content is None:
         raise ConfigurationError(
-            "a parameter cannot be null", f"rossec param delete {name} unsets it"
+            "a parameter cannot be null", f"unset it: rossec param delete {name} --as NODE"
         )
     key = local_name(name)
     _run(environment, node, lambda params: params.set(key, content))
+    record(name=key, value=_encodable(content))
 
 
 @click.command()
-@click.argument("name")
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @_AS
+@json_result()
 @pass_environment
-def delete(environment: Environment, name: str, node: str) -> None:
+def delete(environment: Environment, names: tuple[str, ...], node: str) -> None:
     """Unset the parameter NAME and everything below it."""
-    key = local_name(name)
-    _run(environment, node, lambda params: params.delete(key))
+    keys = unique([local_name(name) for name in names])
+    batch = Batch(len(keys), "name")
+
+    async def work(params: NodeParameters) -> None:
+        for key in keys:
+            with batch.item(key):
+                await params.delete(key)
+
+    _run(environment, node, work)
+    batch.finish()
 
 
 def _run(
     environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]
 ) -> Any:
     async def run() -> Any:
-        async with Node(node, environ=environment.variables) as running:
+        async with node_as(environment, node) as running:
             return await work(running.params)
 
     return asyncio.run(run())

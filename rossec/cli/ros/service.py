@@ -7,14 +7,17 @@ import click
 
 from ca.domains.aliases import local_name, shown
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.message_text import fill, parse_message, plain, render
+from rossec.cli.shared.master import node_as
+from rossec.cli.shared.message_output import plain, render
+from rossec.cli.shared.message_text import fill, parse_arguments, stamp_now
+from rossec.cli.shared.results import json_result
 from rossec.cli.shared.running import run_until_node_ends
 from rossec.errors import ConfigurationError
-from rossec.node import Node, ServiceClient, register_service_type, service_type
+from rossec.node import ServiceClient, register_service_type, service_type
 from rossec.participant.header_fields import text
 from rossec.participant.message_types import Message
 from rossec.participant.remote_names import caller_here
-from rossec.terminal import printable, say, say_json
+from rossec.terminal import printable, record, say, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
@@ -39,9 +42,19 @@ def info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     asyncio.run(_info(environment, name, node, as_json))
 
 
+@click.command("type")
+@click.argument("name")
+@_AS
+@json_result()
+@pass_environment
+def type_(environment: Environment, name: str, node: str) -> None:
+    """Print the type of the service NAME."""
+    asyncio.run(_type(environment, name, node))
+
+
 @click.command()
 @click.argument("name")
-@click.argument("content", default="{}")
+@click.argument("content", nargs=-1)
 @_AS
 @click.option("--type", "type_name", metavar="PKG/TYPE", help="instead of asking the provider")
 @click.option(
@@ -61,7 +74,7 @@ def info(environment: Environment, name: str, node: str, as_json: bool) -> None:
 def call(
     environment: Environment,
     name: str,
-    content: str,
+    content: tuple[str, ...],
     node: str,
     type_name: str | None,
     definition: Path | None,
@@ -69,7 +82,7 @@ def call(
     as_json: bool,
 ) -> None:
     """Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer."""
-    content_fields = parse_message(content)
+    content_fields = parse_arguments(content)
     if definition is not None:
         _register_definition(type_name, definition)
     asyncio.run(_call(environment, name, content_fields, node, type_name, timeout, as_json))
@@ -86,7 +99,7 @@ def _register_definition(type_name: str | None, definition: Path) -> None:
 
 
 async def _list(environment: Environment, node: str, as_json: bool) -> None:
-    async with Node(node, environ=environment.variables) as running:
+    async with node_as(environment, node) as running:
         known = await running.services.known()
     if as_json:
         say_json(known)
@@ -96,7 +109,7 @@ async def _list(environment: Environment, node: str, as_json: bool) -> None:
 
 
 async def _info(environment: Environment, name: str, own: str, as_json: bool) -> None:
-    async with Node(own, environ=environment.variables) as running:
+    async with node_as(environment, own) as running:
         name = running.settings.resolve(local_name(name))
         uri = await running.services.lookup(name)
         fields, provider = await running.services.probe(name)
@@ -116,6 +129,13 @@ async def _info(environment: Environment, name: str, own: str, as_json: bool) ->
         say(f"{key}: {printable(shown(value))}")
 
 
+async def _type(environment: Environment, name: str, own: str) -> None:
+    async with node_as(environment, own) as running:
+        fields, _ = await running.services.probe(running.settings.resolve(local_name(name)))
+    record(service=local_name(name), type=text(fields, "type"))
+    say(printable(text(fields, "type")))
+
+
 async def _call(
     environment: Environment,
     name: str,
@@ -126,14 +146,14 @@ async def _call(
     as_json: bool,
 ) -> None:
     name = local_name(name)
-    async with Node(node, environ=environment.variables) as running:
+    async with node_as(environment, node) as running:
         if type_name is None:
             fields, _ = await running.services.probe(running.settings.resolve(name))
             type_name = text(fields, "type")
         service_type(type_name)
         client = running.client(name, type_name, deadline=timeout)
         request = client.create()
-        fill(request, content_fields)
+        fill(request, content_fields, stamp_now())
         await run_until_node_ends(running, _answer(client, request, as_json))
 
 

@@ -1,4 +1,4 @@
-"""The group `rossec router`, which runs a router between sites."""
+"""The groups `rossec router`, which runs a router between sites, and `rossec router seats`."""
 
 from pathlib import Path
 from typing import Final
@@ -9,9 +9,25 @@ from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.lazy import LazyGroup
 
 _ROUTER: Final = {
-    "seats": ("router.seats:seats", "Say who may use the router, and make the files for relays."),
+    "seats": ("router.group:seats", "Say who may use the router, and make the files for relays."),
     "share": ("router.sharing:share", "Write what another router of the operator needs to join."),
     "take": ("router.sharing:take", "Take over FILE of `share` here, and join that router."),
+}
+
+_SEATS: Final = {
+    "add": (
+        "router.seats:add",
+        "Make the seat NAME, and print its file for the relay of that site.",
+    ),
+    "list": ("router.seats:list_", "List the seats."),
+    "remove": (
+        "router.seats:remove",
+        "Take the seat NAME away; a router that runs cuts its relay off within a second.",
+    ),
+    "show": (
+        "router.seats:show",
+        "Print the file of the seat NAME again, with the routers of now.",
+    ),
 }
 
 
@@ -68,3 +84,12 @@ def router(
         print_settings(home, given, is_open=is_open)
         return
     run(environment, home, given, is_open=is_open, as_json=as_json)
+
+
+@click.group(cls=LazyGroup, table=_SEATS)
+def seats() -> None:
+    """Say who may use the router, and make the files for relays.
+
+    A seat is for one site: its relay reads the mailboxes of its seat, and sends to any that it
+    knows. A router that runs takes changes over within a second.
+    """

@@ -1,11 +1,14 @@
 """`rossec router seats`: who may use the router."""
 
 from collections.abc import Callable
+from operator import methodcaller
 from typing import Any
 
 import click
 
 from rossec.cli.router.home import pass_home
+from rossec.cli.shared.batch import Batch, unique
+from rossec.cli.shared.results import json_result
 from rossec.overlay.router_home import RouterHome, new_password
 from rossec.overlay.routers import check_seat
 from rossec.terminal import note, say, say_json, say_secret
@@ -24,16 +27,7 @@ def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
     return host(listen(command))
 
 
-@click.group()
-def seats() -> None:
-    """Say who may use the router, and make the files for relays.
-
-    A seat is for one site: its relay reads the mailboxes of its seat, and sends to any that it
-    knows. A router that runs takes changes over within a second.
-    """
-
-
-@seats.command()
+@click.command()
 @click.argument("name")
 @_reached
 @pass_home
@@ -50,7 +44,7 @@ def add(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, .
     _print_file(home, name)
 
 
-@seats.command()
+@click.command()
 @click.argument("name")
 @_reached
 @pass_home
@@ -64,7 +58,7 @@ def show(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, 
     _print_file(home, name)
 
 
-@seats.command("list")
+@click.command("list")
 @click.option("--json", "as_json", is_flag=True, help="a line of JSON")
 @pass_home
 def list_(home: RouterHome, *, as_json: bool) -> None:
@@ -79,16 +73,22 @@ def list_(home: RouterHome, *, as_json: bool) -> None:
         note("nobody has a seat: rossec router seats add NAME > NAME.seat")
 
 
-@seats.command()
-@click.argument("name")
+@click.command()
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@json_result()
 @pass_home
-def remove(home: RouterHome, name: str) -> None:
+def remove(home: RouterHome, names: tuple[str, ...]) -> None:
     """Take the seat NAME away; a router that runs cuts its relay off within a second.
 
     Do it at each router of the operator.
     """
-    home.change_seats(lambda found: found.remove(name))
-    say(f"the seat {name} is no more")
+    names = unique(names)
+    batch = Batch(len(names), "name")
+    for name in names:
+        with batch.item(name):
+            home.change_seats(methodcaller("remove", name))
+            say(f"the seat {name} is no more")
+    batch.finish()
 
 
 def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:

@@ -7,10 +7,11 @@ import click
 
 from rossec import files
 from rossec.cli.router.home import pass_home
+from rossec.cli.shared.results import json_result
 from rossec.errors import ConfigurationError
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.router_share import MAX_FILE, Share
-from rossec.terminal import note, say, say_secret
+from rossec.terminal import note, record, say, say_secret
 
 
 @click.command()
@@ -29,6 +30,7 @@ def share(home: RouterHome) -> None:
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False, allow_dash=True))
 @click.option("--host", metavar="NAME", multiple=True, help="as of rossec router")
+@json_result()
 @pass_home
 def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     """Take over FILE of `share` here, and join that router.
@@ -38,6 +40,7 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     """
     home.take(Share.read(_read(file)))
     home.tell(hosts=host)
+    record(seats=list(home.seats().names), joins=list(home.settings().join))
     say(
         f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}"
     )

@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import click
 
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, MasterNotFound
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where no one can answer"
@@ -17,9 +17,15 @@ _DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
 
 @dataclass(frozen=True)
 class Environment:
-    """The process environment of one command line."""
+    """The process environment of one command line, and the masters that it has found.
+
+    Attributes:
+        found: by the key of an authority, the URI of its master or why there is none (see
+            `rossec.cli.shared.master`).
+    """
 
     variables: Mapping[str, str]
+    found: dict[bytes, str | MasterNotFound] = field(default_factory=dict, compare=False)
 
     @property
     def home(self) -> Path:

@@ -13,5 +13,6 @@ policy = click.option(
     help="this policy, instead of ca/policy.yaml in ROSSEC_HOME",
 )  # fmt: skip
 master_uri = click.option(
-    "--master", "master_uri", help="master to notify, instead of ROS_MASTER_URI"
-)
+    "--master", "master_uri", metavar="URI",
+    help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
+)  # fmt: skip

@@ -6,7 +6,7 @@ from ca.errors import HintedError
 from grants import document
 from rossec.authority.service import AuthorityService, SignedGrant
 from rossec.cli.shared.service import deliver_grants
-from rossec.terminal import note, say
+from rossec.terminal import note, record, say
 
 _NAMED: Final = 5  # rights of the line
 
@@ -20,10 +20,12 @@ def give_outright(service: AuthorityService, name: str) -> None:
     try:
         signed = service.grant_outright(name)
     except HintedError as error:
+        record(no_grants=str(error))
         note(f"{name} has no grants yet: {error}")
         note("correct it (rossec policy check), then: rossec policy apply")
         return
     if signed:
+        record(granted=[document.grant_id(data).hex() for _, data in signed])
         say(f"the policy gives {name}: {_rights(signed)}")
         deliver_grants(service, [data for _, data in signed])
 

@@ -8,7 +8,7 @@ from rossec.terminal import note
 
 def own_address(environment: Environment) -> str:
     """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
-    configured = settings.read((), environment.variables, default_name="/rossec").address
+    configured = settings.own_address(environment.variables)
     if configured is not None:
         return configured
     first, *others = address.own_addresses()

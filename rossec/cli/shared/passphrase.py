@@ -4,7 +4,7 @@ Never from an environment variable or an argument: both are visible to others on
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -46,7 +46,11 @@ def choose(file: Path | None, environ: Mapping[str, str]) -> str:
     given = _given(file, environ)
     if given is None:
         question = f"new passphrase for the authority's key (at least {MINIMUM} characters)"
-        given = _ask(question, twice=True)
+        given = _ask(question, long_enough)
+    return _long_enough(given)
+
+
+def _long_enough(given: str) -> str:
     if len(given) < MINIMUM:
         raise ConfigurationError(
             f"a passphrase of {len(given)} characters protects nothing",
@@ -55,9 +59,25 @@ def choose(file: Path | None, environ: Mapping[str, str]) -> str:
     return given
 
 
-def _ask(question: str, *, twice: bool = False) -> str:
+def long_enough(typed: str) -> str:
+    """A new passphrase that was typed once; if it is too short click says so and asks again.
+
+    Raises:
+        click.UsageError: it is too short.
+    """
     try:
-        answer: str = click.prompt(question, hide_input=True, confirmation_prompt=twice, err=True)
+        return _long_enough(typed)
+    except ConfigurationError as error:
+        raise click.UsageError(f"{error}: {error.hint}") from None
+
+
+def _ask(question: str, check_new: Callable[[str], str] | None = None) -> str:
+    """`check_new`: it is a new one, which is checked before it is asked for a second time."""
+    try:
+        answer: str = click.prompt(
+            question, hide_input=True, err=True,
+            confirmation_prompt=check_new is not None, value_proc=check_new,
+        )  # fmt: skip
     except click.Abort as abort:
         reraise_interrupt(abort)
         raise ConfigurationError(

@@ -17,10 +17,11 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
-from rossec.errors import ConfigurationError, NotDelivered
+from rossec.cli.shared.results import add_entry
+from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
 from rossec.ros import settings
 from rossec.ros.xmlrpc import Fault
-from rossec.terminal import note, printable, say
+from rossec.terminal import note, printable, record, say
 
 _SIGNED_ANEW: Final = (
     "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
@@ -65,7 +66,7 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
     """
     if call.note:
         note(call.note)
-    uri = master_at(environment, master_uri)
+    uri = master_at(environment, call.node, master_uri)
     settings.parse_uri(uri, "the master's URI")
 
     async def ask() -> object:
@@ -79,7 +80,8 @@ def call_master(environment: Environment, master_uri: str | None, call: MasterCa
         return asyncio.run(ask())
     except (HintedError, OSError, TimeoutError, Fault) as error:
         what = f"the master at {uri} did not take {call.what}: {_reason(error)}"
-        raise NotDelivered(what, call.hint) from error
+        start = f"{error.hint}; " if isinstance(error, PeerUnreachable) else ""
+        raise NotDelivered(what, f"{start}{call.hint}") from error
 
 
 def _reason(error: Exception) -> str:
@@ -90,7 +92,9 @@ def _reason(error: Exception) -> str:
 
 def publish_list(service: AuthorityService) -> None:
     """Deliver the list that was signed just now, and say so."""
+    record(published=False)
     service.publish()
+    record(published=True)
     say("the master has the new list")
 
 
@@ -100,6 +104,7 @@ def publish_if_revoked(service: AuthorityService) -> None:
     Else print a note if one was signed anew.
     """
     if service.has_revoked:
+        record(replaced_key_revoked=True)
         say("the replaced key is revoked")
         publish_list(service)
         return
@@ -130,12 +135,14 @@ def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> None:
         if path is None:
             elsewhere.append(data)
         else:
+            add_entry("given", {"node": node, "path": str(path)})
             say(f"given to {node} in {path}")
     if not elsewhere:
         return
     try:
         refused = service.deposit(elsewhere)
     except (NotDelivered, ConfigurationError) as error:
+        record(undelivered=str(error))
         note(f"{error}; {LATER}")
         return
     say_deposited(len(elsewhere) - len(refused), refused)
@@ -143,13 +150,15 @@ def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> None:
 
 def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
     """Say how many grants the master has now, and why it refuses the others."""
+    record(deposited=count)
     if count == 1:
         say("the master has the grant, and gives it to the node")
     elif count:
         say(f"the master has {count} grants, and gives them to the nodes")
     for each in refused:
-        short = each.grant_id.hex()[:8]
-        note(f"the master refuses the grant {short} of {each.node}: {each.reason}")
+        short, reason = each.grant_id.hex()[:8], each.reason
+        add_entry("refused", {"id": each.grant_id.hex(), "node": each.node, "error": reason})
+        note(f"the master refuses the grant {short} of {each.node}: {reason}")
 
 
 def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> None:
@@ -158,6 +167,8 @@ def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> N
         deliver_grants(service, [data])
         return
     files.create(out, data, 0o644)
+    record(file=str(out))
     say(f"written to {out}")
     if (path := service.store_grant(data)) is not None:
+        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
         say(f"given to {document.peek(data).subject} in {path}")

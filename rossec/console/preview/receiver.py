@@ -19,6 +19,7 @@ from grants.model import Right
 from rossec import clock
 from rossec.console.preview import frames
 from rossec.console.preview.memory import MAX_TOPICS, PreviewMessage
+from rossec.discovery.choose import discover_master
 from rossec.errors import AnswerRefused, MessageError
 from rossec.net.aio.tasks import TaskSet
 from rossec.node import Node, Subscriber
@@ -53,7 +54,8 @@ class PreviewReceiver:
         """Receive until cancelled; a master that is away is tried again."""
         while True:
             try:
-                async with Node(NAME, environ=self._environ) as node:
+                environ = await discover_master(self._environ, NAME)
+                async with Node(NAME, environ=environ) as node:
                     await self._follow(node)
             except (HintedError, OSError) as error:
                 _log.warning("the preview does not run now: %s", error)

@@ -32,6 +32,7 @@ from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl
+from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import AddressTaken, Caller, Peer, Refused
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.recent_denials import RecentDenials
@@ -59,6 +60,7 @@ class MasterApi:
         denials: which rights nodes lacked.
         connected: the identities that have a connection now.
         imports: what other masters have registered; by default nothing.
+        aliases: what each subscriber of an alias is told; of the same registry and imports.
     """
 
     def __init__(
@@ -78,11 +80,13 @@ class MasterApi:
         connected: Callable[[], Iterable[Peer]] = tuple,
         imports: Imports | None = None,
         doors: Doors | None = None,
+        aliases: AliasPublishers | None = None,
     ) -> None:
         self._uri = uri
         self._pid = pid
         imports = Imports(registry) if imports is None else imports
         graph = Graph(registry, imports)
+        aliases = AliasPublishers(graph, statements.caller_of) if aliases is None else aliases
         doors = Doors() if doors is None else doors
         self._access_control = AccessControl(graph, name, doors.is_door)
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
@@ -94,7 +98,7 @@ class MasterApi:
             tree, registry, statements.caller_of, parameter_bytes, imports.mirrors
         )
         self.methods: Methods = {
-            **GraphCalls(graph, self._access_control).methods(),
+            **GraphCalls(graph, self._access_control, aliases).methods(),
             **self.parameters.methods(),
             **self.watch_calls.methods(),
             **self.site_calls.methods(),
@@ -196,5 +200,8 @@ def _refused(refused: Refused, method: str, entry: Method, caller: Caller) -> Ca
     status = f"rossec: {refused}"
     denied = () if refused.missing is None else (Denied(caller.name, *refused.missing),)
     taken_by = refused.owner if isinstance(refused, AddressTaken) else None
-    refusal = CallDenied(caller.display_name, method, status, taken_by)
+    refusal = CallDenied(
+        caller.display_name, method, status, taken_by, refused.missing,
+        caller.name, caller.wildcard,
+    )  # fmt: skip
     return CallOutcome([-1, status, entry.default], (refusal, *denied))

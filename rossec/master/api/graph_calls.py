@@ -10,9 +10,13 @@ from typing import Final
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
 from rossec.master.rights.access_rules import AccessControl, require_capacity
+from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.served_rights import require_place
+from rossec.master.rights.served_views import entries, is_topic_visible
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import Kind
+from rossec.ros.compactwrite import encode_ahead
 from rossec.ros.xmlwrite import EncodedList
 
 _MAX_CACHED_STATES: Final = 16
@@ -20,9 +24,16 @@ _MAX_CACHED_ENTRIES: Final = 8192
 
 
 class GraphCalls:
-    """Handlers over one graph; only the own registrations can be changed."""
+    """Handlers over one graph; only the own registrations can be changed.
 
-    def __init__(self, graph: Graph, access_control: AccessControl) -> None:
+    Args:
+        aliases: what each subscriber of an alias is told.
+    """
+
+    def __init__(
+        self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers
+    ) -> None:
+        self._aliases = aliases
         self._graph = graph
         self._registry = graph.registry
         self._demand = graph.imports.demand
@@ -53,6 +64,7 @@ class GraphCalls:
     def _register_publisher(self, request: CallRequest) -> Reply:
         name, topic, type_name = (request.text(i) for i in range(3))
         require_capacity(self._registry, Kind.PUBLISHER, topic, request.node(3))
+        require_place(self._registry, topic, request.node(3))
         events = self._registry.register_publisher(topic, type_name, request.node(3))
         status = f"Registered [{name}] as publisher of [{topic}]"
         return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
@@ -62,7 +74,7 @@ class GraphCalls:
         require_capacity(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
         events = self._registry.register_subscriber(topic, type_name, request.node(3))
         self._demand.ask(topic, request.now)
-        publishers = self._registry.publisher_uris(topic)
+        publishers = self._aliases.tell(request.caller, topic, request.node(3))
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
     def _register_service(self, request: CallRequest) -> Reply:
@@ -75,7 +87,10 @@ class GraphCalls:
         return self._unregister(Kind.PUBLISHER, request)
 
     def _unregister_subscriber(self, request: CallRequest) -> Reply:
-        return self._unregister(Kind.SUBSCRIBER, request)
+        reply = self._unregister(Kind.SUBSCRIBER, request)
+        if reply.value:
+            self._aliases.forget(request.text(1), request.caller.name)
+        return reply
 
     def _unregister(self, kind: Kind, request: CallRequest) -> Reply:
         done, events = self._registry.unregister(kind, request.text(1), request.node(2))
@@ -147,7 +162,7 @@ class GraphCalls:
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
         found, at_once = list[object](), caller.names_per_yield
-        for count, (key, nodes) in enumerate(self._graph.entries(kind), 1):
+        for count, (key, nodes) in enumerate(entries(self._graph, caller, kind), 1):
             if names := self._access_control.visible_nodes(caller, key, nodes):
                 found.append(self._entry(key, names))
             if not count % at_once:
@@ -160,7 +175,7 @@ class GraphCalls:
         if entry is None:
             if len(self._entries) >= _MAX_CACHED_ENTRIES:
                 self._entries.clear()
-            entry = self._entries[key, names] = EncodedList([key, list(names)])
+            entry = self._entries[key, names] = encode_ahead(EncodedList([key, list(names)]))
         return entry
 
     def _topic_types(self, request: CallRequest) -> Steps:
@@ -172,8 +187,8 @@ class GraphCalls:
         namespace = request.text(1)
         if namespace and not namespace.endswith("/"):
             namespace += "/"
-        entries = self._graph.entries(Kind.PUBLISHER)
-        topics = ((key, self._graph.topic_type(key)) for key, _ in entries)
+        published = entries(self._graph, request.caller, Kind.PUBLISHER)
+        topics = ((key, self._graph.topic_type(key)) for key, _ in published)
         within = ((key, name) if key.startswith(namespace) else None for key, name in topics)
         return self._types_reply(request.caller, within, "current topics")
 
@@ -188,14 +203,8 @@ class GraphCalls:
         """Those of `topics`, with their types, that the caller may see."""
         shown, at_once = list[list[str]](), caller.names_per_yield
         for count, topic in enumerate(topics, 1):
-            if topic is not None and self._is_topic_visible(caller, topic[0]):
+            if topic is not None and is_topic_visible(self._graph, caller, topic[0]):
                 shown.append([*topic])
             if not count % at_once:
                 yield
         return shown
-
-    def _is_topic_visible(self, caller: Caller, topic: str) -> bool:
-        own = (Kind.PUBLISHER, Kind.SUBSCRIBER)
-        if any(self._registry.is_registered(kind, topic, caller.name) for kind in own):
-            return True
-        return caller.may_see(topic)

@@ -80,13 +80,20 @@ class Denied:
 class CallDenied:
     """A call was refused by rossec, alone or within a multicall: for the audit.
 
-    `taken_by` is the node that registered the address, if that was the reason.
+    Attributes:
+        node: the caller, for people.
+        taken_by: the node that registered the address, if that was the reason.
+        missing: the right that is missing, and the name it is missing on, if that was the reason.
+        certified: the name that the caller's connection proved; `wildcard`: it has a tail.
     """
 
     node: str
     method: str
     status: str
     taken_by: NodeRef | None = None
+    missing: tuple[Right, str] | None = None
+    certified: str = ""
+    wildcard: bool = False
 
 
 @dataclass(frozen=True)

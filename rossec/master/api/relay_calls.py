@@ -27,7 +27,7 @@ _UNREACHABLE: Final = (
 )
 _ANOTHER: Final = (
     "another relay with this name has come since: end one of them, "
-    "or give it a name of its own (rossec relay --name)"
+    "or give it a name of its own (rossec relay --name /relay/attic)"
 )
 _ON_THIS_HOST: Final = (
     "this is registered at a loopback address, and the relay is on another host: "

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from ca.domains.aliases import is_alias
+from ca.domains.served import is_in_gateway
 from grants.model import ALL_RIGHTS, Permission, Right
 from grants.reach import Reach
 from rossec.master.api import arguments as arg
@@ -82,6 +83,9 @@ def own_facts(registry: Registry, caller: Caller, wanted: Reach | None) -> Itera
     for kind in _KINDS:
         for key, names in registry.entries(kind):
             own = [name for name in names if not is_alias(name)]
+            if is_in_gateway(key):
+                silent = registry.silent_names
+                own = [name for name in own if name not in silent]
             if not own or not _is_shown(caller, wanted, key):
                 yield None
                 continue

@@ -12,6 +12,7 @@ from rossec.master.api.graph_views import BATCH, MAX_VIEWS, Fact, GraphViews, is
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
 from rossec.master.rights.access_rules import AccessControl
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.served_views import entries
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import ANY_TYPE, Kind
 
@@ -26,7 +27,7 @@ def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterat
     None for each name and node that it may not see.
     """
     for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
-        for key, names in graph.entries(kind):
+        for key, names in entries(graph, caller, kind):
             shown = access_control.visible_nodes(caller, key, names)
             yield from ((kind.value, key, name) for name in shown)
             if not shown:

@@ -22,7 +22,9 @@ from rossec.operation.unix_socket import listen_at, raw_socket
 
 DEADLINE: Final = 5.0
 _MAX_LINE: Final = 1024
-_HINTS: Final = {"master": "is it running, with --admin or `admin: true` in its configuration?"}
+_HINTS: Final = {
+    "master": "is it running? rossec master --admin, or `admin: true` in its configuration"
+}
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from grants.basics import own_form
 from grants.model import Right
 from rossec import files
 
@@ -44,7 +45,7 @@ class DenialLog:
 
     def __call__(self, now: int, node: str, right: Right, name: str) -> None:
         """Write one line, unless it was written since the start or the limits are reached."""
-        denial = node, right, name
+        denial = node, right, own_form(node, name)  # one run of an anonymous node is as the next
         is_beyond = self._lines_of_node[node] >= LINES_PER_NODE
         if denial in self._seen or (is_beyond and self._lines_beyond >= MAX_LINES):
             return

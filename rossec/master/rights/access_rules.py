@@ -17,6 +17,7 @@ from ca.errors import HintedError
 from ca.names import is_relay_name
 from grants.model import Right
 from rossec.master.rights.caller import AddressTaken, Caller, Refused
+from rossec.master.rights.served_rights import may_see_served, may_subscribe, require_gateway
 from rossec.master.state.addresses import (
     Endpoint,
     endpoint,
@@ -189,9 +190,7 @@ class AccessControl:
         if rule is None:
             raise Refused("no rule allows this method")
         if rule.scope is Scope.NAMED and rule.right is not None:
-            if rule.right in _OFFERED and is_alias(str(arguments[rule.name])):
-                raise Refused(_NOT_OFFERED.format(arguments[rule.name]))
-            require(caller, rule.right, str(arguments[rule.name]))
+            _require_right(caller, rule.right, str(arguments[rule.name]))
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
         _require_kind(rule.scope, caller)
@@ -220,6 +219,8 @@ class AccessControl:
             return tuple(n for n in nodes if n == caller.name or (is_seen and not is_alias(n)))
         if caller.may_see(key):
             return nodes
+        if is_alias(key) and may_see_served(caller, key):  # of what is here, nothing of the origin
+            return tuple(n for n in nodes if not is_alias(n))
         return (caller.name,) if caller.name in nodes else ()
 
     def is_node_visible(self, caller: Caller, name: str) -> bool:
@@ -241,6 +242,16 @@ def is_authority(peer: Identity) -> bool:
     Whoever holds an intermediate can certify any name below it.
     """
     return peer.name == AUTHORITY and not peer.wildcard and len(peer.keys) == 1
+
+
+def _require_right(caller: Caller, right: Right, name: str) -> None:
+    """Raise `Refused` unless the caller may register for, or look up, `name`."""
+    if right in _OFFERED:
+        if is_alias(name):
+            raise Refused(_NOT_OFFERED.format(name))
+        require_gateway(caller, name)
+    if right is not Right.SUBSCRIBE or not may_subscribe(caller, name):
+        require(caller, right, name)
 
 
 def _require_kind(scope: Scope, caller: Caller) -> None:

@@ -8,11 +8,13 @@ was imported is shown to no other domain.
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Protocol
 
 from ca import names
 from ca.domains.aliases import REMOTE, is_alias, origin_of, shown, split_alias
+from ca.domains.served import served_name
 from ca.errors import HintedError, NameRefused, NotAdmitted
 from grants.errors import GrantMissing
 from grants.model import ALL_RIGHTS, Right
@@ -122,6 +124,11 @@ class Caller:
         return shown(self.certified or self.name)
 
     @property
+    def has_tail(self) -> bool:
+        """Whether its certified name has a wildcard tail, by which `acting_as` took another."""
+        return self.wildcard or bool(self.certified)
+
+    @property
     def is_foreign(self) -> bool:
         """Whether it is a node of a foreign domain."""
         return is_alias(self.name)
@@ -185,9 +192,11 @@ class Caller:
             return NotAdmitted(
                 f"no domain is called {found[0]} here", "at the authority: rossec domain list"
             )
-        if domain != OWN_DOMAIN and domain not in self.elsewhere:
-            return GrantMissing(f"{missing} by the authority of {domain}")
-        return GrantMissing(missing)
+        if domain == OWN_DOMAIN:
+            return GrantMissing(missing)
+        if domain not in self.elsewhere:
+            missing = f"{missing} by the authority of {domain}"
+        return GrantMissing(missing, _ways(right, alias))
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
         """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
@@ -271,3 +280,12 @@ class Caller:
         if domain == OWN_DOMAIN:
             return OriginRights(self.reach, self.authorize)
         return None if domain is None else self.elsewhere.get(domain)
+
+
+def _ways(right: Right, alias: str) -> tuple[str, ...]:
+    """Who could give a right there: the same for every name, so it tells nothing of a gateway."""
+    with suppress(NameRefused):
+        if right is Right.SUBSCRIBE:
+            own = f"or this one for subscribe on {served_name(alias)}, if a gateway serves it"
+            return (f"ask its authority for a grant, {own}",)
+    return ()

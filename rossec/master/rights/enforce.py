@@ -9,12 +9,12 @@ from typing import Final, NamedTuple
 
 from grants.model import Right
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.served_rights import may_subscribe
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 _REQUIRED_RIGHTS: Final = {
     Kind.PUBLISHER: Right.PUBLISH,
-    Kind.SUBSCRIBER: Right.SUBSCRIBE,
     Kind.SERVICE: Right.PROVIDE,
 }
 BATCH: Final = 64  # registrations checked in one step, which the loop waits for
@@ -58,4 +58,6 @@ def enforce(
 def _is_authorized(caller: Caller, kind: Kind, key: str) -> bool:
     if kind is Kind.PARAMETER:
         return caller.may_some_below(Right.PARAM_GET, key.removesuffix("/") or "/")
+    if kind is Kind.SUBSCRIBER:
+        return may_subscribe(caller, key)
     return caller.may(_REQUIRED_RIGHTS[kind], key)

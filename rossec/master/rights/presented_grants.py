@@ -75,6 +75,7 @@ class PresentedGrants:
     failures: int = 0
     failing_since: int = 0
     version: int = 0
+    has_tails: bool = False
     _reach: Reach = _NOTHING
     _elsewhere: dict[str, Reach] = field(default_factory=dict)
     _evaluated_for: tuple[EvaluationContext, int] | None = None
@@ -129,6 +130,13 @@ class PresentedGrants:
             del self.grants[key], self.sizes[key]
             self.version += 1
 
+    def drop_tails(self) -> None:
+        """Remove the grants on names of anonymous nodes: the key speaks without their tail."""
+        for key in [key for key, grant in self.grants.items() if grant.has_tail_patterns]:
+            del self.grants[key], self.sizes[key]
+            self.version += 1
+        self.has_tails = False
+
     def drop_expired(self, now: int) -> None:
         """Remove expired grants."""
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
@@ -155,6 +163,7 @@ class PresentedGrants:
             del self.grants[key], self.sizes[key]
         key = hashlib.sha256(token).digest()
         self.grants[key], self.sizes[key] = grant, len(token)
+        self.has_tails = self.has_tails or grant.has_tail_patterns
         self.version += 1
 
     def is_full_for(self, size: int) -> bool:

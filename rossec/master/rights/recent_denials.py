@@ -1,6 +1,7 @@
 """The rights that nodes lacked within the last day, for a person to look at. Pure, in memory.
 
-Each right on a name counts once for a node, with the newest time. Nodes choose the names, so the
+Each right on a name counts once for a node, with the newest time and name: one run of an anonymous
+node is as the next. Nodes choose the names, so the
 number is bounded, for each certified name and in all; where the whole is full, the node with most
 entries loses its oldest: no node pushes out what another was denied, unless many do it together.
 """
@@ -8,6 +9,7 @@ entries loses its oldest: no node pushes out what another was denied, unless man
 from collections import OrderedDict
 from typing import Final, NamedTuple
 
+from grants.basics import is_dispensable, own_form
 from grants.model import Right
 
 KEPT: Final = 24 * 3600  # seconds
@@ -29,16 +31,19 @@ class RecentDenials:
     """The newest denials of all nodes."""
 
     def __init__(self) -> None:
-        self._nodes: dict[str, OrderedDict[tuple[Right, str], int]] = {}
+        self._nodes: dict[str, OrderedDict[tuple[Right, str], tuple[int, str]]] = {}
         self._count = 0
 
     def add(self, now: int, node: str, right: Right, name: str) -> None:
-        """Record a denial."""
+        """Record a denial, unless of what every program asks for and works without."""
+        own = own_form(node, name)
+        if is_dispensable(right, own):
+            return
         denials = self._nodes.setdefault(node, OrderedDict())
-        key = right, name[:MAX_NAME]
+        key = right, own[:MAX_NAME]
         if denials.pop(key, None) is None:
             self._count += 1
-        denials[key] = now
+        denials[key] = now, name[:MAX_NAME]
         if len(denials) > MAX_OF_NODE:
             self._forget_oldest(node)
         while self._count > MAX_DENIALS:
@@ -50,13 +55,13 @@ class RecentDenials:
         found = [
             RecentDenial(at, node, right, name)
             for node, denials in self._nodes.items()
-            for (right, name), at in denials.items()
+            for (right, _), (at, name) in denials.items()
         ]
         return sorted(found, key=lambda denial: (-denial.at, denial[1:]))
 
     def _drop_old(self, now: int) -> None:
         for node in tuple(self._nodes):
-            while node in self._nodes and now - next(iter(self._nodes[node].values())) > KEPT:
+            while node in self._nodes and now - next(iter(self._nodes[node].values()))[0] > KEPT:
                 self._forget_oldest(node)
 
     def _forget_oldest(self, node: str) -> None:

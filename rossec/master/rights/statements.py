@@ -19,14 +19,14 @@ from ca.keys.signer import Signer
 from ca.names import MASTER
 from ca.revocation.state import Revocations, digest
 from grants.decision import RevocationCheck
-from grants.errors import GrantError, GrantNotHeld
+from grants.errors import GrantError
 from grants.model import Grant
-from grants.narrowing import check_one_domain
 from grants.token import Verifier, peek
 from rossec.master.rights.access_rules import is_authority
 from rossec.master.rights.caller import Caller, Peer
 from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.domain_trust import DomainTrust
+from rossec.master.rights.grant_holder import check_holder
 from rossec.master.rights.list_in_force import ListInForce
 from rossec.master.rights.pertaining import entries_of, pertaining
 from rossec.master.rights.presented_grants import (
@@ -96,6 +96,8 @@ class TrustState(ListInForce):
             )
         if peer.certified:  # a foreigner
             return self._foreign_caller(peer, now)
+        if not peer.wildcard and (held := self._held_by(peer)).has_tails:
+            held.drop_tails()
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
         if peer.name.startswith(MASTER) and self.domains.is_own_master(peer):
             return replace(caller, is_own_master=True)
@@ -290,13 +292,7 @@ class TrustState(ListInForce):
         if held.is_full_for(len(token)):
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
         grant = self._verifier_of(token, caller).open(token, now)
-        if grant.holder != caller.thumbprint:
-            raise GrantNotHeld(
-                "the grant is bound to another key", f"it was issued to {grant.subject}"
-            )
-        check_one_domain(
-            grant, self.domains.label_of(grant.domain), caller.certified or caller.name
-        )
+        check_holder(caller, grant, self.domains.label_of(grant.domain))
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -306,6 +302,7 @@ class TrustState(ListInForce):
         grant, renewed = self._delegate.renew(
             token, caller.thumbprint, now, seq=self.number, check=check
         )
+        check_holder(caller, grant, "")
         if not held.is_full_for(len(renewed)):  # else the node presents it later
             held.put(renewed, grant)
         return renewed

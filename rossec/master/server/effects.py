@@ -7,7 +7,7 @@ enforced before the call that delivered it is answered, except for what would ta
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -15,6 +15,7 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.domains.aliases import is_alias, shown
+from ca.domains.served import is_in_gateway
 from ca.errors import HintedError
 from ca.revocation.state import digest
 from rossec.master.api.methods import (
@@ -31,8 +32,10 @@ from rossec.master.api.methods import (
     StopMaster,
 )
 from rossec.master.api.turns import CallOutcome
+from rossec.master.operation.denial_causes import DenialCauses
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
+from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Peer
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.recent_denials import RecentDenials
@@ -45,6 +48,7 @@ from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.site_polls import SitePolls
 from rossec.master.server.updates import Updates
 from rossec.master.state.doors import Doors
+from rossec.master.state.graph import Graph
 from rossec.master.state.import_events import TypeContradicted
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
@@ -94,9 +98,11 @@ class MasterState:
     doors: Doors = field(default_factory=Doors)
     relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
+    aliases: AliasPublishers = field(init=False)
 
     def __post_init__(self) -> None:
         self.imports = Imports(self.registry)
+        self.aliases = AliasPublishers(Graph(self.registry, self.imports), self.trust.caller_of)
         self.imports.intake.rules = self.trust.domains.imported
         self.doors.on_wanted = self.relay_polls.notify
 
@@ -128,6 +134,7 @@ class Effects:
         stopping: set by `StopMaster`.
         on_new_lists: called when a newer list is in force, whoever delivered it.
         list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
+        on_served: called with a served name whose publishers have changed.
     """
 
     def __init__(
@@ -138,11 +145,12 @@ class Effects:
         max_clients: int,
     ) -> None:
         self._state = state
-        self._on_denial = on_denial
+        self._on_denial, self._denial_causes = on_denial, DenialCauses()
         self.dialer: Final = SlaveDialer(context, self.evict)
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
         self.list_changed: Final = asyncio.Event()
+        self.on_served: Callable[[str], None] = _ignore
         self.on_new_lists: Final[list[Callable[[], None]]] = []
         self.calls = self.denials = 0
 
@@ -170,9 +178,8 @@ class Effects:
     def deliver(self, event: MasterEvent) -> None:
         """Perform the effect of `event`."""
         match event:
-            case PublishersChanged(topic, subscribers, uris):
-                for node in subscribers:
-                    self._notify(node, "publisherUpdate", topic, list(uris))
+            case PublishersChanged():
+                self._publishers_changed(event)
             case ParameterChanged(node, key, value):
                 self._notify(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
@@ -197,6 +204,17 @@ class Effects:
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
 
+    def _publishers_changed(self, event: PublishersChanged) -> None:
+        if is_in_gateway(event.topic):
+            self.on_served(event.topic)
+        self.send_publishers(self._state.aliases.updates(event, self._state.now()))
+
+    def send_publishers(self, updates: Iterable[PublishersChanged]) -> None:
+        """Send subscribers their lists of publishers."""
+        for topic, nodes, uris in ((u.topic, u.subscribers, u.publisher_uris) for u in updates):
+            for node in nodes:
+                self._notify(node, "publisherUpdate", topic, list(uris))
+
     def _list_changed(self, event: RevocationsChanged | DomainsChanged) -> None:
         trust = self._state.trust
         match event:
@@ -219,14 +237,16 @@ class Effects:
             case PersistParameter(change):
                 if self._state.parameter_file is not None:
                     self._state.parameter_file.write(change)
-            case CallDenied(node, method, status):
+            case CallDenied(node):
                 self.denials += 1
-                _denials.warning("%s may not %s: %s", node, method, printable(status))
+                if text := self._denial_causes.text(self._state.now(), event):
+                    _denials.warning("%s may not %s", node, printable(text))
             case Denied(node, right, name):
                 self._state.recent_denials.add(self._state.now(), node, right, name)
                 self._on_denial(self._state.now(), node, right, name)
             case GrantsPresented(name, refused):
                 self._state.notify_all()  # it may see more or less now
+                self.send_publishers(self._state.aliases.changes_for(name, self._state.now()))
                 if refused:
                     text = printable("; ".join(refused))
                     _denials.warning("%s presented grants that are refused: %s", name, text)
@@ -323,3 +343,7 @@ class Effects:
         trust, nodes = self._state.trust, self._state.registry.nodes()
         own = [node for node in nodes if not is_alias(node.name)]
         return [node for node in own if trust.caller_of(node, now) is not None]
+
+
+def _ignore(_topic: str) -> None:
+    pass

@@ -96,6 +96,9 @@ class Maintenance:
         for _ in self._effects.enforcement():
             self._state.notify()
             await asyncio.sleep(0)
+        for updates in self._state.aliases.all_changes(self._state.now()):
+            self._effects.send_publishers(updates)
+            await asyncio.sleep(0)
         self._state.notify_all()  # rights also narrow what watchers see
 
     def _prune(self) -> None:

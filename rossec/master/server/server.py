@@ -37,6 +37,7 @@ from rossec.master.rights.statements import TrustState
 from rossec.master.server.answers import CallAnswers
 from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.effects import Effects, MasterState
+from rossec.master.server.gateways import Gateways
 from rossec.master.server.grant_changes import WAIT, GrantChanges
 from rossec.master.server.local_authority import (
     FindDomains,
@@ -138,6 +139,7 @@ class MasterServer:
             state, self._effects, timestamp_every, check_own_identity,
             LocalAuthority(find_revocations, trust, find_domains),
         )  # fmt: skip
+        self._gateways = Gateways(state, self._effects)
         self._revoked_connections = RevokedConnections()
         self._parameters: ParameterCalls  # set by `start`
         self._answers: CallAnswers  # set by `start`, before a connection is handled
@@ -189,11 +191,13 @@ class MasterServer:
             denials=state.recent_denials,
             connected=lambda: [stream.peer for stream in state.streams],
             imports=state.imports,
+            aliases=state.aliases,
             doors=state.doors,
         )
         self._parameters = api.parameters
         self._answers = CallAnswers(api, state, self._effects, self._turns)
         self._maintenance.start(api.keep_views)
+        self._gateways.start()
 
     def _load_deposits(self) -> Deposits | None:
         file = self.state.deposit_file
@@ -248,6 +252,7 @@ class MasterServer:
     async def close(self) -> None:
         """Stop listening, close all connections, stop sending updates."""
         await self._maintenance.close()
+        await self._gateways.close()
         await self._effects.updates.close()
         if self._server is not None:
             await self._server.close()

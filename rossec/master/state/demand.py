@@ -6,8 +6,12 @@ lookup is answered at once, also with no.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Final
 
+from ca.domains.aliases import is_alias
+from ca.domains.served import served_name
+from ca.errors import NameRefused
 from rossec.master.state.registry import Kind, Registry
 from rossec.master.state.sites import Site
 
@@ -55,7 +59,11 @@ class Demand:
         return tuple(sorted(found)) or NOTHING
 
     def _names(self, now: int) -> Iterator[str]:
-        yield from self._registry.keys(Kind.SUBSCRIBER)
+        for name in self._registry.keys(Kind.SUBSCRIBER):
+            yield name
+            if is_alias(name):  # a gateway registered at another master of the domain serves it too
+                with suppress(NameRefused):
+                    yield served_name(name)
         for name in [name for name, until in self._asked.items() if until <= now]:
             del self._asked[name]
         yield from self._asked

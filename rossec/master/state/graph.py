@@ -1,4 +1,4 @@
-"""The graph as queries see it: the own registrations, then what is imported. Pure.
+"""The graph as queries see it: the own registrations, what is imported, what is served. Pure.
 
 Imported nodes are aliases, so no name of a node occurs twice; a topic occurs once, with the nodes
 of all masters. What is yielded one by one is as of when it is yielded.
@@ -7,8 +7,10 @@ of all masters. What is yielded one by one is as of when it is yielded.
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
+from ca.domains.aliases import is_alias
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import ANY_TYPE, Kind, Registry
+from rossec.master.state.served_topics import ServedTopics
 
 
 class GraphNode(NamedTuple):
@@ -24,6 +26,7 @@ class Graph:
     def __init__(self, registry: Registry, imports: Imports) -> None:
         self.registry: Final = registry
         self.imports: Final = imports
+        self.served: Final = ServedTopics(registry, imports)
 
     @property
     def version(self) -> int:
@@ -56,15 +59,19 @@ class Graph:
         return self.registry.service_uri(service) or self.imports.service_uri(service)
 
     def topic_type(self, topic: str) -> str:
-        """The type of a topic, `*` while it is unknown."""
+        """The type of a topic, `*` while it is unknown; of an alias here nobody decides."""
         own = self.registry.topic_type(topic)
-        return self.imports.topic_type(topic) if own == ANY_TYPE else own
+        if not is_alias(topic):
+            return self.imports.topic_type(topic) if own == ANY_TYPE else own
+        found = (self.imports.topic_type(topic), self.served.topic_type(topic), own)
+        return next((name for name in found if name != ANY_TYPE), ANY_TYPE)
 
     def topic_types(self) -> Iterator[tuple[str, str]]:
         """Every topic whose type is known, and those of the own registry in any case."""
         seen = dict(self.registry.topic_types())
         kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER)
         imported = {key: None for kind in kinds for key in self.imports.keys(kind)}
+        imported |= dict.fromkeys(self.served.gateways())
         for topic in seen:
             yield topic, self.topic_type(topic)
         for topic in imported:

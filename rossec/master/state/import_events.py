@@ -4,6 +4,7 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from ca.domains.aliases import is_alias
 from rossec.master.state.imported_facts import Fact, SiteFacts
 from rossec.master.state.registry import ANY_TYPE, PublishersChanged, Registry
 from rossec.master.state.sites import TYPE, Site
@@ -51,8 +52,10 @@ class Contradictions:
         reported = self._reported.setdefault(label, set())
         for kind, name, there in facts:
             topic = held.local_key(name) if kind == TYPE else None
-            here = ANY_TYPE if topic is None else self._registry.topic_type(topic)
-            if topic is None or here in (ANY_TYPE, there) or topic in reported:
+            if topic is None or is_alias(topic):  # of an alias the origin's type counts
+                continue
+            here = self._registry.topic_type(topic)
+            if here in (ANY_TYPE, there) or topic in reported:
                 continue
             if len(reported) < MAX_REPORTED:
                 reported.add(topic)

@@ -11,6 +11,7 @@ from itertools import islice
 from typing import Final, NamedTuple, TypeAlias
 
 from ca.domains.aliases import is_alias
+from ca.domains.served import is_gateway, is_in_gateway
 from ca.errors import NameRefused
 from ca.names import check_name
 from rossec.errors import ImportRefused
@@ -71,7 +72,9 @@ class SiteFacts:
         """What a fact about a registration is about here; None: another fact, or not usable."""
         kind = _KINDS.get(fact[0])
         key = None if kind is None else self.local_key(fact[1])
-        return None if kind is None or key is None else Registered(kind, key)
+        if kind is None or key is None or (is_in_gateway(key) and not _may_offer(kind, fact[2])):
+            return None
+        return Registered(kind, key)
 
     def local_key(self, name: str) -> str | None:
         """The local name of a topic or service; None: it would be longer than a name."""
@@ -79,6 +82,16 @@ class SiteFacts:
             return self.site.key(name)
         except NameRefused:
             return None
+
+    def keys(self, facts: Iterable[Fact]) -> set[str]:
+        """The local names that facts are about; those of a node's registrations for the node."""
+        found = set[str]()
+        for kind, name, _ in facts:
+            if kind == NODE:
+                found.update(each.key for each in self.registered.get(name, ()))
+            elif (key := self.local_key(name)) is not None:
+                found.add(key)
+        return found
 
     def topics(self) -> list[str]:
         """The topics that its nodes publish or subscribe, by their local names."""
@@ -162,6 +175,11 @@ def _check(fact: Fact) -> Fact:
     if scheme is None and (kind != TYPE or not _is_type(value)):
         raise ImportRefused(f"a fact of an unknown kind, or a type of {name} that is not one")
     return fact
+
+
+def _may_offer(kind: Kind, node: str) -> bool:
+    """Whether a node may be registered so below `/gateway`, which its own master refuses too."""
+    return kind is Kind.SUBSCRIBER or is_gateway(node)
 
 
 def _check_name(name: str) -> None:

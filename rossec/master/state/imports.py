@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from typing import Final
 
 from ca.domains.aliases import is_alias
+from ca.domains.served import alias_of_served
 from grants.model import Right
 from rossec.errors import ImportRefused
 from rossec.master.state.demand import Demand
@@ -34,7 +35,7 @@ from rossec.master.state.registry import (
     PublishersChanged,
     Registry,
 )
-from rossec.master.state.sites import NODE, Site
+from rossec.master.state.sites import Site
 
 MAX_REGISTERED: Final = 1024  # nodes of a site for one name; each update has all addresses
 
@@ -279,8 +280,8 @@ class Imports:
         return not self._registry.is_registered_endpoint(address.endpoint)
 
     def _type_that_counts(self, topic: str) -> str:
-        own = self._registry.topic_type(topic)
-        if own != ANY_TYPE:
+        own = ANY_TYPE if is_alias(topic) else self._registry.topic_type(topic)
+        if own != ANY_TYPE:  # of an alias the origin decides, not who subscribes it here
             return own
         labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
         types = (self._sites[label].types.get(topic) for label in sorted(labels))
@@ -331,15 +332,9 @@ class Imports:
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
         """The topics with local subscribers whose publishers may change."""
-        followed, found = self._registry.keys(Kind.SUBSCRIBER), set[str]()
-        if not followed:
-            return []
-        for kind, name, _ in changes:
-            if kind == NODE:
-                found.update(each.key for each in held.registered.get(name, ()))
-            elif (key := held.local_key(name)) is not None:
-                found.add(key)
-        return sorted(found.intersection(followed))
+        followed = self._registry.keys(Kind.SUBSCRIBER)
+        found = held.keys(changes) if followed else set[str]()
+        return sorted(k for k in found if k in followed or alias_of_served(k) in followed)
 
 
 def _ignore() -> None:

@@ -56,7 +56,7 @@ class Mirrors:
         except TooLarge as error:
             raise ImportRefused(
                 f"the parameters of site {site.label} take more than {self._limit} bytes",
-                "mirror fewer: rossec federation param",
+                "mirror fewer: `rossec federation param`",
             ) from error
         except (TypeError, ValueError) as error:
             raise ImportRefused(f"parameters of site {site.label}: {error}") from error

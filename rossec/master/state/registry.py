@@ -95,6 +95,7 @@ class Registry:
         self._owners: dict[Endpoint, str] = {}
         self._service_endpoints: Counter[Endpoint] = Counter()
         self._nodes_per_key: Counter[bytes] = Counter()
+        self._silent: set[NodeRef] = set()
         self.nodes_limit = nodes_limit
         self._had_service = False
 
@@ -203,6 +204,23 @@ class Registry:
         known = self._nodes.get(node.name)
         return known is not None and known.ref == node
 
+    def is_silent(self, node: NodeRef) -> bool:
+        """Whether a registered node does not answer the master; only gateways are asked."""
+        return node in self._silent
+
+    @property
+    def silent_names(self) -> frozenset[str]:
+        """The names of those nodes."""
+        return frozenset(node.name for node in self._silent)
+
+    def set_silent(self, node: NodeRef, *, silent: bool) -> bool:
+        """Note whether a registered node answers; returns whether that is news."""
+        if not self.is_current(node) or silent is self.is_silent(node):
+            return False
+        (self._silent.add if silent else self._silent.discard)(node)
+        self.version += 1
+        return True
+
     def owner(self, uri: str) -> str | None:
         """The node that registered a slave API at this host and port, in any spelling."""
         return self._owners.get(endpoint(uri))
@@ -302,6 +320,7 @@ class Registry:
                 self._types.pop(key, None)  # else one node could fill the memory with types
         if node.is_empty():
             del self._nodes[name]
+            self._silent.discard(node.ref)
             self._nodes_per_key[node.ref.thumbprint] -= 1
             if self._nodes_per_key[node.ref.thumbprint] == 0:
                 del self._nodes_per_key[node.ref.thumbprint]

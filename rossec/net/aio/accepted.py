@@ -107,13 +107,14 @@ class AcceptedStreams(Generic[PeerT]):
 
     async def _handle(self, stream: SecureStream[PeerT]) -> None:
         try:
-            await self._handler(stream)
-        except ChannelError as error:
-            _log.info("connection from %s ended: %s", stream.address, error)
-        except BaseException:
+            try:
+                await self._handler(stream)
+            except ChannelError as error:
+                _log.info("connection from %s ended: %s", stream.address, error)
+            await stream.close()
+        except BaseException:  # also while the peer is waited for: its socket would stay
             stream.abort("the handler did not finish")
             raise  # a crash is logged by the task's owner
-        await stream.close()
 
     async def close(self) -> None:
         """Abort every connection, wait until the handlers are gone."""

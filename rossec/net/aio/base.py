@@ -181,6 +181,16 @@ class BaseStream:
                 await self._changed()
         self.check()
 
+    async def flushed(self) -> None:
+        """Wait until everything written was taken by what carries it.
+
+        Raises:
+            ChannelError: the connection ended meanwhile.
+        """
+        while self.transport.backlog > 0 and self.error is None:
+            await self._changed()
+        self.check()
+
     async def wait_ended(self) -> None:
         """Return when the connection has ended; takes no unit."""
         while self.error is None:

@@ -24,6 +24,11 @@ from rossec.net.aio.transport import ByteTransport, Transport, TransportOwner
 from rossec.net.context import SecureContext
 
 _CONNECT_TIMEOUT: Final = 10.0
+_NOT_RUNNING: Final = (
+    "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side? If it is the master:"
+    " start it with rossec master, and check ROS_MASTER_URI here"
+)
+_START_MASTER: Final = "start it: rossec master; or set ROS_MASTER_URI to where it runs"
 
 
 async def connect(
@@ -123,9 +128,18 @@ async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa:
         return await dial(host, port, timeout)
     except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
         # An invalid host or port: UnicodeError, IndexError and so on, by Python version.
-        reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
-        raise PeerUnreachable(
-            f"cannot connect to {host} port {port}: {reason}",
-            "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side? If it is the"
-            " master: start it with rossec master, and check ROS_MASTER_URI here",
-        ) from error
+        text = f"cannot connect to {host} port {port}: {_reason(error)}"
+        raise PeerUnreachable(text, _NOT_RUNNING) from error
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, TimeoutError):
+        return "it does not answer"
+    reason = error.strerror if isinstance(error, OSError) else None
+    return reason.lower() if reason else str(error)
+
+
+def as_master(error: PeerUnreachable) -> PeerUnreachable:
+    """The same error, where it is known that the peer is the master: how to start it."""
+    hint = _START_MASTER if error.hint == _NOT_RUNNING else error.hint
+    return PeerUnreachable(str(error), hint)

@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from rossec.channel.records import Bytes
+from rossec.net.bounds import UNSENT
 
 _RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
 _HIGH_WATER: Final = 64 * 1024  # bytes buffered here, above which a writer should wait
@@ -87,6 +88,10 @@ class ByteTransport(Protocol):
 
     def write(self, data: Bytes) -> None:
         """Send `data`, which may change afterwards."""
+        ...
+
+    def limit_unsent(self) -> None:
+        """Take no more than a line can send soon: what is written then leaves soon."""
         ...
 
     def write_eof(self) -> None:
@@ -242,6 +247,11 @@ class Transport:
             self.abort()
         else:
             self._owner.resume_writing()
+
+    def limit_unsent(self) -> None:
+        """Have the kernel take little more than it can send: its buffer may hold seconds."""
+        with suppress(OSError):
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
 
     # -- ends
 

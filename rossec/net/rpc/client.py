@@ -1,8 +1,9 @@
-"""XML-RPC over a secure stream, both sides; the master and the node's slave API share it.
+"""Calls over a secure stream, both sides; the master and the node's slave API share it.
 
-A shell: framing is `rossec.ros.http`, marshalling `rossec.ros.xmlrpc`, the peer's identity comes
-from the channel and is passed to the dispatcher with every call. One request at a time on one
-connection, as in HTTP/1.1 without pipelining; a request that has begun must end within a deadline.
+A shell: what is sent is decided by `rossec.ros.callclient` and `rossec.ros.callserver`, XML-RPC
+over HTTP or the compact form; the peer's identity comes from the channel and is passed to the
+dispatcher with every call. One call at a time on one connection, as in HTTP/1.1 without pipelining;
+a request that has begun must end within a deadline.
 """
 
 import asyncio
@@ -12,7 +13,7 @@ from typing import Final, Protocol, TypeVar
 from rossec.errors import RossecError
 from rossec.net.rpc.server import CallLoop, Dispatch, ServedStream
 from rossec.ros import xmlrpc
-from rossec.ros.http import HttpClient
+from rossec.ros.callclient import CallClient, body_of, value_in
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last
 CALL_DEADLINE: Final = 10.0
@@ -43,13 +44,18 @@ async def serve_calls(
     limit: int = xmlrpc.BODY_LIMIT,
     request_deadline: float = REQUEST_DEADLINE,
     idle_deadline: float | None = None,
+    compact: bool = True,
 ) -> None:
     """Answer the calls on `stream` until the peer closes it or breaks the protocol.
 
     `dispatch` may return an awaitable; any other value is answered at once.
     `idle_deadline` is how long it may take from one answer to the next, reading it included.
+    `compact`: take an offer of the compact form; not from a program, whose bytes come as they may.
     """
-    calls = CallLoop(stream, dispatch, limit=limit, deadline=request_deadline, idle=idle_deadline)
+    calls = CallLoop(
+        stream, dispatch, limit=limit, deadline=request_deadline, idle=idle_deadline,
+        compact=compact,
+    )  # fmt: skip
     try:
         await calls.run()
     finally:
@@ -70,9 +76,10 @@ class RpcClient:
         host: str = "rossec",
         deadline: float = CALL_DEADLINE,
         limit: int = xmlrpc.BODY_LIMIT,
+        compact: bool = True,
     ) -> None:
         self._stream = stream
-        self._http = HttpClient(host, limit=limit)
+        self._calls = CallClient(host, limit=limit, compact=compact)
         self._deadline = deadline
         self._limit = limit
         self._turn = asyncio.Lock()
@@ -83,26 +90,29 @@ class RpcClient:
         """No call can succeed any more: connect again."""
         return self._closed
 
+    @property
+    def is_compact(self) -> bool:
+        """Whether the peer took the offer of the compact form."""
+        return self._calls.is_compact
+
     async def call(self, method: str, *params: object) -> object:
         """The value of the response.
 
         Raises:
             Fault: the server answered with a fault.
             CallFailed: no answer, or none in time.
-            WireError: the answer is not XML-RPC over HTTP.
+            WireError: the answer is malformed.
             XmlRpcRefused: a parameter cannot be carried (nothing was sent).
         """
-        return xmlrpc.load_response(await self.fetch(method, *params), limit=self._limit)
+        return value_in(await self._answer(method, params), self._limit)
 
     async def fetch(self, method: str, *params: object) -> bytes:
-        """Like `call`, but the body of the response, unparsed.
+        """Like `call`, but the body of an XML-RPC response, unparsed if it came so.
 
         Raises:
             CallFailed, WireError, XmlRpcRefused: as `call`.
         """
-        request = xmlrpc.dump_call(method, params)
-        async with self._turn:
-            return await self._exchange(method, request)
+        return body_of(await self._answer(method, params))
 
     async def ask(self, method: str, *params: object) -> object:
         """Like `call`, for ROS methods: the value in `[1, status, value]`.
@@ -117,26 +127,26 @@ class RpcClient:
         self._closed = True
         await self._stream.close()
 
-    async def _exchange(self, method: str, request: bytes) -> bytes:
-        if self._closed:
-            raise CallFailed(f"{method}: the connection is closed")
+    async def _answer(self, method: str, params: tuple[object, ...]) -> object:
+        async with self._turn:
+            if self._closed:
+                raise CallFailed(f"{method}: the connection is closed")
+            return await self._exchange(method, self._calls.request(method, params))
+
+    async def _exchange(self, method: str, request: bytes) -> object:
         complete = False
         try:
             async with asyncio.timeout(self._deadline):
-                await self._stream.send(self._http.request(request))
-                body = await self._response()
-            complete = not self._http.closing
+                await self._stream.send(request)
+                while (answer := self._calls.take(await self._stream.receive())) is None:
+                    pass
+            complete = not self._calls.closing
         except TimeoutError as error:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
             if not complete:
                 await self._abandon()
-        return body
-
-    async def _response(self) -> bytes:
-        while (body := self._http.next_response()) is None:
-            self._http.feed(await self._stream.receive())
-        return body
+        return answer
 
     async def _abandon(self) -> None:
         self._closed = True

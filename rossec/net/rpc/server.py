@@ -1,5 +1,6 @@
 """One connection on which calls are answered: from the unit to the answer within one callback.
 
+Both forms of a call (`rossec.ros.callserver`) go to the same dispatcher.
 A call whose value is available at once costs no task switch, no timer and no turn of the loop;
 `run` awaits what takes time (an awaitable value, a peer that does not read). One call is answered
 in each turn of the loop, so that one peer with many calls cannot keep the others waiting.
@@ -11,13 +12,11 @@ import logging
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, Generic, Protocol, TypeVar
 
-from rossec.errors import HangUp, HttpRefused, RossecError, XmlRpcRefused
-from rossec.ros import xmlrpc
-from rossec.ros.http import HttpServer
-from rossec.ros.xmlrpc import Fault
+from rossec.errors import CompactRefused, HangUp, HttpRefused, RossecError, XmlRpcRefused
+from rossec.ros.callserver import CallServer
+from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
-_FAULT_CODE: Final = 1  # the only one stock ROS uses
-_CRASHED: Final = Fault(_FAULT_CODE, "rossec: internal error")
+_CRASHED: Final = Fault(FAULT_CODE, "rossec: internal error")
 
 _log = logging.getLogger("rossec.net.callloop")
 PeerT = TypeVar("PeerT")
@@ -76,15 +75,14 @@ class CallLoop(Generic[PeerT]):
 
     __slots__ = (
         "_busy",
+        "_calls",
         "_deadline",
         "_deadline_timer",
         "_dispatch",
         "_ended",
-        "_http",
         "_idle",
         "_idle_set",
         "_job",
-        "_limit",
         "_loop",
         "_scope",
         "_stream",
@@ -99,11 +97,11 @@ class CallLoop(Generic[PeerT]):
         limit: int,
         deadline: float,
         idle: float | None,
+        compact: bool = True,
     ) -> None:
         self._stream = stream
         self._dispatch = dispatch
-        self._http = HttpServer(limit=limit)
-        self._limit = limit
+        self._calls = CallServer(limit=limit, compact=compact)
         self._deadline = deadline
         self._idle = idle
         self._loop = asyncio.get_running_loop()
@@ -149,12 +147,16 @@ class CallLoop(Generic[PeerT]):
         """Answer one call if there is one."""
         if self._is_free():
             self._answer_next(None)
+        elif self._is_early():
+            self._break_off()
 
     def _take(self, unit: bytes) -> bool:
         """The fast path: answer the call that has just arrived."""
         free = self._is_free()
         if free:
             self._answer_next(unit)
+        elif self._calls.answering and not self._ended:
+            self._break_off()
         return free
 
     def _is_free(self) -> bool:
@@ -162,42 +164,54 @@ class CallLoop(Generic[PeerT]):
             self._busy or self._ended or self._job.cancelled()
         )  # `run` was cancelled just now
 
+    def _is_early(self) -> bool:
+        """Whether a unit arrived before the answer to the last call."""
+        return self._calls.answering and self._stream.has_unit and not self._ended
+
+    def _break_off(self) -> None:
+        """End the connection, also a call whose value takes time."""
+        self._end()
+        if not self._scope.expired():
+            self._scope.reschedule(self._loop.time())
+
     def _answer_next(self, unit: bytes | None) -> None:
         """Answer the next call; any error here ends the connection."""
         self._busy = True
         try:
-            body = self._next_request(unit)
-            if body is None:
+            request = self._next_request(unit)
+            if request is None:
                 self._busy = False
+            elif self._is_early():
+                self._end()
             else:
-                self._answer(body)
+                self._answer(request)
         except HttpRefused as error:
-            self._wait_for(self._stream.send(self._http.refuse(error.status)))
-        except RossecError:  # closed by the peer: no answer
+            self._wait_for(self._stream.send(self._calls.refuse(error.status)))
+        except RossecError:  # closed by the peer, or not a unit: no answer
             self._end()
         except Exception as error:  # noqa: BLE001 - `run` raises it
             self._ended = True
             self._job.set_exception(error)
 
     def _next_request(self, unit: bytes | None) -> bytes | None:
-        """The body of the next call; `unit`, if not None, follows everything buffered."""
-        http, stream = self._http, self._stream
-        body = http.next_request() if unit is None and http.pending else None
-        while body is None:
+        """The next call; `unit`, if not None, follows everything buffered."""
+        calls, stream = self._calls, self._stream
+        request = calls.take() if unit is None and calls.pending else None
+        while request is None:
             if unit is None:
                 unit = stream.next_unit()
             if unit is None:
-                if http.pending and self._deadline_timer is None:
+                if calls.pending and self._deadline_timer is None:
                     self._deadline_timer = self._loop.call_later(self._deadline, self._end)
                 return None
-            body, unit = http.feed_whole(unit), None
+            request, unit = calls.take(unit), None
         if self._deadline_timer is not None:
             self._cancel_deadline()
-        return body
+        return request
 
-    def _answer(self, body: bytes) -> None:
+    def _answer(self, request: bytes) -> None:
         try:
-            call = xmlrpc.load_call(body, limit=self._limit)
+            call = self._calls.load(request)
             value = self._dispatch(call.method, call.params, self._stream.peer)
             if type(value) is not list and isinstance(
                 value, Awaitable
@@ -205,49 +219,37 @@ class CallLoop(Generic[PeerT]):
                 self._value = value
                 self._wait_for(self._respond_later(value))
                 return
-            response = self._encoded(value)
-        except HangUp:
+            message = self._calls.respond(value)
+        except (HangUp, CompactRefused):
             raise
         except Exception as error:  # noqa: BLE001 - handled in `_failure`
-            response = _failure(error)
-        self._respond(response)
+            message = self._calls.respond(_failure(error))
+        self._respond(message)
 
-    def _encoded(self, value: object) -> bytes:
-        """The response, unless it is longer than peers accept."""
-        response = xmlrpc.dump_response(value)
-        if len(response) > self._limit:
-            raise Fault(
-                _FAULT_CODE,
-                f"rossec: the answer has {len(response)} bytes, at most {self._limit} are sent: "
-                "ask for less at a time",
-            )
-        return response
-
-    def _respond(self, response: bytes) -> None:
-        message = self._http.respond(response)
+    def _respond(self, message: bytes) -> None:
         if self._stream.lags:
             self._wait_for(self._stream.send(message))
             return
         self._stream.write_nowait(message)
         self._answered()
-        if self._http.pending or self._stream.has_unit:
+        if self._calls.pending or self._stream.has_unit:
             self._loop.call_soon(self._ready)
 
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:
-            response = self._encoded(await value)
+            message = self._calls.respond(await value)
         except HangUp:
             raise
         except Exception as error:  # noqa: BLE001 - handled in `_failure`
-            response = _failure(error)
-        await self._stream.send(self._http.respond(response))
+            message = self._calls.respond(_failure(error))
+        await self._stream.send(message)
 
     def _wait_for(self, job: Coroutine[Any, Any, None]) -> None:
         self._job.set_result(job)
 
     def _answered(self) -> None:
         self._busy = False
-        if self._http.closing:
+        if self._calls.closing:
             self._end()
         else:
             self._restart_idle()
@@ -272,11 +274,11 @@ class CallLoop(Generic[PeerT]):
                 self._job.set_result(None)
 
 
-def _failure(error: Exception) -> bytes:
+def _failure(error: Exception) -> Fault:
     """A bug must neither end the other calls nor reveal internals to the peer."""
     if isinstance(error, XmlRpcRefused):
-        return xmlrpc.dump_response(Fault(_FAULT_CODE, str(error)))
+        return Fault(FAULT_CODE, str(error))
     if isinstance(error, Fault):
-        return xmlrpc.dump_response(error)
+        return error
     _log.error("a call failed with an internal error", exc_info=error)
-    return xmlrpc.dump_response(_CRASHED)
+    return _CRASHED

@@ -70,6 +70,16 @@ class CallPeer:
 
 
 @dataclass(frozen=True)
+class AuthenticatePeer:
+    """Connect to a peer, whose identity decides on the call or header that follows.
+
+    The next `CallPeer` or `ConnectPeer` there uses this connection. -> PeerAuthenticated, NoAnswer
+    """
+
+    remote: Endpoint
+
+
+@dataclass(frozen=True)
 class Probe:
     """Check whether the program still listens. -> CommandDone, NoAnswer"""
 
@@ -92,5 +102,7 @@ class ConnectPeer:
     fields: Mapping[str, bytes]
 
 
-Request = CallMaster | CallProgram | CallPeer | Probe | ConnectProgram | ConnectPeer
+Request = (
+    CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
+)
 Command = OpenIngress | OpenEgress | Suspend | Request

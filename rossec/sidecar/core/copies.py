@@ -16,23 +16,25 @@ from grants.filters.codegen import Buffer
 from grants.guard import Guard
 from grants.memory import Memory
 
-WINDOW: Final = 1  # seconds by a clock of whole seconds
+WINDOW: Final = 1  # whole seconds
 
 
 class MessageGuard(Protocol):
     """Filters the messages between a program and a peer: a guard, or one that handles copies."""
 
-    def check(self, now: int) -> None:
+    def check(self, now: float) -> None:
         """As of `Guard`."""
 
-    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: float) -> list[Buffer] | None:
         """As of `Guard`."""
 
 
 class _LastMessage:
     """The last message that passed, and the connections that have not had it yet."""
 
-    def __init__(self, message: bytes, mark: object, now: int, pending: set["SharedGuard"]) -> None:
+    def __init__(
+        self, message: bytes, mark: object, now: float, pending: set["SharedGuard"]
+    ) -> None:
         self.message = message
         self.mark = mark
         self.at = now
@@ -55,18 +57,18 @@ class SharedGuard:
         self._group = group
         self._latching = latching
 
-    def check(self, now: int) -> None:
+    def check(self, now: float) -> None:
         """As of `Guard`."""
         self._guard.check(now)
 
-    def initial_message(self, now: int) -> list[Buffer]:
+    def initial_message(self, now: float) -> list[Buffer]:
         """The last message that passed for the key, if the rate limit allows no newer one."""
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
         return self._guard.apply(last.message, now, last.mark) or []
 
-    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: float) -> list[Buffer] | None:
         """As of `Guard`."""
         last = self._group.last
         if last is not None and self._is_copy(last, message, now):
@@ -78,8 +80,10 @@ class SharedGuard:
             self._group.last = _LastMessage(message, mark, now, self._group.open - {self})
         return pieces
 
-    def _is_copy(self, last: _LastMessage, message: bytes, now: int) -> bool:
-        return self in last.pending and now - last.at <= WINDOW and message == last.message
+    def _is_copy(self, last: _LastMessage, message: bytes, now: float) -> bool:
+        return (
+            self in last.pending and int(now) - int(last.at) <= WINDOW and message == last.message
+        )
 
 
 class CopyTracker:
@@ -90,7 +94,7 @@ class CopyTracker:
 
     @contextmanager
     def share(
-        self, guard: Guard | None, now: int, *, latching: bool
+        self, guard: Guard | None, now: float, *, latching: bool
     ) -> Iterator[tuple[MessageGuard | None, list[Buffer]]]:
         """The guard of one connection while the block runs; None: the connection is unrestricted.
 

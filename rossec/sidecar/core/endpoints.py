@@ -85,6 +85,7 @@ class EndpointMap:
         self._ingress: dict[Endpoint, Endpoint] = {}  # network -> loopback
         self._egress: dict[int, Endpoint] = {}  # loopback port -> remote
         self._own_uris: dict[Endpoint, str] = {}
+        self._apis: dict[Endpoint, Endpoint] = {}  # topics of a peer -> its slave API
 
     def add_ingress(self, local: Endpoint, port: int) -> Endpoint:
         """Map a network port to `local`; returns the endpoint for peers."""
@@ -104,7 +105,17 @@ class EndpointMap:
 
     def remove_egress(self, port: int) -> None:
         """Forget the loopback port `port`; a program may bind it later."""
-        self._egress.pop(port, None)
+        remote = self._egress.pop(port, None)
+        if remote is not None:
+            self._apis.pop(remote, None)
+
+    def set_api(self, topics: Endpoint, api: Endpoint) -> None:
+        """The peer at `api` said that its topics are there."""
+        self._apis[topics] = api
+
+    def api_of(self, topics: Endpoint) -> Endpoint | None:
+        """The slave API of the peer whose topics are there; None: not known."""
+        return self._apis.get(topics)
 
     def set_own_uri(self, local: Endpoint, uri: str) -> None:
         """Store a program's own URI as the program writes it."""

@@ -26,6 +26,13 @@ class Answered:
 
 
 @dataclass(frozen=True)
+class PeerAuthenticated:
+    """A peer is connected, with this identity."""
+
+    peer: Identity
+
+
+@dataclass(frozen=True)
 class RawResponse:
     """An unparsed XML-RPC response, to be forwarded unchanged."""
 
@@ -57,4 +64,4 @@ class CommandDone:
     """The command was executed; it has no result."""
 
 
-Event = Opened | Answered | RawResponse | HeaderArrived | NoAnswer | CommandDone
+Event = Opened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone

@@ -10,14 +10,14 @@ from typing import TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
-from rossec.errors import RossecError
+from rossec.errors import HangUp, RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import FindDefinition
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.registrations import RegistrationTable
 from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
 from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Event, Opened
+from rossec.sidecar.core.events import Event, NoAnswer, Opened, PeerAuthenticated
 
 Outcome = TypeVar("Outcome")
 Layer: TypeAlias = Generator[Command, Event, Outcome]
@@ -64,6 +64,10 @@ class AgentState:
         """
         return caller if self.covers(caller) else self.identity.name
 
+    def name_for_peer(self, caller: str, peer: Identity) -> str:
+        """As `name_for`; a foreign peer honours no certified tails."""
+        return self.identity.name if peer.is_foreign else self.name_for(caller)
+
     def covers(self, name: str) -> bool:
         """Whether a program may use `name`."""
         return self.identity.covers(name)
@@ -87,6 +91,11 @@ class AgentState:
         valid = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
         return self.publisher_grace.update(topic, valid) if isinstance(topic, str) else valid
 
+    def is_listed(self, topic: str, publisher: Endpoint) -> bool:
+        """Whether the master lists the node with this slave API, or may list it again."""
+        uris = self.publisher_grace.to_follow(topic)
+        return any(parse_endpoint(uri, WireProtocol.HTTP) == publisher for uri in uris)
+
     def egress_uris(self, uris: object, own_api: Endpoint | None) -> Layer[list[str]]:
         """`egress_uri` for a list of slave API URIs; invalid ones are left out."""
         egress = []
@@ -106,6 +115,21 @@ def opened_port(event: Event) -> int:
     if not isinstance(event, Opened):
         raise UnexpectedEvent(f"no port but {type(event).__name__}")
     return event.port
+
+
+def authenticated_peer(event: Event) -> Identity:
+    """The peer of a `PeerAuthenticated` event.
+
+    Raises:
+        HangUp: there is no answer.
+    """
+    match event:
+        case PeerAuthenticated(peer):
+            return peer
+        case NoAnswer(reason=reason):
+            raise HangUp(reason)
+        case _:
+            raise UnexpectedEvent(f"no peer but {type(event).__name__}")
 
 
 def own_endpoint(uri: object) -> Endpoint | None:

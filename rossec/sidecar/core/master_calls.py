@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
+from grants.basics import is_dispensable
+from grants.missing_rights import missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.caller_names import (
@@ -62,6 +64,8 @@ class CallRule:
 
 SUBSCRIBE: Final = "registerSubscriber"
 REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
+_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
+"""Registrations that succeed for a program that works without them, with their value."""
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
     SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
@@ -117,6 +121,9 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
     if method in REGISTERS and str(answer[1]).startswith(REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
+        missing = missing_right(str(answer[1]))
+        if method in _DISPENSABLE and missing and is_dispensable(missing.right, missing.own):
+            return [1, answer[1], _DISPENSABLE[method]]
     return answer
 
 

@@ -13,7 +13,7 @@ unparsed: roscpp's is malformed, and it holds no address.
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias, origin_of
+from ca.domains.aliases import is_alias, split_alias
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.remote_names import answer_for, answer_here, caller_here
@@ -28,13 +28,20 @@ from rossec.participant.slave_api import (
     without_caller,
 )
 from rossec.participant.slave_rights import MASTER_ONLY, OPEN, SLAVE_CALLS, check_slave_call
+from rossec.participant.wire_names import wire_name
 from rossec.ros.names import PORTS, PRESENT_GRANTS
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.commands import CallPeer, CallProgram, Probe, Suspend
+from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer, CallProgram, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint, topic_endpoint
 from rossec.sidecar.core.events import Answered, Event, NoAnswer, RawResponse
-from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, own_endpoint
+from rossec.sidecar.core.layers import (
+    AgentState,
+    Layer,
+    UnexpectedEvent,
+    authenticated_peer,
+    own_endpoint,
+)
 
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
@@ -199,9 +206,7 @@ def handle_program_call(
         return refused
     changed = (agent.identity.name, *params[1:])  # the peer may be foreign: without a tail
     if method == REQUEST_TOPIC:
-        topic = str(params[1])
-        caller = agent.identity.name if is_alias(topic) else agent.name_for(str(params[0]))
-        changed = (caller, origin_of(topic), [[TCPROS]])
+        changed = yield from _request_for_peer(agent, remote, str(params[0]), str(params[1]))
     parse = method not in _UNPARSED
     event = yield CallPeer(remote, method, changed, SLAVE_CALLS.get(method), parse)
     match event:
@@ -220,6 +225,17 @@ def handle_program_call(
             raise UnexpectedEvent(method)
 
 
+def _request_for_peer(
+    agent: AgentState, remote: Endpoint, caller: str, topic: str
+) -> Layer[tuple[object, ...]]:
+    """The parameters of a program's `requestTopic`: for an alias, who the peer is decides."""
+    if not is_alias(topic):
+        return agent.name_for(caller), topic, [[TCPROS]]
+    split_alias(topic)
+    peer = authenticated_peer((yield AuthenticatePeer(remote)))
+    return agent.name_for_peer(caller, peer), wire_name(peer, topic), [[TCPROS]]
+
+
 def _answer_for_program(
     agent: AgentState, remote: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
@@ -228,7 +244,9 @@ def _answer_for_program(
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
         ) and not _leads_back(agent, remote, _topics_of(remote, host, port)):
-            uri = yield from agent.egress_uri(_topics_of(remote, host, port))
+            topics = _topics_of(remote, host, port)
+            uri = yield from agent.egress_uri(topics)
+            agent.endpoints.set_api(topics, remote)
             egress = parse_endpoint(uri, WireProtocol.TCPROS)
             return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
         case "requestTopic", _:

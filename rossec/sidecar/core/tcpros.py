@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias
+from ca.domains.aliases import is_alias, origin_of, split_alias
 from grants.decision import Decision
 from grants.guard import Guard
 from grants.memory import MemoryScope
@@ -33,10 +33,24 @@ from rossec.participant.header_fields import Fields, text
 from rossec.participant.remote_names import caller_here, fields_here, fields_on_wire
 from rossec.participant.slave_api import TCPROS
 from rossec.participant.topic_guard import FilterKey, guard_for
-from rossec.sidecar.core.commands import CallProgram, ConnectPeer, ConnectProgram, Suspend
+from rossec.participant.wire_names import granted_name
+from rossec.participant.wishes import (
+    NO_WISHES,
+    Wishes,
+    requested_wishes,
+    taken_wishes,
+    without_wishes,
+)
+from rossec.sidecar.core.commands import (
+    AuthenticatePeer,
+    CallProgram,
+    ConnectPeer,
+    ConnectProgram,
+    Suspend,
+)
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
 from rossec.sidecar.core.events import Answered, Event, HeaderArrived, NoAnswer
-from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent
+from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, authenticated_peer
 from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
@@ -54,6 +68,7 @@ class AdmittedConnection:
         guard: filters each message before it is forwarded; None: bytes are forwarded unchanged.
         service: both directions carry data; else only from publisher to subscriber.
         message_size: of every message to a program, if the size is fixed and known.
+        wishes: of a peer that subscribes.
     """
 
     answer: Mapping[str, bytes]
@@ -61,6 +76,7 @@ class AdmittedConnection:
     guard: Guard | None
     service: bool
     message_size: int | None = None
+    wishes: Wishes = NO_WISHES
 
     @property
     def latching(self) -> bool:
@@ -83,7 +99,7 @@ def admit_peer(
         ConnectionHeaderRefused, GrantError, CAError: the peer or the program is refused.
         HangUp: the program does not answer.
     """
-    service = _is_service(fields)
+    service, wishes = _is_service(fields), NO_WISHES
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
@@ -92,6 +108,7 @@ def admit_peer(
         target = local
     else:
         decision = topic_handshake.admit_subscriber(fields, peer, agent.access, now)
+        wishes = requested_wishes(fields)
         target = yield from _request_topic(agent, local, fields, peer)
     event = yield ConnectProgram(target, fields_here(without_grants(fields), peer))
     if isinstance(event, NoAnswer) and event.dead:
@@ -104,9 +121,8 @@ def admit_peer(
         guard = guard_for(
             kind, decision, filter_key, memory_scope_of(_program_name(arrived.fields))
         )
-    return AdmittedConnection(
-        {**answer, **_own_proof(agent, fields, arrived.now)}, decision, guard, service
-    )
+    own = {**_own_proof(agent, fields, arrived.now), **wishes.fields}
+    return AdmittedConnection({**answer, **own}, decision, guard, service, wishes=wishes)
 
 
 def _request_topic(
@@ -155,7 +171,10 @@ def _answer_for_peer(
     """The program's answer under a certified name; rospy's publishers leave out the topic."""
     if "error" in answer:
         raise ConnectionHeaderRefused(text(answer, "error"))
-    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer, peer.is_foreign)}
+    completed = {
+        **without_grants(answer),
+        _CALLER: _caller_name(agent, answer, peer.is_foreign),
+    }
     if "topic" in request:
         completed["topic"] = request["topic"]
     return completed
@@ -194,10 +213,10 @@ def connect_to_peer(
     """
     service = _is_service(fields)
     wanted = text(fields, "service" if service else "topic")
-    caller = _caller_name(agent, fields, is_alias(wanted))
-    request = {**fields_on_wire(without_grants(fields)), _CALLER: caller}
     guard = message_size = None
     if service:
+        request = fields_on_wire(without_grants(fields))
+        request[_CALLER] = _caller_name(agent, fields, is_alias(wanted))
         request |= service_handshake.caller_proof(wanted, agent.access, now)
         event = yield ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
@@ -208,20 +227,41 @@ def connect_to_peer(
         answer = fields_here(without_grants(arrived.fields), peer)
     else:
         own = from_header(fields)
-        expected = topic_handshake.ExpectedTopic(wanted, own.name, own.md5sum)
-        request[FIELD] = agent.access.present(Right.SUBSCRIBE, expected.topic, now)
+        granted, caller = yield from _name_granted(agent, remote, fields)
+        request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
+        expected = topic_handshake.ExpectedTopic(granted, own.name, own.md5sum)
+        request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
         arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
         decision = topic_handshake.admit_publisher(
             arrived.fields, peer, expected, agent.access, arrived.now
         )
+        taken_wishes(arrived.fields, NO_WISHES)
         sent = from_header(arrived.fields)
         kind = receiver_definition(own, sent, decision, agent.known_types)
         if decision.restrictions:
             guard = guard_for(kind, decision, filter_key, memory_scope_of(_program_name(fields)))
-        named = fields_here(without_grants(arrived.fields), peer, expected.topic)
+        named = fields_here(without_grants(arrived.fields), peer, wanted)
         answer = named | definition_fields(kind, decision)
         message_size = size_of(reported_definition(kind, sent))
     return AdmittedConnection(answer, decision, guard, service, message_size)
+
+
+def _name_granted(
+    agent: AgentState, remote: Endpoint, fields: Mapping[str, bytes]
+) -> Layer[tuple[str, bytes]]:
+    """The name whose grants count for the topic that is asked for, and the callerid for the peer.
+
+    Of an alias both depend on who the peer is, which is known before it is sent anything.
+
+    Raises:
+        HangUp: the peer does not answer.
+    """
+    topic = text(fields, "topic")
+    if not is_alias(topic):
+        return topic, _caller_name(agent, fields, foreign=False)
+    split_alias(topic)
+    peer = authenticated_peer((yield AuthenticatePeer(remote)))
+    return granted_name(peer, topic), _caller_name(agent, fields, peer.is_foreign)
 
 
 def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
@@ -240,5 +280,5 @@ def _require_header(event: Event) -> HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The header without the grants field."""
-    return {key: value for key, value in fields.items() if key != FIELD}
+    """The header without the fields of rossec: grants, and wishes."""
+    return {key: value for key, value in without_wishes(fields).items() if key != FIELD}

@@ -12,7 +12,7 @@ from bench.thesis import latency, memory, meshes
 from bench.thesis.failures import longest_gap
 from bench.thesis.network import burst, shaped
 from bench.thesis.node import Arrivals, send
-from bench.thesis.setups import SETUPS
+from bench.thesis.table import SETUPS
 from bench.thesis.talk import Point, message, stamp
 from rossec.node import message_type
 
@@ -68,11 +68,19 @@ def test_a_short_run_has_points_about_what_the_thesis_says(name: str) -> None:
 
 
 def test_a_whole_run_goes_through_sizes_and_rates() -> None:
-    ladders = list(latency.whole())
+    ladders = list(latency.whole("direct_100m"))
     assert [ladder[0].rate for ladder in ladders] == list(latency.RATES)
     assert [point.size for point in ladders[0]][:4] == [0, 100, 200, 500]
     assert latency.SIZES[-1] == 5_000_000
     assert all(point.seconds <= latency.LONGEST for ladder in ladders for point in ladder)
+
+
+@pytest.mark.parametrize("name", sorted(SETUPS))
+def test_a_sweep_has_a_few_minutes_of_points_for_each_set_up(name: str) -> None:
+    ladders = list(latency.sweep(name))
+    assert [ladder[0].rate for ladder in ladders] == [1, 10, 100]
+    assert [point.size for point in ladders[1]][:4] == [0, 100, 1000, 10_000]
+    assert sum(point.seconds for ladder in ladders for point in ladder) < 180
 
 
 def test_masters_of_a_mesh_have_labels_of_their_own() -> None:

@@ -9,10 +9,12 @@ from ca.enrollment.join_authority import (
     LiveIdentity,
 )
 from ca.enrollment.join_messages import (
+    Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    Named,
     Refused,
     RefuseReason,
     Waiting,
@@ -29,7 +31,7 @@ SIGNER = new_signer()
 BUSY = Refused(RefuseReason.BUSY)
 MESSAGES: list[JoinMessage] = [
     Hello(ID, NONCE), Welcome(NONCE, (b"c",), b"r", b"s"), Join("/a", b"csr", b"proof"),
-    Issued((b"c",)), Waiting(WaitReason.LOCKED), BUSY,
+    Issued((b"c",)), Waiting(WaitReason.LOCKED), BUSY, Claim(b"<node/>", b"proof"), Named("/a"),
 ]  # fmt: skip
 
 
@@ -57,7 +59,9 @@ def test_the_authority_shows_itself_and_hands_the_request_on() -> None:
     assert core.state is AuthorityJoinState.ANSWERED
 
 
-@pytest.mark.parametrize("begin", [(), (MESSAGES[0],), (MESSAGES[0], MESSAGES[2])])
+@pytest.mark.parametrize(
+    "begin", [(), (MESSAGES[0],), (MESSAGES[0], MESSAGES[2]), (MESSAGES[0], MESSAGES[6])]
+)
 @pytest.mark.parametrize("message", MESSAGES)
 def test_what_is_not_in_the_table_ends_the_session(
     begin: tuple[JoinMessage, ...], message: JoinMessage
@@ -95,6 +99,34 @@ def test_one_answer_to_one_request() -> None:
     core.answer(BUSY)
     with pytest.raises(EnrollmentOver):
         core.answer(BUSY)
+
+
+def test_a_claim_is_handed_on_and_the_request_follows_it() -> None:
+    core = session(MESSAGES[0])
+    with pytest.raises(EnrollmentOver):
+        _ = core.claim
+    with pytest.raises(EnrollmentOver):
+        core.name(Named("/a"))
+    assert core.receive(write(MESSAGES[6])) is None
+    assert core.state is AuthorityJoinState.NAMING
+    assert (core.claim.invitation, core.claim.metadata, core.claim.proof) == (
+        ID, b"<node/>", b"proof",
+    )  # fmt: skip
+    assert read(core.name(Named("/a"))) == Named("/a")
+    core.receive(write(Join("/a", b"csr", b"proof", b"<node/>")))
+    assert core.request.metadata == b"<node/>"
+    assert core.request.transcript == core.claim.transcript
+
+
+def test_one_claim_a_session_and_a_refused_one_ends_it() -> None:
+    core = session(MESSAGES[0], MESSAGES[6])
+    core.name(Named("/a"))
+    with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
+        core.receive(write(MESSAGES[6]))
+    core = session(MESSAGES[0], MESSAGES[6])
+    assert read(core.name(Refused(RefuseReason.UNNAMED))) == Refused(RefuseReason.UNNAMED)
+    with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
+        core.receive(write(MESSAGES[2]))
 
 
 def test_a_nonce_has_its_size() -> None:

@@ -3,10 +3,12 @@ import pytest
 from ca.encoding import encode
 from ca.enrollment import messages
 from ca.enrollment.join_messages import (
+    Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    Named,
     Refused,
     RefuseReason,
     Waiting,
@@ -25,6 +27,10 @@ MESSAGES: list[JoinMessage] = [
     Join("/robot", b"csr", b"proof"),
     Issued((b"leaf",)),
     Issued((b"leaf", b"intermediate")),
+    Join("/robot", b"csr", b"proof", b"<node/>"),
+    Claim(b"<node/>", b"proof"),
+    Claim(bytes(4096), bytes(512)),
+    Named("/robot"),
     *(Waiting(reason) for reason in WaitReason),
     *(Refused(reason) for reason in RefuseReason),
 ]
@@ -48,6 +54,10 @@ def test_the_forms_as_specified() -> None:
     assert write(MESSAGES[4]) == encode([1, 10, [b"leaf"]])
     assert write(Waiting(WaitReason.PERSON)) == encode([1, 11, 2])
     assert write(Refused(RefuseReason.BUSY)) == encode([1, 12, 6])
+    joined = encode([1, 9, "/robot", b"csr", b"proof", b"<node/>"])
+    assert write(Join("/robot", b"csr", b"proof", b"<node/>")) == joined
+    assert write(Claim(b"<node/>", b"proof")) == encode([1, 13, b"<node/>", b"proof"])
+    assert write(Named("/robot")) == encode([1, 14, "/robot"])
 
 
 @pytest.mark.parametrize("message", MESSAGES)
@@ -90,8 +100,17 @@ def test_and_none_of_an_enrollment_is_one(message: messages.Message) -> None:
         encode([1, 11, 3]),
         encode([1, 11, True]),
         encode([1, 12, 0]),
-        encode([1, 12, 7]),
+        encode([1, 12, 9]),
+        encode([1, 9, "/robot", b"", b"", b""]),  # metadata that are not there are left out
+        encode([1, 9, "/robot", b"", b"", bytes(4097)]),
+        encode([1, 9, "/robot", b"", b"", "m"]),
         encode([1, 13, 1]),
+        encode([1, 13, b"", b""]),
+        encode([1, 13, bytes(4097), b""]),
+        encode([1, 13, b"m", bytes(513)]),
+        encode([1, 14, b"/robot"]),
+        encode([1, 14, "/" + "a" * 255]),
+        encode([1, 15]),
         encode([True, 11, 1]),
         encode({}),
         b"\xff",

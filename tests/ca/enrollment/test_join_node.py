@@ -9,10 +9,12 @@ from ca.certificates import build_request
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
 from ca.enrollment.join_messages import (
+    Claim,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    Named,
     Refused,
     RefuseReason,
     Waiting,
@@ -29,6 +31,7 @@ from ca.errors import (
     JoinBusy,
     JoinRefused,
     JoinWaiting,
+    NameRefused,
     NotTheAuthority,
     OfferRefused,
     RequestRefused,
@@ -193,7 +196,91 @@ def test_a_refusal_is_raised(reason: RefuseReason, early: bool) -> None:
 MESSAGES: list[JoinMessage] = [
     Hello(bytes(32), bytes(16)), Welcome(bytes(16), (b"c",), b"r", b"s"), Join("/a", b"", b""),
     Issued((b"c",)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY),
+    Claim(b"<node/>", b""), Named("/fleet/a"),
 ]  # fmt: skip
+METADATA = b"<node><name>a</name></node>"
+
+
+def claimed() -> NodeJoin:
+    node = NodeJoin(CODE, fresh())
+    node.receive(welcomed(node), NOW)
+    node.claim(METADATA)
+    return node
+
+
+def test_a_node_takes_the_name_that_the_authority_gives() -> None:
+    node, authority = NodeJoin(CODE, fresh()), AuthorityJoin(identity(), fresh())
+    welcome = authority.receive(node.hello())
+    assert welcome is not None
+    node.receive(welcome, NOW)
+    authority.receive(node.claim(METADATA))
+    authority.claim.verify(CODE.key)
+    assert authority.claim.metadata == METADATA
+    with pytest.raises(EnrollmentOver):
+        _ = node.name
+    node.receive(authority.name(Named("/fleet/a")), NOW)
+    assert node.name == "/fleet/a"
+    with pytest.raises(RequestRefused, match="not for /fleet/a"):
+        node.join(build_request(NODE, "home", "/fleet/b"))
+    authority.receive(node.join(CSR))
+    authority.request.verify(CODE.key)
+    assert (authority.request.name, authority.request.metadata) == ("/fleet/a", METADATA)
+    with pytest.raises(JoinRefused):
+        replace(authority.request, metadata=b"").verify(CODE.key)
+    with pytest.raises(EnrollmentOver):
+        node.claim(METADATA)
+
+
+@pytest.mark.parametrize("name", ["/other", "/fleet/a/b", "/fleet", "/ca", "/master", "/relay"])
+def test_a_name_that_the_invitation_does_not_allow_is_not_taken(name: str) -> None:
+    node = claimed()
+    with pytest.raises(NotTheAuthority, match=f"the name {name}, which"):
+        node.receive(write(Named(name)), NOW)
+    assert node.state is NodeJoinState.OVER
+
+
+@pytest.mark.parametrize("name", ["", "fleet/a", "/fleet/~a", "/fleet/a b"])
+def test_a_text_that_is_no_name_is_not_taken(name: str) -> None:
+    node = claimed()
+    with pytest.raises(NameRefused):
+        node.receive(write(Named(name)), NOW)
+    with pytest.raises(EnrollmentOver):
+        node.join(CSR)
+
+
+@pytest.mark.parametrize("reason", RefuseReason)
+def test_a_refused_claim_is_raised(reason: RefuseReason) -> None:
+    node = claimed()
+    kind = JoinBusy if reason is RefuseReason.BUSY else JoinRefused
+    with pytest.raises(kind) as caught:
+        node.receive(write(Refused(reason)), NOW)
+    assert type(caught.value) is kind
+    assert node.state is NodeJoinState.OVER
+
+
+@pytest.mark.parametrize("metadata", [b"", bytes(4097)])
+def test_metadata_have_a_size(metadata: bytes) -> None:
+    node = NodeJoin(CODE, fresh())
+    with pytest.raises(EnrollmentOver):
+        node.claim(METADATA)
+    node.receive(welcomed(node), NOW)
+    with pytest.raises(EnrollmentMessageRefused, match="where 1 to 4096"):
+        node.claim(metadata)
+    node.join(CSR)
+
+
+def test_metadata_may_come_with_the_request_alone() -> None:
+    node, authority = NodeJoin(CODE, fresh()), AuthorityJoin(identity(), fresh())
+    welcome = authority.receive(node.hello())
+    assert welcome is not None
+    node.receive(welcome, NOW)
+    with pytest.raises(EnrollmentMessageRefused, match="where 1 to 4096"):
+        node.join(CSR, bytes(4097))
+    authority.receive(node.join(CSR, METADATA))
+    authority.request.verify(CODE.key)
+    assert authority.request.metadata == METADATA
+    with pytest.raises(JoinRefused, match="another name"):
+        node.receive(authority.answer(Refused(RefuseReason.NAME)), NOW)
 
 
 @pytest.mark.parametrize("state", NodeJoinState)

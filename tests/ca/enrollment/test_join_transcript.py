@@ -6,8 +6,10 @@ from ca.cose import Profile
 from ca.encoding import Value, encode
 from ca.enrollment.join_transcript import (
     MAX_STATEMENT,
+    check_claim,
     check_live,
     check_proof,
+    sign_claim,
     sign_live,
     sign_proof,
     transcript,
@@ -76,3 +78,27 @@ def test_the_proof_is_about_one_request_of_one_name_in_one_join() -> None:
 
 def test_the_longest_name_fits() -> None:
     assert len(sign_proof(KEY, AGREED, b"", "/" + "a" * 254)) <= MAX_STATEMENT
+
+
+def test_a_claim_is_about_its_metadata_in_one_join() -> None:
+    statement = sign_claim(KEY, AGREED, b"<node/>")
+    check_claim(statement, KEY.public_key, AGREED, b"<node/>")
+    content = [AGREED, digest(b"<node/>")]
+    assert Profile("rossec-join-claim+cbor").open(statement, KEY.public_key) == content
+    for data, agreed, metadata in (
+        (statement, digest(AGREED), b"<node/>"),
+        (statement, AGREED, b"<node />"),
+        (sign_proof(KEY, AGREED, b"<node/>", ""), AGREED, b"<node/>"),
+    ):
+        with pytest.raises(JoinRefused):
+            check_claim(data, KEY.public_key, agreed, metadata)
+
+
+def test_a_proof_is_about_its_metadata_too() -> None:
+    statement = sign_proof(KEY, AGREED, b"csr", "/a", b"<node/>")
+    check_proof(statement, KEY.public_key, AGREED, b"csr", "/a", b"<node/>")
+    content = [AGREED, digest(b"csr"), "/a", digest(b"<node/>")]
+    assert Profile("rossec-join-proof+cbor").open(statement, KEY.public_key) == content
+    for metadata in (b"", b"<node />"):
+        with pytest.raises(JoinRefused):
+            check_proof(statement, KEY.public_key, AGREED, b"csr", "/a", metadata)

@@ -5,7 +5,8 @@ from hashlib import sha256
 
 from ca.certificates import TrustAnchor
 from ca.enrollment import invitation, join_transcript, ndef
-from ca.enrollment.join_messages import Issued, Join, Welcome, read, write
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import Claim, Issued, Join, Named, Welcome, read, write
 from ca.enrollment.join_node import NodeJoin
 from ca.enrollment.join_request import JoinRequest
 from tests.vectors.make_join import FILE
@@ -43,6 +44,17 @@ def test_the_messages() -> None:
     request = JoinRequest.from_bytes(bytes.fromhex(V["request"]))
     assert read(MESSAGES["join"]) == Join(request.name, request.csr, request.proof)
     request.verify(bytes.fromhex(V["key"]))
+
+
+def test_a_claim_and_the_request_that_follows() -> None:
+    metadata, key = bytes.fromhex(V["metadata"]), bytes.fromhex(V["key"])
+    claim = JoinClaim.from_bytes(bytes.fromhex(V["claim"]))
+    claim.verify(key)
+    assert read(MESSAGES["claim"]) == Claim(metadata, claim.proof)
+    assert read(MESSAGES["named"]) == Named(V["name"])
+    request = JoinRequest.from_bytes(bytes.fromhex(V["named_request"]))
+    request.verify(key)
+    assert read(MESSAGES["named_join"]) == Join(V["name"], CSR, request.proof, metadata)
 
 
 def test_a_node_that_is_given_these_messages_joins() -> None:

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 SCENARIOS = {
-    "issue", "deny", "collect", "revoke", "renew", "replace", "approve", "trust", "migrate",
+    "issue", "deny", "collect", "revoke", "renew", "replace", "approve", "trust", "rename",
+    "migrate",
 }  # fmt: skip
 
 
-@pytest.mark.timeout(300)  # some 280 processes: seconds on an idle machine, minutes on a busy one
+@pytest.mark.timeout(300)  # some 310 processes: seconds on an idle machine, minutes on a busy one
 def test_no_crash_loses_or_doubles_an_identity(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tests.support.crashes", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=280)

@@ -10,6 +10,8 @@ from ca.store import migration, schema
 from ca.store.record import Store
 from tests.support import approving, oldstore
 from tests.support.pki import new_signer
+from tests.support.things import LAMP, add_thing
+from tests.vectors.make_things import HOME
 
 
 @pytest.fixture
@@ -46,13 +48,14 @@ def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
             "revocation",
             "list",
         ]
-        assert [entry.number for entry in entries] == list(range(4 * count + 4))
+        assert [entry.number for entry in entries] == list(range(4 * count + 5))
         assert entries[0][1:5] == (oldstore.NOW, "certificate", "/node0", oldstore.KEYS[0].hex())
-        assert [(e.what, e.detail) for e in entries[-4:]] == [
+        assert [(e.what, e.detail) for e in entries[-5:]] == [
             ("migrated", "1 to 2"),
             ("migrated", "2 to 3"),
             ("migrated", "3 to 4"),
             ("migrated", "4 to 5"),
+            ("migrated", "5 to 6"),
         ]
         store.log.audit(new_signer().public_key)
         store.revoke(b"n" * 32, "after", oldstore.NOW)
@@ -113,10 +116,10 @@ def test_grant_requests_of_version_2_enter_the_log(old: Path) -> None:
 def to_version_2(db: sqlite3.Connection) -> None:
     """As the previous release has migrated it: without what version 3 adds."""
     migration.migrate(db)
-    for table in (*schema.DECISIONS, *schema.APPROVALS, *schema.DOMAINS):
+    for table in (*schema.DECISIONS, *schema.APPROVALS, *schema.DOMAINS, *schema.THINGS):
         db.execute(f"DROP TABLE {table}")
     db.execute("DROP TRIGGER log_no_DELETE")
-    db.execute("DELETE FROM log WHERE detail IN ('2 to 3', '3 to 4', '4 to 5')")
+    db.execute("DELETE FROM log WHERE detail IN ('2 to 3', '3 to 4', '4 to 5', '5 to 6')")
     for statement in schema.append_only_triggers(("log",)):
         db.execute(statement.replace("CREATE TRIGGER", "CREATE TRIGGER IF NOT EXISTS"))
     db.execute("PRAGMA user_version = 2")
@@ -127,7 +130,7 @@ def check_grant_requests(path: Path) -> None:
         assert store.requests.all() == []
         store.log.audit(new_signer().public_key)
         store.database.check()
-        logged = [(e.what, e.subject, e.detail, e.at) for e in store.log.entries()[-6:]]
+        logged = [(e.what, e.subject, e.detail, e.at) for e in store.log.entries()[-7:]]
     assert logged == [
         ("grant request", "/b", "02", 2),
         ("grant request", "/a", "01", 3),
@@ -135,6 +138,7 @@ def check_grant_requests(path: Path) -> None:
         ("migrated", "record", "2 to 3", logged[-1][3]),
         ("migrated", "record", "3 to 4", logged[-1][3]),
         ("migrated", "record", "4 to 5", logged[-1][3]),
+        ("migrated", "record", "5 to 6", logged[-1][3]),
     ]
     with closing(sqlite3.connect(path)) as db:
         rows = db.execute("SELECT id FROM grant_request ORDER BY rowid").fetchall()
@@ -149,6 +153,14 @@ def test_an_older_record_has_no_passkeys_and_can_have_some(old: Path) -> None:
         store.passkeys.add(approving.PASSKEY)
         store.approvals.add(approving.approve(store))
         store.log.audit(new_signer().public_key)
+        store.database.check()
+
+
+def test_an_older_record_has_no_things_and_can_have_some(old: Path) -> None:
+    with closing(Store.open(old)) as store:
+        assert store.things.all() == []
+        add_thing(store, LAMP)
+        store.log.audit(HOME.public_key)
         store.database.check()
 
 
@@ -171,7 +183,7 @@ def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(oldstore, "KEYS", [])
     oldstore.write_version_1(tmp_path / "old.db")
     with closing(Store.open(tmp_path / "old.db")) as store:
-        assert [entry.at for entry in store.log.entries()] == [0, 0, 0, 0]
+        assert [entry.at for entry in store.log.entries()] == [0, 0, 0, 0, 0]
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,10 @@ def test_the_newest_live_certificate(store: Store) -> None:
     assert store.valid_certificate("/a", NOW + DAY).serial == 2
     with pytest.raises(StoreError, match="no valid identity"):
         store.valid_certificate("/a", NOW + DAY + 1)
+    store.revoke(KEY, "lost", NOW)
+    with pytest.raises(StoreError, match="the identity of /a is revoked") as caught:
+        store.valid_certificate("/a", NOW)
+    assert "move the directory of its key away" in caught.value.hint
 
 
 def test_valid_keys_are_neither_expired_nor_revoked(store: Store) -> None:

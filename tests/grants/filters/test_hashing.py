@@ -7,7 +7,13 @@ import pytest
 
 from grants.errors import FilterRefused, MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.hashing import check_key_name, key_names, pseudonyms
+from grants.filters.hashing import (
+    check_key_name,
+    is_personal,
+    key_names,
+    pseudonyms,
+    receiver_keys,
+)
 from grants.model import filter_rules
 from tests.grants.messages import layout, text
 
@@ -61,3 +67,29 @@ def test_invalid_key_names_are_refused(name: object) -> None:
 def test_key_names_of_rules() -> None:
     rules = filter_rules({"a": hashed(), "b": hashed(key="other"), "c": {"redact": {"text": "x"}}})
     assert key_names(rules) == {"ward", "other"}
+
+
+def test_pseudonyms_of_two_receivers_have_nothing_in_common() -> None:
+    """The key is HMAC(key, "rossec-pseudonym-receiver" 00 || thumbprint)."""
+    rules = filter_rules({"a": {"hash": {"key": "ward", "per": "receiver"}}, "b": hashed()})
+    seen = []
+    for receiver in (bytes(32), bytes([1]) * 32):
+        compiled = compile_filter(LAYOUT, rules, receiver_keys(KEYS, receiver))
+        derived = hmac.digest(KEYS["ward"], b"rossec-pseudonym-receiver\0" + receiver, "sha256")
+        own = hmac.new(derived, b"Anna", hashlib.sha256).hexdigest()[:16]
+        expected = message(own, digest("Anna")[:16], c="x")
+        assert b"".join(compiled(message("Anna", "Anna", c="x"))) == expected
+        seen.append(own)
+    assert seen[0] != seen[1]
+
+
+def test_without_a_receiver_there_is_no_pseudonym_of_its_own() -> None:
+    rules = filter_rules({"a": {"hash": {"key": "ward", "per": "receiver"}}})
+    for keys in (KEYS, receiver_keys({"ward": bytes(31)}, bytes(32))):
+        with pytest.raises(FilterRefused, match="the publisher has no key 'ward'"):
+            compile_filter(LAYOUT, rules, keys)
+
+
+def test_rules_that_differ_by_receiver() -> None:
+    assert not is_personal(filter_rules({"a": hashed(), "b": {"clear": True}}))
+    assert is_personal(filter_rules({"a": {"hash": {"key": "ward", "per": "receiver"}}}))

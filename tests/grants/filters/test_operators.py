@@ -76,7 +76,7 @@ def test_an_operator_applied_to_a_field(number: int) -> None:
 
 
 def test_every_operator_is_tested_here() -> None:
-    elsewhere = {"hash", "pixelate"}  # test_hashing, test_pictures
+    elsewhere = {"hash", "pixelate", "rooms", "sort"}  # each in a file of its own
     tried = {name for _, treated, _, _ in APPLIED for name in treated}
     assert tried | elsewhere == OPERATORS.keys()
 
@@ -137,6 +137,13 @@ REFUSED: list[tuple[str, dict[str, Any], Any, str]] = [
     ("hash", {"key": "../x"}, None, "not a key name"),
     ("hash", {"key": "a", "length": 0}, None, "length must be a whole number from 1 to 64"),
     ("hash", {"key": "a", "length": 65}, None, "length must be a whole number from 1 to 64"),
+    ("hash", {"key": "a", "per": "node"}, None, "per is receiver"),
+    ("hash", {"key": "a", "per": True}, None, "per is receiver"),
+    ("pixelate", {"block": 2, "levels": 1}, None, "levels must be a whole number from 2 to 256"),
+    ("pixelate", {"block": 2, "levels": 257}, None, "levels must be a whole number from 2"),
+    ("pixelate", {"block": 2, "levels": 8.0}, None, "levels must be a whole number from 2"),
+    ("rooms", {}, None, "1 to 64 rooms"),
+    ("sort", {"by": "name"}, None, "expected no parameters, found by"),
     ("hash", {"key": "a", "more": 1}, None, "expected key, found key, more"),
     ("hash", {"key": "a"}, INT, "hash needs a string, not int8"),
     ("pixelate", {}, None, "block must be a whole number"),

@@ -1,6 +1,7 @@
 """Pixelation: compared pixel by pixel, and every inconsistent image."""
 
 import struct
+from itertools import product
 
 import pytest
 
@@ -122,3 +123,61 @@ def test_siblings_are_read_before_they_are_treated() -> None:
     rules = filter_rules({"data": {"pixelate": {"block": 2}}, "width": {"clear": True}})
     made = b"".join(compile_filter(LAYOUT, rules)(image(1, 2, "mono8", 2, b"ab")))
     assert made == image(1, 0, "mono8", 2, b"aa")
+
+
+def greyed(pixels: list[list[int]], block: int, levels: int) -> list[list[int]]:
+    """The formula of the specification, for one channel."""
+    high, wide = len(pixels), len(pixels[0])
+    found = [[0] * wide for _ in pixels]
+    for r, c in product(range(0, high, block), range(0, wide, block)):
+        square = [*product(range(r, min(r + block, high)), range(c, min(c + block, wide)))]
+        level = sum(pixels[y][x] for y, x in square) * levels // (256 * len(square))
+        for y, x in square:
+            found[y][x] = level * 255 // (levels - 1)
+    return found
+
+
+@pytest.mark.parametrize("levels", [2, 8, 256])
+@pytest.mark.parametrize(
+    ("high", "wide", "block"), [(1, 1, 2), (5, 7, 3), (8, 8, 4), (3, 9, 65535)]
+)
+def test_squares_show_their_mean_in_levels_of_grey(
+    high: int, wide: int, block: int, levels: int
+) -> None:
+    data = seeded_random(high * wide).randbytes(high * wide)
+    rows = [list(data[r * wide : (r + 1) * wide]) for r in range(high)]
+    expected = b"".join(map(bytes, greyed(rows, block, levels)))
+    before = image(high, wide, "mono8", wide, data)
+    assert treated(before, block=block, levels=levels) == image(high, wide, "mono8", wide, expected)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "size"), [("rgb8", 3), ("8UC3", 3), ("bgra8", 4), ("rgba8", 4)]
+)
+def test_colours_become_one_grey_and_opacity_is_lost(encoding: str, size: int) -> None:
+    pixels = [(10, 20, 61, 7), (200, 200, 201, 9)]
+    padding = b"\x55\x55"
+    data = b"".join(bytes(pixel[:size]) for pixel in pixels) + padding
+    found = treated(image(1, 2, encoding, 2 * size + 2, data), block=2, levels=256)
+    mean = (10 + 20 + 61 + 200 + 200 + 201) * 256 // (256 * 6)
+    pixel = bytes([mean] * 3) + bytes([255] * (size - 3))
+    assert found.endswith(pixel * 2 + bytes(2))
+
+
+def test_a_region_in_grey_leaves_the_rest() -> None:
+    data = bytes(range(16))
+    picture = image(4, 4, "mono8", 4, data)
+    found = treated(picture, block=2, levels=256, x=0, y=0, width=2, height=2)
+    assert found.endswith(bytes([2, 2, 2, 3, 2, 2, 6, 7, *range(8, 16)]))
+
+
+@pytest.mark.parametrize("encoding", ["mono16", "rgb16", "32FC1", "8UC2", "8SC1", "bayer_rggb8"])
+def test_other_encodings_have_no_levels_of_grey(encoding: str) -> None:
+    size = PIXEL_SIZES.get(encoding, 1)
+    with pytest.raises(MessageRefused):
+        treated(image(1, 1, encoding, size, bytes(size)), block=2, levels=8)
+
+
+def test_a_picture_without_pixels_in_grey() -> None:
+    empty = image(0, 0, "mono8", 0, b"")
+    assert treated(empty, block=2, levels=8) == empty

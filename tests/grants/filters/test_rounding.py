@@ -124,3 +124,20 @@ def test_hysteresis_of_integers() -> None:
     scalar, _ = round_integers(PRIMITIVES["int32"], 10)
     held = with_hysteresis(scalar, 10, 2)(HysteresisState())
     assert [held(value) for value in (4, 6, 7, 8, 3, 2)] == [0, 0, 0, 10, 10, 0]
+
+
+@given(x=st.floats(-1e6, 1e6), step=st.sampled_from([0.5, 1, 2, 4]), odd=st.sampled_from([3, 5, 7]))
+def test_cells_nest_where_one_step_is_an_odd_multiple_of_the_other(
+    x: float, step: float, odd: int
+) -> None:
+    """The coarse cell follows from the fine one: it tells a second receiver nothing more."""
+    fine, _ = round_floats(PRIMITIVES["float64"], step)
+    coarse, _ = round_floats(PRIMITIVES["float64"], step * odd)
+    assert coarse(x) == coarse(fine(x))
+
+
+def test_cells_of_even_multiples_do_not_nest() -> None:
+    fine, _ = round_floats(PRIMITIVES["float64"], 2)
+    coarse, _ = round_floats(PRIMITIVES["float64"], 4)
+    assert fine(1.5) == fine(2.5)
+    assert coarse(1.5) != coarse(2.5)

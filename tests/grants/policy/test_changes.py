@@ -71,7 +71,7 @@ def test_a_new_right_has_its_rule_and_its_restrictions() -> None:
     change = change_of(X, wanted((ROUND, SLOW), renew=30 * DAY))
     assert change == Change(
         Kind.NEW, X, Right.SUBSCRIBE, "/pose",
-        ("at most 1 messages a second", "pose.position: round step 2.0",
+        ("at most 1 message a second", "pose.position: round step 2.0",
          "valid 1d, renewed until 30d"),
         (RULE,),
     )  # fmt: skip
@@ -79,7 +79,7 @@ def test_a_new_right_has_its_rule_and_its_restrictions() -> None:
 
 def test_a_changed_right_shows_what_it_was() -> None:
     change = change_of(X, wanted((FAST,)), before((SLOW,), 2 * DAY, 9 * DAY))
-    assert change.before == ("at most 1 messages a second", "valid 2d, renewed until 9d")
+    assert change.before == ("at most 1 message a second", "valid 2d, renewed until 9d")
     assert change_of(X, wanted((FAST,)), before((FAST,))).before == ()
 
 

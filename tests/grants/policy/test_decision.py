@@ -271,3 +271,62 @@ def test_a_pattern_takes_the_rate_and_the_validity_of_its_parts() -> None:
         asked = (node("/x"), Right.SUBSCRIBE, name_)
         by = decider.decide_by(decider.rules_of(node("/x")), *asked)
         assert by == decider.decide(*asked)
+
+
+OWN = rules('{id: own, why: "Its own.", who: "*", allow: {publish: ["{node}/pose"]}}')
+
+
+def test_own_names_are_explained_as_written_and_as_they_are() -> None:
+    found = Decider(OWN)
+    lines = found.explain(found.decide(node("/robot1"), Right.PUBLISH, "/robot1/pose"))
+    assert lines[1] == "  rule own: Its own. (allow publish {node}/pose, here /robot1/pose)"
+    other = found.explain(found.decide(node("/robot2"), Right.PUBLISH, "/robot1/pose"))
+    assert "rule own is for {node}/pose, here /robot2/pose, not /robot1/pose" in other[2]
+
+
+def test_a_name_may_be_asked_as_a_rule_has_it() -> None:
+    found = Decider(OWN).decide(node("/robot1"), Right.PUBLISH, "{node}/pose")
+    assert (bool(found), found.name) == (True, "/robot1/pose")
+    alias = Decider(OWN).decide(node("/remote/lab/robot1"), Right.PUBLISH, "{node}/pose")
+    assert (alias.effect, alias.rules) == (Effect.DENY, ())
+    with pytest.raises(PatternRefused):
+        Decider(OWN).decide(node("/robot1"), Right.PUBLISH, "{node}/../pose")
+
+
+def test_a_tail_pattern_is_decided_for_its_tail_alone() -> None:
+    found = Decider(OWN)
+    rviz = Subject("/rviz", bytes(32), tail=True)
+    assert found.decide(rviz, Right.PUBLISH, "/rviz~/pose")
+    assert found.decide(rviz, Right.PUBLISH, "/rviz_1/pose")
+    for other in (node("/rviz"), node("/rviz_1"), Subject("/rvi", bytes(32), tail=True)):
+        assert not found.decide(other, Right.PUBLISH, "/rviz~/pose")
+    assert not found.decide(rviz, Right.PUBLISH, "/rviz_1~/pose")
+
+
+@pytest.mark.parametrize("decision", ["deny", "prompt"])
+def test_who_approves_a_pattern_does_not_undo_what_a_rule_restricts_in_it(decision: str) -> None:
+    """A node presents the grants it chooses: one for all of /r/** would show the pose exactly."""
+    head = f"""rossec: 1
+robot: r
+defaults: {{decision: {decision}, lifetime: 2d}}
+types: {{/r/pose: geometry_msgs/PoseStamped}}
+"""
+    policy = rules(
+        '{id: all, who: /asks, prompt: {subscribe: ["/r/**"]}}',
+        "{id: pose, who: '*', allow: {subscribe: [/r/pose]}, see: {position: room}, lifetime: 1d}",
+        "{id: odom, who: '*', allow: {subscribe: [/r/odom]}, lifetime: 1h}",
+        head=head,
+    )
+    exact = decide(policy, node("/asks"), Right.SUBSCRIBE, "/r/pose")
+    asked = decide(policy, node("/asks"), Right.SUBSCRIBE, "/r/**")
+    assert (asked.effect, asked.restrictions, asked.rate) == (
+        Effect.PROMPT, exact.restrictions, exact.rate,
+    )  # fmt: skip
+    assert [rule.id for rule in asked.rules] == ["all", "pose"]
+    by_default = decide(policy, node("/other"), Right.SUBSCRIBE, "/r/**")
+    assert (by_default.effect, by_default.rules) == (Effect(decision), ())
+    if decision == "prompt":
+        assert by_default.restrictions == exact.restrictions
+        assert (by_default.rate, by_default.lifetime) == (exact.rate, 86400)
+    else:
+        assert (by_default.restrictions, by_default.rate) == ((), None)

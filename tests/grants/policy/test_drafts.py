@@ -10,7 +10,7 @@ from grants.errors import PolicyRefused
 from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.drafts import approve, approximate, drafts, limit, permissions, plan, shorten
-from grants.policy.model import DAY, HOUR, Effect, Policy
+from grants.policy.model import DAY, HOUR, Effect, Policy, Subject
 from grants.request import RequestedRight
 from tests.grants.authority import CA, NOW
 from tests.grants.policy.policies import HEADER, decide, node, rules
@@ -143,3 +143,16 @@ def test_a_draft_is_backdated_by_the_skew(policy: Policy) -> None:
     verdict = verdict_on(policy, Right.SUBSCRIBE, "/b")
     (draft,) = drafts([verdict], domain="home", now=NOW, serial=lambda: bytes(16), skew=60)
     assert (draft.not_before, draft.expires) == (NOW - 60, NOW + 7 * DAY)
+
+
+def test_tail_patterns_have_a_draft_of_their_own() -> None:
+    policy = rules('{id: a, who: "*", allow: {provide: [~/get_loggers], publish: [/map]}}')
+    rviz = Subject("/rviz", bytes(32), tail=True)
+    asked = [
+        RequestedRight(Right.PROVIDE, "/rviz~/get_loggers"),
+        RequestedRight(Right.PUBLISH, "/map"),
+    ]
+    allowed = plan(Decider(policy), rviz, asked).allowed
+    made = drafts(allowed, domain="home", now=0, serial=lambda: bytes(16))
+    assert sorted(each.permissions[0].pattern for each in made) == ["/map", "/rviz~/get_loggers"]
+    assert [len(each.permissions) for each in made] == [1, 1]

@@ -18,7 +18,7 @@ from grants.policy.model import (
 )
 
 KEYS = (bytes(32), bytes([1]) * 32)
-segment = st.sampled_from(["a", "b"])
+segment = st.sampled_from(["a", "a_b", "b"])
 name = st.lists(segment, min_size=1, max_size=4).map(lambda parts: "/" + "/".join(parts))
 pattern = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=4).map(
     lambda parts: "/" + "/".join(parts)
@@ -29,7 +29,8 @@ who = st.one_of(
     st.builds(SubjectPattern, st.just("k"), st.none(), st.sampled_from(KEYS)),
 )
 right = st.sampled_from(list(ALL_RIGHTS))
-clause = st.builds(Clause, right, pattern)
+own = st.sampled_from(["{node}", "{node}/a", "{node}/**", "{node}/*/b"])
+clause = st.builds(Clause, right, pattern | own)
 rule = st.builds(
     PolicyRule,
     id=st.text("rst", min_size=1, max_size=3),
@@ -38,7 +39,7 @@ rule = st.builds(
     clauses=st.lists(clause, min_size=1, max_size=3).map(tuple),
     exceptions=st.lists(who, max_size=1).map(tuple),
 )
-subject = st.builds(Subject, name, st.sampled_from(KEYS))
+subject = st.builds(Subject, name, st.sampled_from(KEYS), st.booleans())
 policies = st.lists(rule, max_size=8).map(lambda made: of(*made))
 
 

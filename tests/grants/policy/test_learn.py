@@ -8,7 +8,16 @@ from grants.errors import PolicyRefused
 from grants.model import Right
 from grants.policy import learn as module
 from grants.policy.decision import Decider
-from grants.policy.learn import Observation, from_graph, from_log, learn, log_line
+from grants.policy.learn import (
+    Observation,
+    from_graph,
+    from_log,
+    learn,
+    learnable,
+    log_line,
+    needs_basics,
+)
+from grants.policy.model import Subject
 from tests.grants.policy.policies import SMALL, policy
 
 STATE = [
@@ -100,3 +109,76 @@ def test_nothing_is_learned_of_other_masters_names() -> None:
         Observation("/viewer", Right.SUBSCRIBE, "/remote/hospital/pose"),
     ]
     assert learn(SMALL, decider, observed, "2026-11-22") == (SMALL, [])
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "learned"),
+    [
+        ("/robot1", "/robot1/pose", ("/robot1", "{node}/pose")),
+        ("/robot1", "/robot2/pose", ("/robot1", "/robot2/pose")),
+        ("/rviz", "/rviz_1795466501944712825/load", ("/rviz", "{node}/load")),
+        ("/rviz_1795466501944712825", "/goal", ("/rviz", "/goal")),
+        ("/rostopic_16936_1795466494397", "/scan", ("/rostopic", "/scan")),
+        (
+            "/rostopic_16936_1795466494397",
+            "/rostopic_16936_1795466494397/x",
+            ("/rostopic", "{node}/x"),
+        ),
+        ("/robot_12", "/camera_7/image", ("/robot_12", "/camera_7/image")),
+    ],
+)
+def test_names_are_learned_as_rules_say_them(
+    node: str, name: str, learned: tuple[str, str]
+) -> None:
+    found = learnable(Observation(node, Right.PROVIDE, name, "a/B"))
+    assert found == Observation(learned[0], Right.PROVIDE, learned[1], "a/B")
+
+
+@pytest.mark.parametrize(
+    ("node", "right", "name"),
+    [
+        ("/a", Right.CALL, "/rviz_1795466501944712825/load"),
+        ("/a", Right.PUBLISH, "/rosout"),
+        ("/a", Right.PROVIDE, "/a/get_loggers"),
+        ("/rviz", Right.PROVIDE, "/rviz_1795466501944712825/get_loggers"),
+        ("/a", Right.SUBSCRIBE, "/remote/hospital/pose"),
+        ("/remote/hospital/a", Right.SUBSCRIBE, "/pose"),
+    ],
+)
+def test_nothing_is_learned_of_what_no_rule_should_say(node: str, right: Right, name: str) -> None:
+    assert learnable(Observation(node, right, name)) is None
+
+
+def test_basics_that_were_used_are_told() -> None:
+    assert needs_basics([Observation("/a", Right.PARAM_GET, "/use_sim_time")])
+    assert not needs_basics([Observation("/a", Right.PARAM_GET, "/speed")])
+
+
+def test_what_is_learned_is_a_policy_that_gives_it() -> None:
+    name = "/rviz_1795466501944712825/load"
+    seen = [Observation("/rviz", Right.PROVIDE, name, "std_srvs/Empty")]
+    text, _ = learn(SMALL, Decider(policy(SMALL)), seen, "2026-11-20")
+    read = policy(text.replace("std_srvs/Empty", "std_msgs/String"))
+    assert "1795466501944712825" not in text
+    verdict = Decider(read).decide(
+        Subject("/rviz", bytes(32), tail=True), Right.PROVIDE, "{node}/load"
+    )
+    assert verdict
+    assert learn(text, Decider(read), seen, "2026-11-21") == (text, [])
+
+
+def test_own_topics_that_differ_in_type_are_learned_by_their_names() -> None:
+    """One type was written for all of them, and a level on the other would fit no message."""
+    text = "rossec: 1\nrobot: r\nrules: []\n"
+    pose, odom = "geometry_msgs/PoseStamped", "nav_msgs/Odometry"
+    seen = [
+        Observation("/a", Right.PUBLISH, "/a/at", pose),
+        Observation("/b", Right.PUBLISH, "/b/at", odom),
+        Observation("/a", Right.PUBLISH, "/a/way", odom),
+        Observation("/b", Right.PUBLISH, "/b/way", odom),
+    ]
+    learned, _ = learn(text, Decider(policy(text)), seen, "2026-11-20")
+    assert policy(learned).types == {"/a/at": pose, "/b/at": odom, "{node}/way": odom}
+    again = "rossec: 1\nrobot: r\ntypes: {~/at: nav_msgs/Odometry}\nrules: []\n"
+    learned, _ = learn(again, Decider(policy(again)), seen[:1], "2026-11-20")
+    assert policy(learned).type_of("/a/at") == pose

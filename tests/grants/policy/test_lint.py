@@ -1,142 +1,148 @@
-"""Advice: what is allowed but unwise, in particular what reveals filtered fields."""
+"""Lint as a whole: seeded leaks are found, wise policies get no advice, advice can be followed."""
+
+from pathlib import Path
 
 import pytest
 
-from grants.errors import GrantError
-from grants.filters.layout import parse
-from grants.policy import lint as module
-from grants.policy.lint import lint
-from tests.grants.policy.policies import HEADER, definition, policy
-
-HEAD = (
-    HEADER
-    + """defaults: {lifetime: 7d}
-types:
-  /pose: geometry_msgs/PoseStamped
-  /odom: nav_msgs/Odometry
-"""
-)
+from grants.errors import GrantError, PolicyRefused
+from grants.filters.presets import PRESETS
+from grants.policy.lint import ADVICE, CHECKS, Finding, lint, sample_subject
+from grants.policy.model import SubjectPattern
+from grants.vocabulary.words import LEVELS
+from tests.grants.policy.lint_cases import TYPES, applied, codes, findings, layout_of, text_of
+from tests.grants.policy.lint_leaks import HOME, LEAKS, WISE, Leak
+from tests.grants.policy.policies import policy
 
 
-def advice(*lines: str, head: str = HEAD) -> list[str]:
-    text = head + "rules:\n" + "".join(f"  - {line}\n" for line in lines)
-    return [item.message for item in lint(policy(text), lambda t: parse(t, definition(t)))]
+def of(leak: Leak) -> str:
+    return text_of(*leak.rules, head=leak.head, types=dict(leak.types))
 
 
-def test_a_wise_policy_gets_no_advice() -> None:
-    assert advice("{id: a, who: /x, why: w, allow: {publish: [/x/out], subscribe: [/odom]}}") == []
+def found_in(text: str) -> set[tuple[str, str]]:
+    return {(item.code, item.message) for item in findings(text)}
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("{id: a, who: /x, allow: {call: /b}}", "rule a gives no reason"),
-        ("{id: a, who: /x, deny: {call: /b}}", "rule a gives no reason"),
-        ("{id: a, who: /x, why: w, allow: {call: /b}, renew_until: 60w}",
-         "rule a holds for more than a year"),
-        ('{id: a, who: /x, why: w, allow: {publish: ["/arm/**"]}}',
-         "rule a: publish on /arm/** may move anything"),
-        ('{id: a, who: /x, why: w, prompt: {param-set: ["/**"]}}',
-         "rule a: param-set on /** may move anything"),
-    ],
-)  # fmt: skip
-def test_each_kind_of_advice(line: str, message: str) -> None:
-    assert advice(line) == [message]
+@pytest.mark.parametrize("leak", LEAKS, ids=lambda leak: leak.name)
+def test_each_seeded_leak_is_found_and_nothing_else(leak: Leak) -> None:
+    assert sorted({item.code for item in findings(of(leak))}) == leak.codes.split()
 
 
-def test_a_missing_lifetime_is_advised() -> None:
-    line = "{id: a, who: /x, why: w, allow: {call: /b}}"
-    assert advice(line, head=HEADER) == ["rule a has no lifetime"]
+@pytest.mark.parametrize("leak", WISE, ids=lambda leak: leak.name)
+def test_a_wise_policy_gets_no_advice(leak: Leak) -> None:
+    assert [item.message for item in findings(of(leak))] == []
 
 
-def test_a_node_may_publish_below_its_own_name() -> None:
-    assert advice('{id: a, who: /x, why: w, allow: {publish: ["/x/**"]}}') == []
-    assert advice('{id: a, who: "/x/**", why: w, allow: {publish: ["/x/**"]}}') == []
+def test_a_home_with_a_robot_a_doctor_a_heating_a_guest_and_rviz() -> None:
+    assert [item.message for item in findings(HOME)] == []
+    with_tf = findings(HOME.replace("basics: true", "basics: [tf]"))
+    assert {item.code for item in with_tf} == {"exact-relative"}  # whatever they see coarsely
+    assert len(with_tf) == 3
 
 
-ROUND = "filter: {pose.position: {round: 1}}"
+def test_every_code_is_given_by_a_seeded_leak() -> None:
+    given = {code for leak in LEAKS for code in leak.codes.split()}
+    assert given == ADVICE.keys() - {"no-lifetime"}
+    assert len(LEAKS) > 29
 
 
-def test_related_fields_of_the_message() -> None:
-    found = advice(f"{{id: a, who: /x, why: w, allow: {{subscribe: [/pose]}}, {ROUND}}}")
-    for field in ("header.stamp", "header.seq", "pose.orientation"):
-        assert any(f"pose.position of /pose is filtered, {field} is not" in m for m in found)
-    assert any("sent at the full rate" in message for message in found)
-    assert not any("twist" in message for message in found)
+def test_no_lifetime() -> None:
+    text = text_of("id: a, who: /x, allow: {call: /b}").replace("defaults: {lifetime: 7d}\n", "")
+    assert [item.code for item in findings(text)] == ["no-lifetime"]
 
 
-def test_twist_and_covariance_of_odometry() -> None:
-    line = (
-        "{id: a, who: /x, why: w, allow: {subscribe: [/odom]}, filter: "
-        "{pose.pose.position: {round: 5}}}"
-    )
-    found = advice(line)
-    assert any("twist is not: the exact path" in message for message in found)
-    assert any("pose.covariance is not" in message for message in found)
+def with_suggestions() -> list[tuple[str, Finding]]:
+    return [(of(leak), item) for leak in LEAKS for item in findings(of(leak)) if item.suggestions]
 
 
-WHOLE = "header: {clear: true}, pose.orientation: {clear: true}"
+def test_what_is_suggested_is_a_policy_in_which_the_leak_is_gone() -> None:
+    """`policy` reads the changed text as `rossec policy check` does, or raises."""
+    tried = with_suggestions()
+    for text, finding in tried:
+        changed = applied(text, finding.suggestions)
+        policy(changed)
+        assert (finding.code, finding.message) not in found_in(changed)
+    assert len(tried) > 29
 
 
-def test_other_topics_of_the_same_receiver() -> None:
-    coarse = (
-        "{id: a, who: /x, why: w, allow: {subscribe: [/pose]}, "
-        f"filter: {{pose.position: {{clear: true}}, {WHOLE}}}}}"
-    )
-    assert advice(coarse) == []
-    exact = "{id: b, who: /x, why: w, allow: {subscribe: [/odom, /tf]}}"
-    assert advice(coarse, exact) == [
-        "rule a: /x sees /pose coarsely, but /odom exactly",
-        "rule a: /x sees /pose coarsely, but /tf exactly",
-    ]
-    elsewhere = "{id: b, who: /y, why: w, allow: {subscribe: [/odom, /tf]}}"
-    assert advice(coarse, elsewhere) == []
+@pytest.mark.parametrize("leak", LEAKS, ids=lambda leak: leak.name)
+def test_all_suggestions_can_be_followed_together(leak: Leak) -> None:
+    text = of(leak)
+    suggestions = [each for item in findings(text) for each in item.suggestions]
+    changed = applied(text, suggestions)
+    policy(changed)
+    suggested = {item.code for item in findings(text) if item.suggestions}
+    assert suggested.isdisjoint(item.code for item in findings(changed))
 
 
-def test_hysteresis_is_advised_if_supported(monkeypatch: pytest.MonkeyPatch) -> None:
-    line = (
-        "{id: a, who: /x, why: w, allow: {subscribe: [/pose]}, limit: {rate: 1}, "
-        f"filter: {{pose.position: {{round: 1}}, {WHOLE}}}}}"
-    )
-    monkeypatch.setattr(module, "_supports_hysteresis", lambda: False)
-    assert advice(line) == []
-    monkeypatch.setattr(module, "_supports_hysteresis", lambda: True)
-    assert advice(line) == ["rule a: pose.position is rounded without hysteresis"]
+def test_a_suggested_treatment_is_in_the_hint() -> None:
+    for _, finding in with_suggestions():
+        for each in finding.suggestions:
+            if each.treatment is not None and "use:" not in finding.hint:
+                assert each.treatment.path in finding.hint
 
 
-def test_whether_round_supports_hysteresis_is_asked_of_the_operator(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(module, "treatment_for", lambda _: None)
-    assert module._supports_hysteresis()
-
-    def refuse(_: object) -> None:
-        raise GrantError("no such parameter")
-
-    monkeypatch.setattr(module, "treatment_for", refuse)
-    assert not module._supports_hysteresis()
-
-
-def test_filters_of_other_fields_get_no_advice() -> None:
-    line = (
-        "{id: a, who: /x, why: w, allow: {subscribe: [/pose]}, "
-        "filter: {header.frame_id: {clear: true}}}"
-    )
-    assert advice(line) == []
+def supported(name: str) -> list[str]:
+    """A topic of each type that the preset supports."""
+    found = {}
+    for topic, kind in TYPES.items():
+        try:
+            PRESETS[name].restriction(layout_of(kind))
+        except GrantError:
+            continue
+        found[kind] = topic
+    return list(found.values())
 
 
-def test_unused_identities_and_filters() -> None:
-    head = (
-        HEAD + "identities: {i: {node: /i}, j: {node: /j}}\n"
-        "filters: {f: {pose.position: {clear: true}}, g: {header: {clear: true}}}\n"
-    )
-    line = "{id: a, who: j, why: w, allow: {subscribe: [/pose]}, filter: {use: g}}"
-    assert advice(line, head=head) == [
-        "filter f is used by no rule", "identity i is used by no rule",
-    ]  # fmt: skip
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_preset_gets_advice(name: str) -> None:
+    topics = supported(name)
+    assert topics
+    for topic in topics:
+        rule = f"id: a, who: /x, allow: {{subscribe: [{topic}]}}, filter: {{use: {name}}}"
+        assert codes(rule) == [], topic
 
 
-def test_keep_on_stale_is_advised_against() -> None:
-    assert advice("{id: a, who: /x, why: w, allow: {subscribe: /stop}, on_stale: keep}") == [
-        "rule a: if revocation data is withheld, /stop stays connected"
-    ]
+SAID = [
+    (word, level, topic)
+    for word, levels in LEVELS.items()
+    for level in levels[1:]
+    for topic in ("/pose", "/odom", "/fix", "/camera", "/scan", "/joints", "/diagnostics")
+]
+
+
+def test_no_level_gets_advice() -> None:
+    """A level is what `see` says: what gives it away in the same message is treated with it."""
+    given = 0
+    for word, level, topic in SAID:
+        text = text_of(f"id: a, who: /x, allow: {{subscribe: [{topic}]}}, see: {{{word}: {level}}}")
+        try:
+            policy(text)
+        except PolicyRefused:  # the type does not tell the word
+            continue
+        given += 1
+        assert [item.message for item in findings(text)] == [], (word, level, topic)
+    assert given > 29
+
+
+def test_the_same_advice_is_given_once_and_in_the_order_of_the_file() -> None:
+    found = findings(text_of(*(line for leak in LEAKS[:3] for line in leak.rules), types={})
+                     .replace("id: a", "id: b", 1).replace("id: a", "id: c", 1))  # fmt: skip
+    assert [item.line for item in found] == sorted(item.line for item in found)
+    assert len({(item.code, item.message) for item in found}) == len(found)
+
+
+def test_a_policy_without_rules_gets_no_advice() -> None:
+    assert lint(policy("rossec: 1\nrobot: r\nrules: []\n"), layout_of) == []
+
+
+def test_checks_are_a_table() -> None:
+    assert len(set(CHECKS)) == len(CHECKS)
+    assert sample_subject(SubjectPattern("*", "/**")).name == "/x"
+
+
+SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "policy.md").read_text()
+
+
+def test_the_specification_has_the_same_table() -> None:
+    rows = {f"| {code} | {each.says} | {each.do} |" for code, each in ADVICE.items()}
+    assert [row for row in rows if row not in SPEC] == []

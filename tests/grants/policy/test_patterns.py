@@ -10,11 +10,17 @@ from ca.patterns import covers, covers_tree
 from grants.model import Right
 from grants.policy.patterns import gives, includes, intersects, intersects_tree, overlaps
 
-patterns = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=3).map(
+plain = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=3).map(
     lambda parts: "/" + "/".join(parts)
 )
-# Names that show any difference: three segments, one of which only wildcards match.
-NAMES = ["/" + "/".join(parts) for n in range(1, 7) for parts in product("abz", repeat=n)]
+tails = st.sampled_from(["/a~", "/a~/b", "/a~/**", "/a_b~", "/b/a~", "/a~/*"])
+patterns = plain | tails
+# Names that show any difference: segments that only wildcards match, and that only tails do.
+NAMES = [
+    "/" + "/".join(parts)
+    for n in range(1, 5)
+    for parts in product(("a", "b", "z", "a_z", "a_b_z"), repeat=n)
+] + ["/" + "/".join(parts) for n in (5, 6) for parts in product("abz", repeat=n)]
 
 
 @pytest.mark.parametrize(

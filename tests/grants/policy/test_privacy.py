@@ -32,9 +32,30 @@ def test_every_field_has_its_row() -> None:
     assert (x.treatment, x.why, x.by) == (
         "round step 2.0", "Heating lowers rooms.", "rule heating-room",
     )  # fmt: skip
-    assert x.when.endswith('msg.header.frame_id == "map" and at most 0.2 a second')
+    assert x.when.endswith('msg.header.frame_id == "map" and at most 0.2 messages a second')
     assert x.until == "7d at a time, renewed for 180d"
     assert as_json(found())[0]["topic"] == "/robot/pose"
+
+
+def test_a_field_is_named_by_what_it_tells() -> None:
+    by_field = {row.field: row for row in found() if row.receiver == "/heating"}
+    assert by_field["pose.position.x"].tells == "position"
+    assert by_field["pose.orientation.w"].tells == "movement"
+    assert by_field["header.stamp"].tells == "presence"
+    assert by_field["header.frame_id"].tells == "frame"
+    assert by_field["header.seq"].sees == ("where it is: to 2 m; how it moves: only by where it is")
+
+
+def test_a_report_speaks_the_vocabulary_of_the_policy() -> None:
+    own = policy(
+        "rossec: 1\nrobot: r\ntypes: {/door: std_msgs/Bool}\n"
+        "vocabulary: {/door: {data: home}}\n"
+        "rules: [{id: a, who: /x, allow: {subscribe: /door}}]\n"
+    )
+    (row,) = rows(from_policy(Decider(own)), layout, own.vocabulary)
+    assert (row.tells, row.sees) == ("home", "the state of the home: exactly")
+    (row,) = rows(from_policy(Decider(own)), layout)
+    assert (row.tells, row.sees) == ("bare", "")
 
 
 def test_denied_access_is_not_reported() -> None:
@@ -75,13 +96,35 @@ def test_leaf_paths_are_bounded() -> None:
     assert len(leaf_paths(parse("a/B", nested))) == 512
 
 
+def test_a_rare_message_is_said_as_explain_says_it() -> None:
+    seldom = rules(
+        "{id: a, who: /x, allow: {subscribe: /p}, limit: {rate: 0.0333333}}",
+        head="rossec: 1\nrobot: r\ntypes: {/p: std_msgs/String}\n",
+    )
+    (row,) = rows(from_policy(Decider(seldom)), layout)
+    assert row.when == "at most one message every 30 s"
+
+
 def test_the_report_as_text() -> None:
     report = lines(found())
     assert report[0] == "/robot/pose (geometry_msgs/PoseStamped) -> /heating"
-    assert report[1] == "  why: Heating lowers rooms. (rule heating-room)"
+    assert report[1] == "  sees where it is: to 2 m; how it moves: only by where it is"
+    assert report[2] == "  why: Heating lowers rooms. (rule heating-room)"
     assert (
         "  clear: pose.orientation.w, pose.orientation.x, pose.orientation.y, "
         "pose.orientation.z" in report
     )
     assert "  why: no reason given (rule nav-full)" in report
     assert lines([]) == ["no receiver has access"]
+
+
+def test_own_names_of_one_node_are_shown_with_its_name_those_of_many_as_written() -> None:
+    own = rules(
+        '{id: a, who: [/x, "/fleet/*"], allow: {subscribe: [~/state]}}',
+        head='rossec: 1\nrobot: r\ntypes: {"~/state": std_msgs/String}\n',
+    )
+    found = {(row.topic, row.receiver): row.type for row in rows(from_policy(Decider(own)), layout)}
+    assert found == {
+        ("/x/state", "/x"): "std_msgs/String",
+        ("{node}/state", "/fleet/*"): "std_msgs/String",
+    }

@@ -1,6 +1,6 @@
 from grants.policy.model import Subject
 from grants.policy.projected_grants import projected_for_names, projected_grants
-from tests.grants.policy.policies import HEATING, OTHER_KEY, policy
+from tests.grants.policy.policies import HEATING, OTHER_KEY, policy, rules
 
 
 def test_rules_for_a_name_are_listed() -> None:
@@ -28,3 +28,12 @@ def test_rules_for_the_names_of_a_pattern_are_listed_with_whom_they_are_for() ->
     ]
     assert "heating: " in projected_for_names(policy(), "/**")[0]
     assert projected_for_names(policy(), "/other") == found[-1:]
+
+
+def test_own_names_are_shown_for_the_name() -> None:
+    own = rules('{id: a, who: "*", allow: {publish: [~/pose]}}')
+    assert projected_grants(own, HEATING) == [
+        "allow publish {node}/pose, here /heating/pose (rule a)"
+    ]
+    assert projected_grants(own, Subject("/remote/lab/a", OTHER_KEY)) == []
+    assert projected_for_names(own, "/nav/*") == ["*: allow publish {node}/pose (rule a)"]

@@ -60,7 +60,8 @@ def test_a_filter_for_one_of_two_topics() -> None:
 
 
 def test_a_preset_has_its_own_rate() -> None:
-    for limit, rate in (("", 0.2), (", limit: {rate: 0.1}", 0.1), (", limit: {rate: 5}", 0.2)):
+    own = 1 / 30
+    for limit, rate in (("", own), (", limit: {rate: 0.01}", 0.01), (", limit: {rate: 5}", own)):
         (rule,) = rules(
             "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: coarse-position}"
             f"{limit}}}",
@@ -75,6 +76,16 @@ def test_a_preset_has_its_own_rate() -> None:
     )
     assert message.startswith("coarse-position: the preset does not support sensor_msgs/Laser")
     assert hint.startswith("it supports geometry_msgs/PoseStamped")
+
+
+def test_a_preset_has_its_own_slot() -> None:
+    (rule,) = rules(
+        "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: presence-only}}", head=HEAD
+    ).rules
+    (clause,) = rule.clauses
+    assert clause.restriction is not None
+    assert (clause.rate, clause.restriction.slot) == (None, 60)
+    assert clause.lines()[-1] == "one message at the start of each 60 s"
 
 
 def test_a_condition_on_time_needs_no_type() -> None:
@@ -191,3 +202,58 @@ def test_names_of_other_domains_are_subjects_and_no_objects(line: str, message: 
     ((said, hint),) = found(line)
     assert message in said
     assert hint
+
+
+_OTHER_TOPIC = (
+    "types: {~/pose: geometry_msgs/PoseStamped}\nrules: [{id: a, who: /x, allow:"
+    " {subscribe: ~/pose}, filter: {~/poze: {header: {clear: true}}}}]\n"
+)
+OWN_TYPES = 'rossec: 1\nrobot: r\ntypes: {"~/pose": geometry_msgs/PoseStamped}\n'
+
+
+def test_own_topics_have_types_and_filters() -> None:
+    (rule,) = rules(
+        '{id: a, who: /x, allow: {subscribe: ["{node}/pose", /b]}, '
+        "filter: {~/pose: {pose.orientation: {clear: true}}}}",
+        head=OWN_TYPES,
+    ).rules
+    own, other = rule.clauses
+    assert (own.pattern, own.type, other.restriction) == (
+        "{node}/pose", "geometry_msgs/PoseStamped", None,
+    )  # fmt: skip
+    assert own.restriction is not None
+    (plain,) = rules(
+        "{id: a, who: /x, allow: {subscribe: /x/pose}, filter: {use: coarse-position}}",
+        head=OWN_TYPES,
+    ).rules
+    assert plain.clauses[0].type == "geometry_msgs/PoseStamped"
+
+
+def test_a_wide_type_is_that_of_own_topics() -> None:
+    head = OWN_TYPES.replace('"~/pose"', '"/**/pose"')
+    (rule,) = rules(
+        "{id: a, who: /x, allow: {subscribe: ~/pose}, filter: {use: coarse-position}}", head=head
+    ).rules
+    assert rule.clauses[0].type == "geometry_msgs/PoseStamped"
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "hint"),
+    [
+        ("types: {'{node}': std_msgs/String}\nrules: []\n", "{node} is no topic", "~/pose"),
+        ("rules: [{id: a, who: /x, allow: {subscribe: ~/b}, when: msg.data == 'x'}]\n",
+         "the message type of {node}/b is unknown", "types: {~/b: package/Type}"),
+        ("rules: [{id: a, who: /x, allow: {publish: '{me}/b'}}]\n", "'{me}'", "~/pose"),
+        ("rules: [{id: a, who: /x, allow: {publish: {node}}}]\n", "without quotes", '"{node}"'),
+        ("rules: [{id: a, who: '/robot*', allow: {publish: /b}}]\n", "'/robot*'", "groups:"),
+        ("rules: [{id: a, who: /x, allow: {publish: '/robot*/b'}}]\n", "part of a segment", "~/"),
+        (_OTHER_TOPIC,
+         "no subscribe right on '{node}/poze'", "{node}/pose"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_own_names(text: str, message: str, hint: str) -> None:
+    (mistake,) = mistakes("rossec: 1\nrobot: r\n" + text)
+    assert message in mistake.message
+    assert hint in mistake.hint
+    assert mistake.line > 2
+    assert mistake.column > 1

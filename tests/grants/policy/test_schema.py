@@ -62,3 +62,35 @@ def test_a_denial_has_no_filter() -> None:
     assert validator.is_valid(policy)
     deny["lifetime"] = "1d"
     assert not validator.is_valid(policy)
+
+
+@pytest.mark.parametrize(
+    ("more", "is_valid"),
+    [
+        ("basics: true", True),
+        ("basics: [tf]", True),
+        ("basics: yes", False),
+        ("basics: [odom]", False),
+        ("tests: [{who: /a, may: {call: /s}, may_not: {publish: /**}, asks: {call: [/t]}}]", True),
+        ("tests: [{who: /a, sees: {/t: {x.y: 2.0, z: no}, /u: no}, at: x, message: {}}]", True),
+        ("tests: [{may: {call: /s}}]", False),
+        ("tests: [{who: /a, sees: {/t: 2}}]", False),
+        ("tests: [{who: /a, may: {dance: /s}}]", False),
+    ],
+)
+def test_basics_and_tests(more: str, *, is_valid: bool) -> None:
+    assert (check(f"rossec: 1\nrobot: r\nrules: []\n{more}\n") == []) is is_valid
+
+
+@pytest.mark.parametrize(
+    ("name", "valid"),
+    [
+        ("{node}", True), ("{node}/pose", True), ("~/pose", True), ("~/**", True), ("/a/*", True),
+        ("~", False), ("~pose", False), ("{nod}/x", False), ("/a/{node}", False), ("~/", False),
+        ("{node}x", False), ("/a~/b", False),
+    ],
+)  # fmt: skip
+def test_own_names_stand_first(name: str, valid: bool) -> None:
+    rule = {"id": "a", "who": "robots", "allow": {"call": name}}
+    policy = {"rossec": 1, "robot": "r", "groups": {"robots": ["/a", "b"]}, "rules": [rule]}
+    assert jsonschema.Draft202012Validator(schema.schema()).is_valid(policy) is valid

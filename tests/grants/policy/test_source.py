@@ -103,3 +103,24 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 def test_any_yaml_like_text_is_read_or_refused(text: str) -> None:
     with contextlib.suppress(PolicyRefused):
         read(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a: {node}/pose\n", "a: [{node}/pose]\n", "a:\n  - {node}/**\n", "b: 1\na: [x, {node}/y]"],
+)
+def test_own_names_without_quotes_say_what_to_write(text: str) -> None:
+    with pytest.raises(PolicyRefused, match=r"^p.yaml:[12]:") as refused:
+        read(text)
+    assert '"{node}/pose"' in refused.value.hint
+    assert "~/pose" in refused.value.hint
+
+
+def test_own_names_in_quotes_or_short_are_texts() -> None:
+    part = read("a: [\"{node}/pose\", '{node}', ~/pose, ~/**]\n")
+    assert isinstance(part, YamlMapping)
+    row = part.get("a")
+    assert isinstance(row, YamlSequence)
+    assert [each.value for each in row.items if isinstance(each, YamlScalar)] == [
+        "{node}/pose", "{node}", "~/pose", "~/**",
+    ]  # fmt: skip

@@ -28,7 +28,7 @@ def test_an_sros2_policy_is_imported() -> None:
     text, notes = import_sros2(TALKER)
     allow, deny, again = policy(text).rules
     assert [(item.right.label, item.pattern) for item in allow.clauses] == [
-        ("publish", "/robot/chatter"), ("publish", "/abs"), ("publish", "/robot/talker/own"),
+        ("publish", "/robot/chatter"), ("publish", "/abs"), ("publish", "{node}/own"),
         ("publish", "/robot/fib/status"), ("publish", "/robot/fib/feedback"),
         ("publish", "/robot/fib/result"), ("provide", "/add"), ("call", "/sub"),
         ("subscribe", "/robot/fib/goal"), ("subscribe", "/robot/fib/cancel"),

@@ -59,6 +59,15 @@ def test_a_trial_applies_the_rate() -> None:
     assert passed[1].reason == "more than 0.5 messages a second"
 
 
+def test_a_trial_applies_the_slots() -> None:
+    line = "{id: a, who: /x, allow: {subscribe: /s}, filter: {use: presence-only}}"
+    of = rules(line, head=HEADER + "types: {/s: std_msgs/String}\n")
+    tried = Trial(STRING, decide(of, node("/x"), Right.SUBSCRIBE, "/s"))
+    passed = [tried(HELLO, now) for now in (30, 60, 61)]
+    assert [each.message for each in passed] == [None, bytes(4), None]
+    assert passed[0].reason == "not the one message at the start of each 60 s"
+
+
 def test_pseudonyms_use_placeholder_keys() -> None:
     of = rules(
         "{id: a, who: /x, allow: {subscribe: /s}, filter: {data: {hash: {key: k, length: 8}}}}",

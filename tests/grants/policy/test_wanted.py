@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import Permission, Restriction, Right
 from grants.policy.decision import Decider
-from grants.policy.model import DAY, Effect, Policy
+from grants.policy.model import DAY, Effect, Policy, Subject
 from grants.policy.wanted import WantedRight, WantedState, rule_ids
 from tests.grants.policy.policies import HEADER, node, rules
 
@@ -116,3 +116,55 @@ def test_what_nobody_renews_is_not_wanted_renewed() -> None:
     assert (own.renew_until, foreign.renew_until) == (30 * DAY, 0)
     assert (own.pattern, everybody.pattern, foreign.pattern) == ("/b", "/c", "/b")
     assert found.of(node("/remote/clinic/x")).rights == ()
+
+
+OWN = rules(
+    '{id: a, who: "*", allow: {provide: [~/get_loggers], publish: ["{node}/pose", /map]}}',
+    '{id: b, who: "*", deny: {publish: [/x/pose]}}',
+)
+
+
+def test_each_node_gets_its_own_names() -> None:
+    wanted = state(OWN)
+    x, y = wanted.of(X), wanted.of(Y)
+    assert named(x.rights) == ["provide /x/get_loggers", "publish /map"]
+    assert [(each.pattern, each.by.id) for each in x.withheld] == [("/x/pose", "b")]
+    assert named(y.rights) == ["provide /y/get_loggers", "publish /y/pose", "publish /map"]
+    assert wanted.of(X) == x
+    assert wanted.decide(X, (Right.PROVIDE, "/x/get_loggers"))
+    assert not wanted.decide(Y, (Right.PROVIDE, "/x/get_loggers"))
+
+
+def test_a_tail_gets_tail_patterns_and_no_other_node_does() -> None:
+    wanted = state(OWN)
+    rviz = Subject("/rviz", bytes(32), tail=True)
+    found = wanted.of(rviz).rights
+    assert named(found) == ["provide /rviz~/get_loggers", "publish /rviz~/pose", "publish /map"]
+    assert found[0].permissions == (Permission("/rviz~/get_loggers", Right.PROVIDE),)
+    assert wanted.decide(rviz, (Right.PROVIDE, "/rviz~/get_loggers"))
+    for other in (node("/rviz"), Subject("/rviz_1", bytes(32), tail=True)):
+        assert not wanted.decide(other, (Right.PROVIDE, "/rviz~/get_loggers"))
+
+
+def test_a_denial_of_one_name_of_the_tail_withholds_all_of_it() -> None:
+    policy = rules(
+        "{id: a, who: /rviz, allow: {publish: [~/pose]}}",
+        '{id: b, who: "*", deny: {publish: [/rviz_left/pose]}}',
+    )
+    wanted = state(policy).of(Subject("/rviz", bytes(32), tail=True))
+    assert wanted.rights == ()
+    assert [(each.pattern, each.by.id) for each in wanted.withheld] == [("/rviz~/pose", "b")]
+    assert named(state(policy).of(node("/rviz")).rights) == ["publish /rviz/pose"]
+
+
+def test_no_pattern_of_others_gives_a_tail_pattern_to_a_node_without_a_tail() -> None:
+    wide = state(rules('{id: a, who: "*", allow: {publish: ["/**"]}}'))
+    atom = (Right.PUBLISH, "/x~/pose")
+    assert not wide.decide(X, atom)
+    assert wide.decide(Subject("/x", bytes(32), tail=True), atom)
+
+
+def test_a_foreigner_gets_no_own_names() -> None:
+    policy = rules('{id: a, who: "lab:/*", allow: {publish: [~/pose, /map]}}')
+    found = state(policy).of(node("/remote/lab/robot")).rights
+    assert named(found) == ["publish /map"]

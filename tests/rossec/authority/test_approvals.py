@@ -116,7 +116,7 @@ def test_only_enrolled_nodes_ask_and_only_for_themselves(place: Place) -> None:
     with pytest.raises(GrantForged):
         queue.add_request(place.request(LIFT, name="/ca"))
     place.authority.revoke(place.node.identity(place.now).thumbprint, "lost", place.now)
-    with pytest.raises(StoreError, match="/toaster has no valid identity"):
+    with pytest.raises(StoreError, match="the identity of /toaster is revoked"):
         queue.add_request(place.request(LIFT))
 
 

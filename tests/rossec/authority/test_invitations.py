@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -5,6 +6,7 @@ import pytest
 from ca.enrollment.join_messages import RefuseReason
 from ca.errors import NameRefused, PatternRefused
 from ca.revocation.state import open_list
+from ca.things.statement import sign_statement
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import (
     InvitationStatus,
@@ -17,6 +19,7 @@ from rossec.authority.invitations import (
 from rossec.errors import ConfigurationError
 from tests.support.joining import HOUR, JoinSite, issued, refusal
 from tests.support.pki import NOW, new_signer
+from tests.support.things import LAMP, row_of
 
 PASSPHRASE = "four random words here"
 END = NOW + HOUR
@@ -59,6 +62,9 @@ def test_an_invitation_is_recorded_without_its_secret(directory: AuthorityHome) 
         ("/master", False, ConfigurationError),
         ("/ca", False, ConfigurationError),
         ("/ca", True, NameRefused),
+        ("/gateway", False, ConfigurationError),
+        ("/gateway/*", False, ConfigurationError),
+        ("/gateway", True, NameRefused),
     ],
 )
 def test_what_is_not_invited(
@@ -124,6 +130,18 @@ def test_every_key_of_who_joined_is_revoked_in_one_list(home: JoinSite) -> None:
     prints = [home.authority.verify(der, NOW).thumbprint for der in (*ours, kept)]
     assert [each in entries for each in prints] == [True, True, False]
     assert revoke_nodes(home.authority, status_of(home, code.id), "lost", NOW) == (None, [])
+
+
+def test_the_things_of_a_router_that_joined_end_with_it(home: JoinSite) -> None:
+    code = home.invite(uses=5)
+    issued(home.join(code, "/fleet/a"))
+    lamp = replace(LAMP, not_before=NOW, expires=NOW + HOUR)
+    data = sign_statement(home.authority.signer, lamp)
+    row = row_of(lamp, "/fleet/a")._replace(data=data)
+    home.store.things.add(row, lamp, NOW)
+    listed, _ = revoke_nodes(home.authority, status_of(home, code.id), "lost", NOW)
+    assert listed is not None
+    assert lamp.id in listed.entries
 
 
 def status_of(home: JoinSite, code_id: bytes) -> InvitationStatus:

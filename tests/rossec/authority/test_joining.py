@@ -3,12 +3,12 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.join_messages import RefuseReason, Waiting, WaitReason
+from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
 from ca.enrollment.join_transcript import sign_proof
 from ca.errors import RecordUnusable
 from ca.requests import check_request
 from ca.store.lifecycle import RequestState
-from rossec.authority.joining import MAX_WAITING, join, join_locked
+from rossec.authority.joining import MAX_WAITING, allowed_pattern, join, join_locked
 from tests.support.joining import HOUR, JoinSite, asked, issued, refusal
 from tests.support.pki import NOW, new_signer
 
@@ -96,7 +96,7 @@ def test_a_name_outside_of_the_pattern(home: JoinSite, name: str) -> None:
     assert refusal(home.join(home.invite(), name)) is RefuseReason.NAME
 
 
-@pytest.mark.parametrize("name", ["/ca", "/master", "/master/kitchen"])
+@pytest.mark.parametrize("name", ["/ca", "/master/kitchen", "/gateway", "/gateway/attic"])
 @pytest.mark.parametrize("pattern", ["/**", "/*", None])
 def test_reserved_names_never(home: JoinSite, name: str, pattern: str | None) -> None:
     code = home.invite(pattern or name)
@@ -205,3 +205,19 @@ def test_while_the_authority_is_locked(home: JoinSite) -> None:
     assert refusal(join_locked(home.store, request, NOW + HOUR + 1)) is RefuseReason.ENDED
     issued(join(home.authority, request, NOW))
     assert join_locked(home.store, request, NOW + HOUR + 1) == LOCKED
+
+
+def test_metadata_are_looked_at_for_who_proves_an_invitation_that_is_open_or_was_used(
+    home: JoinSite,
+) -> None:
+    code, store = home.invite(uses=2), home.store
+    request = home.request(code, asked("/fleet/a"))
+    assert allowed_pattern(store, request, NOW) == "/fleet/*"
+    unproved = replace(request, metadata=b"<node/>")
+    assert allowed_pattern(store, unproved, NOW) == Refused(RefuseReason.REFUSED)
+    unknown = replace(request, invitation=bytes(32))
+    assert allowed_pattern(store, unknown, NOW) == Refused(RefuseReason.REFUSED)
+    late = NOW + 2 * HOUR
+    assert allowed_pattern(store, request, late) == Refused(RefuseReason.ENDED)
+    join(home.authority, request, NOW)
+    assert allowed_pattern(store, request, late) == "/fleet/*"

@@ -222,6 +222,16 @@ def test_a_new_identity_gets_what_the_policy_gives_it(office: Office) -> None:
         office.service.grant_outright("/here")
 
 
+def test_a_new_identity_gets_nothing_by_a_policy_whose_tests_do_not_hold(office: Office) -> None:
+    """`apply` refused the file, and the next enrollment put it in force for its node."""
+    text = (office.root / "ca" / "policy.yaml").read_text()
+    office.write(f"{text}tests: [{{who: /there, may_not: {{subscribe: /pose}}}}]\n")
+    with pytest.raises(HintedError, match="the test does not hold"):
+        office.service.grant_outright("/there")
+    office.write(f"{text}tests: [{{who: /there, may: {{subscribe: /pose}}}}]\n")
+    assert len(office.service.grant_outright("/there")) == 1
+
+
 def test_what_a_new_identity_gets_is_in_the_policy_that_was_given(
     office: Office, tmp_path: Path
 ) -> None:
@@ -271,6 +281,16 @@ def test_what_the_policy_allows_is_signed_when_it_is_asked_for(office: Office) -
     office.write(POLICY + PROMPT.replace("prompt", "allow"))
     decided = office.service.decide_grants(read_policy(office.root, None))
     assert (len(decided.grants), decided.allowed, decided.waiting) == (1, 1, 0)
+
+
+def test_nothing_asked_for_is_signed_by_a_policy_whose_tests_do_not_hold(office: Office) -> None:
+    office.asked("/lift")
+    allowing = POLICY + PROMPT.replace("prompt", "allow")
+    office.write(f"{allowing}tests: [{{who: /there, may_not: {{call: /lift}}}}]\n")
+    with pytest.raises(HintedError, match="the test does not hold"):
+        office.service.decide_grants(read_policy(office.root, None))
+    office.write(allowing)
+    assert len(office.service.decide_grants(read_policy(office.root, None)).grants) == 1
 
 
 def test_a_person_denies_all_rights_of_a_request(office: Office) -> None:

@@ -155,3 +155,20 @@ def test_plans_that_do_the_same_have_the_same_effect(site: Site) -> None:
     assert plan(site).effect("home") != effect
     goes = plan(site, POLICY.replace("/pose", "/scan"))
     assert goes.effect("home") != replace(goes, nodes=goes.nodes[:1]).effect("home")
+
+
+def test_a_gateway_gets_its_rights_by_hand_and_keeps_them(site: Site) -> None:
+    """It is reserved, as a master is: a rule for everybody is not about what it may receive."""
+    for name in ("/gateway", "/gateway/attic"):
+        site.enroll(name, 30 * DAY)
+    serves = by_hand(site, "/gateway", Permission("/gateway/hospital/**", Right.PUBLISH))
+    made = plan(site, POLICY, PlanOptions(prune=True))
+    assert [node.subject.name for node in made.nodes if node.sign] == ["/robot", "/viewer"]
+    assert serves.id not in [grant.id for grant in made.revoke]
+
+
+def test_served_names_are_granted_like_any_other(site: Site) -> None:
+    text = POLICY.replace("subscribe: [/pose]", "subscribe: [/gateway/hospital/**]")
+    assert sign(site, plan(site, text))[0].permissions[0] == Permission(
+        "/gateway/hospital/**", Right.SUBSCRIBE
+    )

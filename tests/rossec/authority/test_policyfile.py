@@ -30,8 +30,9 @@ def test_a_policy_is_replaced_only_by_a_valid_one(tmp_path: Path) -> None:
 
 
 def test_an_invalid_policy_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="there is no policy"):
+    with pytest.raises(ConfigurationError, match="there is no policy") as caught:
         PolicyFile.read(tmp_path / "policy.yaml")
+    assert caught.value.hint == "next: rossec policy init"
     (tmp_path / "policy.yaml").write_bytes(b"\xff")
     with pytest.raises(ConfigurationError, match="is not UTF-8"):
         PolicyFile.read(tmp_path / "policy.yaml")

@@ -237,14 +237,3 @@ def test_a_delegation_with_a_given_serial_is_the_same_when_it_is_signed_again(
     assert len(signing.delegations(opened.path, key)) == 1
     other = open_delegation(opened.issue_delegation(bytes(32), DAY, 600, NOW), key)
     assert other.id != first.id
-
-
-def test_of_names_of_others_an_authority_shows_its_own_graph_and_grants_nothing() -> None:
-    signing.check_own_names([Permission("/remote/**", Right.GRAPH), Permission("/**", Right(255))])
-    for right in Right:
-        if right is Right.GRAPH:
-            continue
-        for pattern in ("/remote/hospital/a", "/remote/**", "/remote/*/a"):
-            with pytest.raises(ConfigurationError, match="a name of another domain") as refused:
-                signing.check_own_names([Permission(pattern, right | Right.GRAPH)])
-            assert "--graph" in refused.value.hint

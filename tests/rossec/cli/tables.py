@@ -1,5 +1,7 @@
 """What the table of a lazy group has to hold."""
 
+from collections.abc import Iterator
+
 import click
 
 from rossec.cli.shared.lazy import LazyCommand, LazyGroup
@@ -14,7 +16,20 @@ def check_table(group: click.Command) -> None:
         command = listed.load()
         assert command.name == name
         assert not command.hidden
-        for width in (20, 45, 80, 1000):
-            assert listed.get_short_help_str(width) == command.get_short_help_str(width)
         assert listed.help is not None
+        assert listed.get_short_help_str() == listed.help
         assert (command.help or "").replace("\n", " ").startswith(listed.help)
+
+
+def all_commands(
+    group: click.Group, path: tuple[str, ...] = ("rossec",)
+) -> Iterator[tuple[tuple[str, ...], LazyCommand | None, click.Command]]:
+    """Every command: its words, how it is listed, and itself; the group first."""
+    yield path, None, group
+    for name, listed in group.commands.items():
+        command = listed.load() if isinstance(listed, LazyCommand) else listed
+        lazy = listed if isinstance(listed, LazyCommand) else None
+        if isinstance(command, click.Group):
+            yield from all_commands(command, (*path, name))
+        else:
+            yield (*path, name), lazy, command

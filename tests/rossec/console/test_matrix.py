@@ -95,6 +95,22 @@ def test_a_pattern_has_a_row_and_covers_topics() -> None:
     assert home.matrix.rows[-1] == row
 
 
+def test_names_of_anonymous_nodes_have_a_row_for_who_sees_them() -> None:
+    home = demo()
+    home.node("/rviz")
+    home.node("/doctor2")
+    home.grant("/rviz", sees("/rviz~/goal"), sends("/rviz~/marker"))
+    home.grant("/doctor2", sees("/**"))
+    row = home.matrix.row("/rviz~/goal")
+    assert row is not None
+    assert row.is_pattern
+    assert home.matrix.row("/rviz~/marker") is None
+    assert cell(home, "/rviz", "/rviz~/goal").access is Access.ALL
+    assert cell(home, "/doctor2", "/rviz~/goal").access is Access.ALL
+    assert cell(home, "/heating", "/rviz~/goal").access is Access.NOTHING
+    assert publishers_of("/rviz~/marker", home.held, home.facts) == ("/rviz",)
+
+
 def test_the_type_is_that_of_the_graph_or_of_a_grant() -> None:
     home = demo()
     row = home.matrix.row("/robot/scan")

@@ -29,6 +29,8 @@ def test_the_report_of_the_demo() -> None:
         "position to 2 m": tuple(f"pose.position.{axis}" for axis in "xyz"),
     }
     (who,) = heating.receivers
+    assert heating.sees == "where it is: to 2 m; how it moves: only by where it is"
+    assert doctor.sees == "where it is: exactly; how it moves: exactly"
     assert who.why == "decided by hand"
     assert who.until.endswith("UTC")
     assert who.by.startswith("grant ")
@@ -61,6 +63,7 @@ def test_a_filter_of_an_unknown_type_is_not_said_to_show_everything() -> None:
         ("as it is", ("everything else in it",)),
         ("removed", ("a",)),
     ]
+    assert topic.groups[0].sees == ""
 
 
 def test_only_what_is_wanted_is_in_it() -> None:

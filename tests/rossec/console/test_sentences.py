@@ -78,6 +78,7 @@ def test_the_story_of_the_demo() -> None:
         ("domain", "zoo", "Domain /lamp is trusted as far as was said, and called zoo"),
         ("domain ended", "over", "Domain /lamp is not trusted any more: over"),
         ("domain list", "", "Signed the list of other domains, number /lamp"),
+        ("thing", "01ab", "Thing known with its border router: /lamp"),
         ("foreign certificate", "aa", "Known a node of another domain: /lamp"),
         ("never heard of", "more", "Never heard of /lamp more"),
     ],

@@ -17,7 +17,9 @@ EXAMPLES: dict[str, tuple[dict[str, Scalar], str]] = {
     "redact": ({"text": "somewhere"}, "position replaced by “somewhere”"),
     "truncate": ({"length": 3}, "only the first 3 of position"),
     "hash": ({"key": "diagnostics"}, "position as a pseudonym"),
-    "pixelate": ({"block": 32}, "position in squares of 32 pixels"),
+    "pixelate": ({"block": 32, "levels": 8}, "position in squares of 32 pixels, 8 shades of grey"),
+    "rooms": ({"field": "0 0, 1 1", "width": "1 1, 2 2"}, "position as the room alone"),
+    "sort": ({}, "position in no order of their own"),
 }
 
 
@@ -50,7 +52,20 @@ def test_a_restriction_says_the_most_important_first() -> None:
     )
     limited = Restriction(None, ("now < 5",), (), 0.2)
     assert words.restriction(limited) == ["at most one every 5 s", "only when now < 5"]
+    assert words.restriction(Restriction(slot=60)) == ["one at the start of each 60 s"]
     assert words.rate(3) == "at most 3 a second"
+
+
+def test_a_level_of_the_vocabulary_is_said_first() -> None:
+    steps = {"round": {"step": 4.0, "hysteresis": 2.0}}
+    rules = filter_rules({"pose.position": steps, "pose.orientation": {"clear": True}})
+    room = Restriction("geometry_msgs/PoseStamped", (), rules, 1 / 30)
+    assert words.restrictions([room]) == (
+        "where it is: the room; how it moves: only by where it is"
+        " (position to 4 m, without direction, at most one every 30 s)"
+    )
+    unknown = Restriction("my_msgs/Own", (), filter_rules({"a": {"clear": True}}))
+    assert words.levels([unknown]) == words.levels([]) == words.levels([COARSE]) == ""
 
 
 @pytest.mark.parametrize(
@@ -125,6 +140,8 @@ def test_a_pattern_in_words() -> None:
     assert words.topic("/**") == "everything"
     assert words.topic("/robot/**") == "everything below /robot"
     assert words.topic("/robot/*/x") == "/robot/*/x"
+    assert words.topic("/rviz~/marker") == "/rviz_…/marker"
+    assert words.topic("/rviz~/**") == "everything below /rviz_…"
 
 
 def test_a_hostile_text_is_bounded_and_on_one_line() -> None:

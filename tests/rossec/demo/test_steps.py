@@ -1,9 +1,10 @@
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from rossec.demo import steps
-from rossec.demo.environment import DemoFailed
+from rossec.demo.environment import DemoEnvironment, DemoFailed
 from tests.support.commands import Shell, refused
 
 
@@ -19,6 +20,22 @@ def test_the_whole_demo(empty: Shell) -> None:
     ):
         assert claim in said.out
     assert said.err == ""
+
+
+async def test_no_grant_of_the_demo_tells_by_a_condition_what_it_clears(tmp_path: Path) -> None:
+    signed: list[tuple[str, ...]] = []
+
+    class Commands:
+        root = tmp_path
+
+        async def command(self, *words: str) -> str:
+            signed.append(words)
+            return "grant 1234"
+
+    await steps.sign_grants(cast("DemoEnvironment", Commands()))
+    [heating] = [words for words in signed if "/heating" in words]
+    assert "header.frame_id" in heating
+    assert "--when" not in heating
 
 
 def test_a_kept_demo_needs_a_new_directory(empty: Shell, tmp_path: Path) -> None:

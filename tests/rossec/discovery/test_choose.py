@@ -9,8 +9,9 @@ from ca.revocation.tree import is_tree
 from rossec.discovery import choose
 from rossec.discovery.announcement import Announcement
 from rossec.discovery.candidates import Candidate, DatagramSource
-from rossec.discovery.finder import PATIENCE
+from rossec.discovery.finder import PATIENCE, SETTLE
 from rossec.errors import ConfigurationError, MasterNotFound
+from rossec.home import NodeHome
 from tests.support.site import Site
 
 
@@ -78,15 +79,20 @@ async def test_the_best_master_that_answers_is_chosen(
     near, far = (Candidate(key * 32, "/master", source, announced) for key in (b"k", b"o"))
     near.endpoint = "fd00::7", 11311
 
-    async def find(anchor: TrustAnchor, revoked: object, *, patience: float) -> list[Candidate]:
-        asked.append((anchor.thumbprint, patience))
+    async def find(
+        anchor: TrustAnchor, revoked: object, *, patience: float, settle: float
+    ) -> list[Candidate]:
+        asked.append((anchor.thumbprint, patience, settle))
         return [near, far]
 
     monkeypatch.setattr(choose, "find", find)
     environ = {"ROS_MASTER_URI": "discover:", "ROSSEC_HOME": str(home.root), "ROS_IP": "::1"}
     found = await choose.discover_master(environ, "/robot")
     assert found == {**environ, "ROS_MASTER_URI": "http://[fd00::7]:11311"}
-    assert asked == [(home.anchor.thumbprint, PATIENCE)]
+    assert asked == [(home.anchor.thumbprint, PATIENCE, SETTLE)]
+    own = NodeHome.of(home.root, "/robot")
+    assert await choose.discover_master(environ, own, settle=1) == found
+    assert asked[1:] == [(home.anchor.thumbprint, PATIENCE, 1)]
     far.name = "/master/kitchen"
     other = await choose.discover_master({**environ, "ROSSEC_MASTER": far.name}, "/robot")
     assert other["ROS_MASTER_URI"] == "http://192.0.2.7:11311"

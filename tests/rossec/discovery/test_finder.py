@@ -39,6 +39,9 @@ def run(site: Site, host: Host, *words: str, **environ: str) -> subprocess.Compl
 
 @pytest.fixture(scope="module")
 def master(hosts: Hosts, home: Site) -> Iterator[subprocess.Popen[str]]:
+    newest = home.authority.store.newest_list()
+    assert newest is not None
+    home.enroll("/master").save_revocations(newest)
     env = {**os.environ, "ROSSEC_HOME": str(home.root), "ROS_IP": hosts.near.ipv4}
     command = hosts.near.at(*ROSSEC, "master", "--port", "0", "--json", "--announce")
     with subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True) as running:
@@ -77,6 +80,20 @@ def test_a_program_is_started_with_the_master_that_was_found(
     command = hosts.far.at(sys.executable, "-c", code)
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.startswith("http://10.99.0.1:")
+
+
+def test_commands_find_the_master(
+    hosts: Hosts, home: Site, master: subprocess.Popen[str]
+) -> None:  # fmt: skip
+    discover = {"ROS_MASTER_URI": "discover:", "ROS_IP": hosts.far.ipv4}
+    home.publish("/robot", "/x")
+    checked = run(home, hosts.far, "doctor", "/robot", **discover)
+    assert "ok      the clock agrees with the master's" in checked.stdout
+    assert "ok      the master at http://10.99.0.1:" in checked.stdout
+    assert checked.returncode == 0, checked.stderr
+    for words in (("topic", "list"), ("node", "list"), ("param", "list"), ("service", "list")):
+        done = run(home, hosts.far, *words, "--as", "/robot", **discover)
+        assert done.returncode == 0, done.stderr
 
 
 def test_another_domains_master_is_not_found(

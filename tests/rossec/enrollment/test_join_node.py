@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_messages import JoinAnswer, Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import (
+    JoinAnswer,
+    NameAnswer,
+    Named,
+    Refused,
+    RefuseReason,
+    Waiting,
+    WaitReason,
+)
 from ca.enrollment.join_request import JoinRequest
 from ca.errors import JoinBusy, JoinRefused, JoinWaiting, NotTheAuthority
 from rossec.enrollment import join_node
@@ -174,3 +183,27 @@ def with_address(code: InvitationCode, address: str) -> InvitationCode:
 async def test_an_address_that_is_none(home: JoinSite) -> None:
     with pytest.raises(ConfigurationError):
         await join_node.join(with_address(home.invite(), "no:port:"), lambda _: b"", clock)
+
+
+async def test_a_name_is_asked_for_and_the_request_has_the_metadata(home: JoinSite) -> None:
+    metadata, claims, answers = b"<node/>", list[JoinClaim](), Answers(home)
+
+    async def named(claim: JoinClaim) -> NameAnswer:
+        claims.append(claim)
+        return BUSY if len(claims) == 1 else Named("/fleet/a")
+
+    async with home.serving(JoinServer(home.identity, answers, name=named)):
+        code = home.invite()
+        assert await join_node.ask_name(code, metadata, clock) == "/fleet/a"
+        found = await join_node.join(code, lambda _: asked("/fleet/a"), clock, metadata)
+    assert found.anchor.verify(found.chain, NOW).name == "/fleet/a"
+    assert [claim.metadata for claim in claims] == [metadata, metadata]
+    assert answers.requests[0].metadata == metadata
+
+
+async def test_an_authority_that_gives_no_names(home: JoinSite) -> None:
+    async with home.serving():
+        with pytest.raises(JoinRefused, match="too old to give names"):
+            await join_node.ask_name(home.invite(), b"<node/>", clock)
+    with pytest.raises(PeerUnreachable):
+        await join_node.ask_name(home.invite(), b"<node/>", clock)

@@ -6,11 +6,14 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import InvitationCode
+from ca.enrollment.join_claim import JoinClaim
 from ca.enrollment.join_messages import (
     Hello,
     Issued,
     JoinAnswer,
     JoinMessage,
+    NameAnswer,
+    Named,
     Refused,
     RefuseReason,
     Waiting,
@@ -224,3 +227,55 @@ async def test_close_ends_open_sessions(home: JoinSite) -> None:
         assert isinstance(await peer.next(), Welcome)
         await server.close()
         assert await peer.is_closed()
+
+
+NODE = b"<node/>"
+
+
+async def named_a(claim: JoinClaim) -> NameAnswer:
+    return Named("/fleet/a") if claim.metadata == NODE else Refused(RefuseReason.METADATA)
+
+
+async def claimed(peer: Peer, code: InvitationCode, metadata: bytes = NODE) -> NodeJoin:
+    core = NodeJoin(code, fresh())
+    peer.says(core.hello())
+    async with asyncio.timeout(20):
+        core.receive(await wire.receive(peer.reader), NOW)
+    peer.says(core.claim(metadata))
+    return core
+
+
+async def test_a_node_is_named_and_joins_in_one_session(home: JoinSite) -> None:
+    server = JoinServer(home.identity, home.admit, name=named_a)
+    async with home.serving(server), connected(server) as peer:
+        code = home.invite()
+        core = await claimed(peer, code)
+        core.receive(write(await peer.next()), NOW)
+        peer.says(core.join(asked(core.name)))
+        core.receive(write(await peer.next()), NOW)
+        assert core.identity.chain
+        assert await peer.is_closed()
+
+
+async def test_a_refused_claim_ends_the_session(home: JoinSite) -> None:
+    server = JoinServer(home.identity, home.admit, name=named_a)
+    async with home.serving(server), connected(server) as peer:
+        await claimed(peer, home.invite(), b"<other/>")
+        assert await peer.next() == Refused(RefuseReason.METADATA)
+        assert await peer.is_closed()
+
+
+async def test_who_gives_no_names_answers_as_one_of_an_earlier_version(home: JoinSite) -> None:
+    async with home.serving() as server, connected(server) as peer:
+        await claimed(peer, home.invite())
+        assert await peer.next() == Refused(RefuseReason.REFUSED)
+
+
+async def test_a_claim_that_cannot_be_decided(home: JoinSite) -> None:
+    async def broken(_: JoinClaim) -> NameAnswer:
+        raise RecordUnusable("the disk is full")
+
+    server = JoinServer(home.identity, home.admit, name=broken)
+    async with home.serving(server), connected(server) as peer:
+        await claimed(peer, home.invite())
+        assert await peer.next() == Refused(RefuseReason.BUSY)

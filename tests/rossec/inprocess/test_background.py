@@ -135,7 +135,7 @@ async def test_refused_registrations_are_repeated_with_a_grant(tmp_path: Path) -
             words = await listener.subscriber(WORDS, TYPE)
             site.publish("/robot", WORDS)
             await until(lambda: words.received > 0, within=30)
-        assert "rossec: the master refuses registerPublisher" in robot.said
+        assert "rossec: /robot may not publish /robot/words: an allow rule for" in robot.said
         assert "FATAL" not in robot.said
         assert "ENDED" not in robot.said
 

@@ -12,7 +12,7 @@ NO = [-1, "rossec: no grant", 0]
 
 
 def recorded(*calls: tuple[str, tuple[object, ...]], answer: object = None) -> Registrations:
-    registrations = Registrations(ME, time.time)
+    registrations = Registrations(time.time)
     for method, params in calls:
         registrations.record(method, params, [1, "", 0] if answer is None else answer)
     return registrations
@@ -33,7 +33,7 @@ def test_an_unregistration_counts_whatever_the_master_answers() -> None:
 
 @pytest.mark.parametrize("answer", [[-1, "Error: bad call arity", 0], "nonsense", [1, 2], None])
 def test_other_failures_are_not_stored(answer: object) -> None:
-    registrations = Registrations(ME, time.time)
+    registrations = Registrations(time.time)
     registrations.record(*SUBSCRIBE, answer)
     registrations.record("getParam", (ME, "/x"), [1, "", 5])
     assert list(registrations.table) == []
@@ -49,28 +49,9 @@ def test_the_publishers_named_last_count() -> None:
     assert not registrations.is_publisher("/other", "http://b/")
 
 
-@pytest.mark.parametrize(
-    ("method", "params", "own"),
-    [
-        ("registerPublisher", (ME, "/rosout", "x", "y"), True),
-        ("registerPublisher", (ME, "/scan", "x", "y"), False),
-        ("registerService", (ME, "/robot/get_loggers", "x", "y"), True),
-        ("registerService", (ME, "/other/get_loggers", "x", "y"), False),
-        ("getParam", (ME, "/use_sim_time"), True),
-        ("getParam", (ME, "/secret"), False),
-        ("subscribeParam", (ME, "x", "/rosout_disable_topics_generation"), True),
-        ("setParam", (ME, "/use_sim_time", True), False),
-    ],
-)
-def test_rospys_own_calls_are_recognized(
-    method: str, params: tuple[object, ...], own: bool
-) -> None:
-    assert Registrations(ME, time.time).is_rospys_own(method, params) is own
-
-
 def test_nodes_that_the_master_named_are_stored() -> None:
     """Only the newest: a program that looks up nodes in a loop must not fill the memory."""
-    registrations = Registrations("/robot", time.time)
+    registrations = Registrations(time.time)
     for port in range(1, 1030):
         uri = f"http://h:{port}/"
         registrations.record("lookupNode", ("/robot", "/n"), [1, "node api", uri])
@@ -84,7 +65,7 @@ def test_nodes_that_the_master_named_are_stored() -> None:
 
 def test_a_publisher_counts_while_it_may_be_named_again() -> None:
     now = 0.0
-    registrations = Registrations(ME, lambda: now)
+    registrations = Registrations(lambda: now)
     registrations.record(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
     registrations.publishers.session_opened()
     registrations.record(*SUBSCRIBE, [1, "", ["http://b/"]])

@@ -214,7 +214,7 @@ async def test_each_subscriber_receives_what_its_grant_allows(tmp_path: Path, to
 
 
 TOOLS = """
-import rosgraph.impl.graph, rosnode, rospy, rosservice, rossec
+import rosgraph.impl.graph, rosnode, rospy, rosservice, rossec, xmlrpc.client
 rossec.secure()
 rospy.init_node("operator")
 print("PING", rosnode.rosnode_ping("/robot", max_count=1), flush=True)
@@ -227,6 +227,10 @@ try:
     rospy.set_param("/operator/much", 2**40)
 except OverflowError as error:
     print("NO", error, flush=True)
+try:
+    rospy.set_param("/operator/text", "a\\0b")
+except xmlrpc.client.Fault as fault:
+    print("FAULT", fault.faultCode, flush=True)
 print(f"KILLED {rosnode.kill_nodes(['/robot'])}", flush=True)
 """
 
@@ -245,5 +249,6 @@ async def test_the_ros_tools_work_in_a_secured_program(tmp_path: Path) -> None:
             await operator.read_until("TYPE std_srvs/Trigger")
             await operator.read_until("BAD {}")
             await operator.read_until("NO int exceeds XML-RPC limits")
+            await operator.read_until("FAULT 1")
             await operator.read_until("KILLED (['/robot'], [])")
         await until(lambda: "ENDED" in victim.said)

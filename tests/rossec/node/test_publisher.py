@@ -9,10 +9,12 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import Publisher, SubscriberQueue
+from rossec.node.publisher import Publisher
+from rossec.node.wish_queue import WishQueue
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
 from rossec.participant.topic_handshake import TopicEndpoint
+from rossec.participant.wishes import Wishes
 
 STRING = message_type("std_msgs/String")
 
@@ -183,15 +185,6 @@ async def test_wait_for_subscribers_returns_when_they_are_connected() -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def test_a_batch_is_bounded() -> None:
-    topic, stream = publisher(queue_size=100), Stream()
-    queue = SubscriberQueue(stream, 100)  # type: ignore[arg-type]  # a stand-in
-    for _ in range(5):
-        queue.enqueue([bytes(100_000)])
-    assert [len(queue._next_batch()) for _ in range(2)] == [6, 4]
-    assert topic.topic == "/t"
-
-
 async def test_a_connection_is_registered_before_its_answer_is_sent() -> None:
     topic, stream = publisher(), Stream()
     stream.open.clear()
@@ -233,3 +226,26 @@ async def test_a_closed_node_publishes_nothing() -> None:
 async def test_a_queue_size_below_one_is_refused(size: int) -> None:
     with pytest.raises(ConfigurationError, match="a queue of"):
         publisher(queue_size=size)
+
+
+async def test_a_subscriber_with_wishes_gets_them_after_its_guard() -> None:
+    """What the guard takes away uses up no rate, and both see every message."""
+    topic, plain, wishing = publisher(), Stream(), Stream()
+    guard = Guard(filter_=lambda message: None if b"secret" in bytes(message) else [message])
+    tasks = [await serve(topic, plain, guard)]
+    tasks.append(
+        asyncio.get_running_loop().create_task(
+            topic.serve(wishing, decision(), guard, b"", Wishes(0.001))  # type: ignore[arg-type]
+        )
+    )
+    await asyncio.sleep(0)
+    for data in ("secret", "secret", "one", "secret", "two", "three"):
+        topic.publish_bytes(text(data))
+    await settle()
+    assert b"".join(plain.sent[1:]) == framed("one", "two", "three")
+    assert b"".join(wishing.sent[1:]) == framed("one", "two")
+    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, WishQueue))
+    assert (queue.withheld, queue.thinned) == (3, 1)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Restriction, Right, filter_rules
+from tests.support.gateways import ALIAS, SERVED, two_sites
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -48,3 +49,20 @@ async def test_a_restriction_for_another_type_refuses_the_publisher(tmp_path: Pa
         subscriber = await robot.subscriber("/order", TYPE)
         await until(lambda: bool(subscriber.refusals), within=20)
         assert "restricted for messages of type geometry_msgs/Twist" in str(subscriber.refusals[0])
+
+
+async def test_of_an_alias_a_gateway_is_asked_for_what_it_serves(tmp_path: Path) -> None:
+    """The subscriber has the right at home alone; it is told so by the master, and left too."""
+    async with two_sites(tmp_path) as sites, sites.home.node("/gateway") as gateway:
+        publisher = await gateway.publisher(SERVED, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with sites.home.node("/viewer") as viewer:
+            subscriber = await viewer.subscriber(ALIAS, TYPE)
+            async for message in subscriber:
+                assert message.data == "hello"
+                break
+            [link] = publisher.links
+            assert link.decision.name == SERVED
+            assert subscriber.topic == ALIAS
+            subscriber.update([])
+            await until(lambda: not publisher.links)

@@ -216,3 +216,9 @@ def test_a_clock_set_back_makes_foreign_words_stale_too(pair: Pair, access: Acce
     with pytest.raises(RevocationsStale):
         access.check_peer(pair.peer(), NOW)
     assert pair.standing.status_valid_until(DOMAIN, thumbprint(pair.robot.key)) == NOW - 1
+
+
+def test_a_label_is_that_of_a_listed_domain(access: Access) -> None:
+    assert access.domain_called("hospital") == DOMAIN
+    assert access.domain_called("clinic") is None
+    assert access.master == "/master"

@@ -121,6 +121,20 @@ def test_a_guest_there_is_cut_when_the_label_stands_for_nobody(pair: Pair) -> No
     assert ends(connections, stream) == "hospital is no longer the domain it was"
 
 
+def test_what_a_gateway_serves_is_cut_when_the_label_stands_for_nobody(pair: Pair) -> None:
+    """The gateway itself is a node of the home; and so is the viewer that it serves."""
+    served = "/gateway/hospital/ward/pose"
+    held = []
+    for name, right in (("/gateway", Right.PUBLISH), ("/viewer", Right.SUBSCRIBE)):
+        node = SomeNode(pair.home, name)
+        token = grant(pair.home, node.identity.thumbprint, right, served)
+        held.append(admitted(pair, node.identity, token, right, served))
+        assert ends(*held[-1]) == ""
+    pair.anchors.update(domains(pair.home, foreign(pair.hospital, label="clinic"), seq=2))
+    for connections, stream in held:
+        assert ends(connections, stream) == "hospital is no longer the domain it was"
+
+
 @pytest.mark.parametrize("connect", [visiting, visited])
 def test_a_foreign_connection_outlives_stale_foreign_lists_for_the_grace_period(
     pair: Pair, connect: Any

@@ -12,6 +12,7 @@ from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.definitions import (
     Definition,
     definition_fields,
+    forwarded_definition,
     from_header,
     receiver_definition,
     reported_definition,
@@ -121,6 +122,18 @@ def test_the_definition_of_a_sender_must_match_the_installed_one() -> None:
         sender_definition(FORGED, wanted, host)
     with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         sender_definition(newer, wanted, host)
+
+
+def test_the_definition_of_what_is_forwarded_must_be_proven_or_installed() -> None:
+    assert forwarded_definition(WORD, restricted(WORD.name), unasked) is WORD, "proven"
+    assert forwarded_definition(PATH, restricted(PATH.name), host) is PATH
+    assert forwarded_definition(FORGED, restricted(), unasked) is FORGED, "nobody reads it"
+    for sent, known in ((PATH, nothing), (FORGED, nothing), (FORGED, host)):
+        with pytest.raises(ConnectionHeaderRefused):
+            forwarded_definition(sent, restricted(sent.name), known)
+    with pytest.raises(ConnectionHeaderRefused, match="is not known on this host") as caught:
+        forwarded_definition(PATH, restricted(PATH.name), nothing)
+    assert "ROS_PACKAGE_PATH" in caught.value.hint
 
 
 def test_no_definition_is_looked_up_without_a_restriction_for_a_type() -> None:

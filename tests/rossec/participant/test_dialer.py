@@ -28,8 +28,8 @@ HOST, TOPIC = "127.0.0.1", "/scan"
 class Talker:
     """A node whose slave API answers `requestTopic` with `answer`."""
 
-    def __init__(self, site: Site) -> None:
-        self.context = SecureContext(site.enroll("/talker").credentials(), site.anchor.verify)
+    def __init__(self, site: Site, name: str = "/talker") -> None:
+        self.context = SecureContext(site.enroll(name).credentials(), site.anchor.verify)
         self.calls: list[tuple[str, tuple[object, ...]]] = []
         self.peers: list[str] = []
         self.topics = self.listen(self.wait, WireProtocol.TCPROS)
@@ -189,6 +189,15 @@ async def test_a_node_behind_a_door_that_offers_no_connection_is_refused(
     with door(talker.api.port, talker.topics.port) as found, no_connection:
         await dialer.topic(found.uri, TOPIC)
     assert found.opened == [WireProtocol.HTTP]
+
+
+async def test_a_gateway_is_asked_for_what_it_serves(site: Site, dialer: Dialer) -> None:
+    gateway = Talker(site, "/gateway")
+    async with gateway.topics, gateway.api:
+        stream = await dialer.topic(gateway.uri, "/remote/hospital/scan")
+        served = ("/viewer", "/gateway/hospital/scan", [["TCPROS"]])
+        assert gateway.calls == [("requestTopic", served)]
+        await stream.close()
 
 
 async def test_a_topic_of_another_origin_is_requested_by_its_name_there(

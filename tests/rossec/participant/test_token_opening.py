@@ -1,5 +1,6 @@
 """Tokens of the own domain and of a foreign one: by whose root, list and masters they open."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,7 +10,14 @@ from ca.errors import Revoked
 from ca.keys.publickey import thumbprint, to_coordinates
 from ca.keys.signer import KeySigner
 from grants.document import grant_id
-from grants.errors import GrantError, GrantMalformed, GrantMissing, GrantRevoked, RenewalForOther
+from grants.errors import (
+    GrantError,
+    GrantMalformed,
+    GrantMissing,
+    GrantNotHeld,
+    GrantRevoked,
+    RenewalForOther,
+)
 from grants.model import Grant, Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
 from grants.token import pack
@@ -127,3 +135,20 @@ def test_a_token_is_verified_once_and_few_are_remembered(
     for token in (tokens[0], tokens[0], tokens[1], tokens[2], tokens[0]):
         opener.open_all(encode([token]), "home", peer, NOW)
     assert opened == [*tokens, tokens[0]]
+
+
+def test_a_tail_pattern_opens_for_the_tail_alone_also_when_it_was_opened_before(pair: Pair) -> None:
+    """Of a foreigner the tail is not honoured, whatever its own authority signed."""
+    opener, peer = TokenOpener(pair.standing), SomeNode(pair.home, "/rviz").identity
+    tail = replace(peer, wildcard=True)
+    token = grant(pair.home, peer.thumbprint, Right.PROVIDE, "/rviz~/a", subject="/rviz")
+    for who, opens in ((tail, True), (peer, False), (replace(tail, name="/rviz_1"), False)):
+        found, refused = opener.open_all(encode([token]), "home", who, NOW)
+        assert [len(found), len(refused)] == ([1, 0] if opens else [0, 1])
+        assert all(isinstance(error, GrantNotHeld) for error in refused)
+    theirs = grant(
+        pair.hospital, HOLDER, Right.PROVIDE, "/rounds/robot3~/a", subject="/rounds/robot3"
+    )
+    found, (error,) = opener.open_all(encode([theirs]), DOMAIN, pair.peer(), NOW)
+    assert found == []
+    assert isinstance(error, GrantNotHeld)

@@ -1,6 +1,7 @@
 """Loopback ports for peers: what programs receive, and what not."""
 
 import logging
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,8 @@ from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
 from rossec.sidecar.plain_stream import PlainStream
 from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
+from tests.support.aliasforms import behind_a_sidecar
+from tests.support.gateways import SERVED, STRING, two_sites
 from tests.support.witness import until
 
 
@@ -127,3 +130,15 @@ async def test_the_port_of_a_dead_peer_refuses_callers(pair: SidecarPair) -> Non
     assert isinstance(answer, list)
     with pytest.raises(ConnectionRefusedError):
         await dial(*parse_uri(answer[2]), 10)
+
+
+async def test_a_publisher_of_an_alias_is_left_when_it_is_listed_no_longer(tmp_path: Path) -> None:
+    """A program as rospy's leaves none by itself; one of the own domain stays, as ROS has it."""
+    async with two_sites(tmp_path) as sites, sites.home.node("/gateway") as gateway:
+        publisher = await gateway.publisher(SERVED, STRING)
+        async with behind_a_sidecar(sites, tmp_path) as form:
+            await sites.lead(form.uri, gateway.uri)
+            await publisher.wait_for_subscribers()
+            await sites.lead(form.uri, gateway.uri, "http://127.0.0.1:1/")
+            await sites.lead(form.uri, "http://127.0.0.1:1/")
+            await until(lambda: not publisher.links)

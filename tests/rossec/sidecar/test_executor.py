@@ -18,6 +18,7 @@ from rossec.ros import header
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import executor as executor_module
 from rossec.sidecar.core.commands import (
+    AuthenticatePeer,
     CallMaster,
     CallPeer,
     CallProgram,
@@ -36,6 +37,7 @@ from rossec.sidecar.core.events import (
     HeaderArrived,
     NoAnswer,
     Opened,
+    PeerAuthenticated,
     RawResponse,
 )
 from rossec.sidecar.core.layers import Layer
@@ -322,9 +324,11 @@ async def test_headers_are_exchanged_with_a_peer() -> None:
         node.port = server.port
         executor = CommandExecutor(node)
         remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
+        known = await executor.run(one_command(AuthenticatePeer(remote)))
+        assert isinstance(known, PeerAuthenticated)
         event = await executor.run(one_command(ConnectPeer(remote, {"topic": b"/word"})))
         assert isinstance(event, HeaderArrived)
         assert event.fields == {"topic": b"/word", "type": b"x"}
-        assert event.peer is not None
-        assert executor.after_header == b"more"
+        assert event.peer is known.peer, "the same connection"
+        assert (node.dialed, executor.after_header) == (1, b"more")
         await executor.close()

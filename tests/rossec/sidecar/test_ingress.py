@@ -10,6 +10,8 @@ from rossec.errors import RossecError
 from rossec.net.aio.dial import dial
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import FIELD
+from rossec.participant.deflating import inflated
+from rossec.participant.wishes import Wishes
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from rossec.sidecar.agent import Agent
@@ -17,6 +19,7 @@ from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
+from tests.support.witness import until
 
 
 async def test_messages_are_forwarded_unchanged(pair: SidecarPair) -> None:
@@ -130,3 +133,25 @@ async def test_only_the_master_may_update_lists(pair: SidecarPair) -> None:
         answer = await client.call(str(method), "/master", *params)
         assert answer == [-1, f"rossec: {method} is for the master alone", 0]
     await client.close()
+
+
+async def test_a_peer_with_wishes_gets_its_messages_as_it_wishes(pair: SidecarPair) -> None:
+    agent, endpoint = await ingress_endpoint(pair, WireProtocol.TCPROS)
+    fields = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
+    wishes = Wishes(9000, newest=True, deflate=True)
+    proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
+    before = len(pair.talker.connections)
+    stream = await agent.dial(endpoint)
+    await stream.send(header.encode(fields | proof | wishes.fields))
+    answer, rest = await split_header(stream)
+    assert wishes.fields.items() <= answer.items()
+    await until(lambda: len(pair.talker.connections) > before)
+    assert b"rossec_" not in str(pair.talker.headers).encode()
+    message = string_message("again " * 1000)
+    await pair.talker.connections[-1].send(message)
+    frames = header.FrameReader()
+    contents = frames.feed(rest)
+    while not contents:
+        contents = frames.feed(await stream.receive())
+    assert inflated(contents[0], 1 << 20) == message[4:]
+    stream.abort("heard enough")

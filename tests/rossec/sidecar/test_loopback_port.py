@@ -58,6 +58,20 @@ async def test_a_suspended_port_refuses_callers_and_stays_bound() -> None:
     bind_loopback(listener.port).close()
 
 
+async def test_a_port_that_is_closed_closes_what_it_has_just_accepted() -> None:
+    listener = LoopbackPort(ANY_CALLER, echo)
+    listener.open()
+    program = PlainStream(await dial("127.0.0.1", listener.port, 10))
+    for _ in range(2):  # turns of the loop: it is accepted, its task has not begun
+        await asyncio.sleep(0)
+    assert listener.connections == 1
+    await listener.close()
+    with pytest.raises((ChannelClosed, ConnectionError)):
+        async with asyncio.timeout(5):
+            await program.receive()
+    program.abort()
+
+
 async def test_programs_of_other_users_are_dropped_before_reading() -> None:
     listener = LoopbackPort(Callers({os.getuid() + 1}), echo)
     listener.open()

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from ca.encoding import Value
-from ca.enrollment.join_messages import Refused, RefuseReason, write
+from ca.enrollment.join_claim import JoinClaim
+from ca.enrollment.join_messages import Named, Refused, RefuseReason, Waiting, WaitReason, write
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
@@ -19,7 +20,7 @@ from rossec.authority.keyservice.face import Face, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
-from rossec.enrollment.join_node import join
+from rossec.enrollment.join_node import ask_name, join
 from rossec.errors import KeyServiceRefused
 from rossec.home import NodeHome
 from rossec.operation import landlock
@@ -38,7 +39,7 @@ class Served:
         self.answer: Value = write(Refused(RefuseReason.ENDED))
         self.requests: list[Value] = []
         handlers: Mapping[str, Handler] = {
-            "ready": self.say, "failed": self.say, "join": self.join
+            "ready": self.say, "failed": self.say, "join": self.join, "name": self.join
         }  # fmt: skip
         self.channel = InnerChannel(ours, handlers, 100_000)
         self._face = face
@@ -90,6 +91,25 @@ async def test_nodes_are_passed_on_as_bounded_bytes(home: AuthorityHome, host: s
         served.answer = b"nonsense"
         with pytest.raises(JoinBusy):
             await join(code, lambda _: asked("/a"), now)
+
+
+async def test_claims_are_passed_on_as_bounded_bytes(home: AuthorityHome) -> None:
+    port = free_port()
+    served = Served(face_of(home.node(), f"127.0.0.1:{port}"))
+    code = invite(home, "/*", 1, now() + 60, f"127.0.0.1:{port}", now(), wildcard=False)
+    async with served.running():
+        assert await served.said.get() == [port]
+        served.answer = write(Named("/a"))
+        assert await ask_name(code, b"<node/>", now) == "/a"
+        (claim,) = served.requests
+        assert isinstance(claim, bytes)
+        assert JoinClaim.from_bytes(claim).metadata == b"<node/>"
+        served.answer = write(Refused(RefuseReason.UNNAMED))
+        with pytest.raises(JoinRefused, match="no rules"):
+            await ask_name(code, b"<node/>", now)
+        served.answer = write(Waiting(WaitReason.LOCKED))
+        with pytest.raises(JoinBusy):
+            await ask_name(code, b"<node/>", now)
 
 
 async def test_a_port_that_is_taken_is_reported_and_ends_it(home: AuthorityHome) -> None:

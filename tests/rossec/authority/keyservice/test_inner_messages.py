@@ -3,6 +3,7 @@
 import pytest
 
 from ca.encoding import Value, encode
+from ca.enrollment.join_claim import MAX_SIZE as MAX_CLAIM
 from ca.enrollment.join_request import MAX_SIZE
 from rossec.authority.keyservice.inner_messages import (
     MAX_FROM_FACE,
@@ -20,6 +21,7 @@ GOOD: list[InnerMessage] = [
     InnerRequest(0, "ready", (11318,)),
     InnerRequest(1, "failed", ("cannot listen", "choose another port")),
     InnerRequest(2, "join", (b"j" * MAX_SIZE,)),
+    InnerRequest(2, "name", (b"n" * MAX_CLAIM,)),
     InnerRequest(3, "call", ("rossec.depositGrants", [[b"grant"]], 15)),
     InnerAnswer(4, None),
     InnerAnswer(5, ["", "refused"]),
@@ -41,6 +43,7 @@ def test_a_message_is_read_as_it_was_written(message: InnerMessage) -> None:
     "value",
     [
         [], {}, 0, [0], [0, 1], [0, 1, "sign", b"x"], [0, 1, "unlock", 0, "x"], [0, 1, "join", "x"],
+        [0, 1, "name", "x"], [0, 1, "name", b"n" * (MAX_CLAIM + 1)],
         [0, 1, "join", b"j" * (MAX_SIZE + 1)], [0, 1, "join"], [0, 1, "join", b"", b""],
         [0, 1, "ready", -1], [0, 1, "ready", 1 << 16], [0, 1, "ready", True],
         [0, -1, "ready", 1], [0, 1 << 32, "ready", 1], [0, "1", "ready", 1], [False, 1, "ready", 1],

@@ -8,6 +8,7 @@ from typing import cast
 import pytest
 
 from ca.encoding import Value
+from ca.enrollment.join_messages import Issued, Named, Refused, RefuseReason, read
 from ca.errors import EncodingError
 from rossec.authority.keyservice import network as module
 from rossec.authority.keyservice import rounds
@@ -17,8 +18,9 @@ from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
 from rossec.clock import now
-from rossec.errors import KeyServiceRefused, NotDelivered
+from rossec.errors import KeyServiceRefused, NotDelivered, RulesRefused
 from rossec.home import NodeHome
+from rossec.naming import shipped
 from tests.rossec.authority.keyservice.test_work import POLICY, Working
 from tests.support.witness import until
 
@@ -42,19 +44,21 @@ class PlayedFace:
         items = arguments[0]
         return [""] * len(items) if isinstance(items, list) else 1
 
-    async def run(self, join: Handler) -> None:
+    async def run(self, join: Handler, name: Handler) -> None:
+        self.name = name
         while True:
             self.answers.put_nowait(await join(await self.joins.get()))
 
 
 class Playing:
-    def __init__(self, root: Path, *, applies: bool) -> None:
+    def __init__(self, root: Path, *, applies: bool, rules: bytes | None = None) -> None:
         self.working = Working(root, now())
         (self.working.home.path / "policy.yaml").write_text(POLICY)
         self.face = PlayedFace()
         self.network = NetworkWork(
-            root, self.working.operations, cast("FaceProcess", self.face), applies=applies
-        )
+            root, self.working.operations, cast("FaceProcess", self.face), applies=applies,
+            rules=rules,
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize("applies", [True, False])
@@ -82,7 +86,7 @@ class BusyFace(PlayedFace):
         super().__init__()
         self.requests = requests
 
-    async def run(self, join: Handler) -> None:
+    async def run(self, join: Handler, name: Handler) -> None:
         await asyncio.gather(*map(join, self.requests))
         await asyncio.Event().wait()
 
@@ -200,3 +204,56 @@ async def test_an_answer_that_is_waited_for_and_fails_stops_no_other_call(
     assert await asyncio.to_thread(playing.network.deliver, call) == 1
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
+
+
+RULES = shipped.rules()
+METADATA = b"<node><group>fleet</group><name>a</name></node>"
+
+
+async def test_nodes_are_named_by_the_rules_of_the_authority(tmp_path: Path) -> None:
+    playing = Playing(tmp_path, applies=False, rules=RULES)
+    working, face = playing.working, playing.face
+    code = working.invite(uses=3)
+    running = asyncio.ensure_future(playing.network.run())
+    try:
+        async with asyncio.timeout(60):
+            await until(lambda: hasattr(face, "name"), within=40)
+            named = read(cast("bytes", await face.name(working.claim(code, METADATA))))
+            assert named == Named("/fleet/a")
+            for metadata, name, answer in (
+                (METADATA, "/fleet/b", Refused(RefuseReason.NAME)),
+                (METADATA.replace(b"fleet", b"other"), "/fleet/a", Refused(RefuseReason.NAME)),
+                (b"<node>", "/fleet/a", Refused(RefuseReason.METADATA)),
+            ):
+                face.joins.put_nowait(working.request(code, name, metadata))
+                assert read(cast("bytes", await face.answers.get())) == answer
+            face.joins.put_nowait(working.request(code, "/fleet/a", METADATA))
+            assert isinstance(read(cast("bytes", await face.answers.get())), Issued)
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_what_was_issued_is_repeated_whatever_the_rules_say_now(tmp_path: Path) -> None:
+    playing = Playing(tmp_path, applies=False)
+    working, face = playing.working, playing.face
+    code = working.invite()
+    request = working.request(code, "/fleet/a", METADATA)
+    running = asyncio.ensure_future(playing.network.run())
+    try:
+        async with asyncio.timeout(60):
+            face.joins.put_nowait(request)
+            unnamed = Refused(RefuseReason.UNNAMED)
+            assert read(cast("bytes", await face.answers.get())) == unnamed
+            working.work.join(request)
+            face.joins.put_nowait(request)
+            assert isinstance(read(cast("bytes", await face.answers.get())), Issued)
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_rules_that_are_refused_end_it(tmp_path: Path) -> None:
+    playing = Playing(tmp_path, applies=False, rules=b"<nothing/>")
+    with pytest.raises(RulesRefused):
+        await playing.network.run()

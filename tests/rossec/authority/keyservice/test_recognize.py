@@ -16,6 +16,7 @@ from ca.renewal import PROFILE as RENEWAL
 from ca.revocation.lists import MAX_ENTRIES, TIMESTAMP_PROFILE, RevocationList, sign_list
 from ca.revocation.tree import RevocationTree, sign_tree
 from ca.store.log_entries import Head, sign_head
+from ca.things.statement import sign_statement
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import TICKET, Delegation, sign_delegation
@@ -24,6 +25,7 @@ from rossec.authority.keyservice import recognize
 from rossec.authority.keyservice.recognize import kind_of
 from rossec.errors import SigningRefused
 from tests.support.pki import new_signer
+from tests.vectors.make_things import STATEMENTS
 
 NOW = 1_800_000_000
 SIGNER = new_signer()
@@ -92,6 +94,10 @@ def card(recorder: Recorder) -> None:
     sign_card(recorder, Card(root, ("/**",), ("http://h:11311",), NOW, NOW + 60))
 
 
+def thing(recorder: Recorder) -> None:
+    sign_statement(recorder, STATEMENTS["a key"])
+
+
 @pytest.mark.parametrize(
     ("make", "kind"),
     [
@@ -104,6 +110,7 @@ def card(recorder: Recorder) -> None:
         (head, "a head of the log"),
         (list_of_domains, "a list of domains"),
         (card, "a card of its domain"),
+        (thing, "a statement about a thing"),
     ],
 )
 def test_what_an_authority_signs_is_recognized(make: object, kind: str) -> None:

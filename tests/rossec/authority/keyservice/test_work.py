@@ -1,6 +1,7 @@
 """What the service does by itself: joins, the policy, its maintenance."""
 
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from ca.certificates import from_pem
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
+from ca.enrollment.join_claim import JoinClaim
 from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason, read
 from ca.enrollment.join_node import NodeJoin
 from ca.enrollment.join_request import JoinRequest
@@ -59,15 +61,24 @@ class Working:
         expires = self.now + DAY
         return invite(self.home, "/fleet/*", uses, expires, "127.0.0.1:9", self.now, wildcard=False)
 
-    def request(self, code: InvitationCode, name: str = "/fleet/a") -> bytes:
+    def request(self, code: InvitationCode, name: str = "/fleet/a", metadata: bytes = b"") -> bytes:
+        node, face = self._session(code)
+        face.receive(node.join(asked(name), metadata))
+        return face.request.to_bytes()
+
+    def claim(self, code: InvitationCode, metadata: bytes) -> bytes:
+        node, face = self._session(code)
+        face.receive(node.claim(metadata))
+        return face.claim.to_bytes()
+
+    def _session(self, code: InvitationCode) -> tuple[NodeJoin, AuthorityJoin]:
         own, root = self.home.node().credentials(), self.home.anchor().certificate
         node = NodeJoin(code, fresh())
         face = AuthorityJoin(LiveIdentity(own.signer, own.chain, root), fresh())
         welcome = face.receive(node.hello())
         assert welcome is not None
         node.receive(welcome, self.now)
-        face.receive(node.join(asked(name)))
-        return face.request.to_bytes()
+        return node, face
 
     def grants(self) -> int:
         store = self.home.store()
@@ -90,6 +101,18 @@ def test_a_node_joins_and_the_same_request_gets_the_same_answer(working: Working
     assert working.work.join(request) == (answer, name)
     assert working.audit[-1].startswith("signs a certificate of /fleet/a")
     assert working.audit[-1].endswith(", for a node that joins")
+
+
+def test_a_claim_is_answered_for_an_invitation_that_is_proved(working: Working) -> None:
+    code = working.invite()
+    claim = JoinClaim.from_bytes(working.claim(code, b"<node/>"))
+    assert working.work.allowed_pattern(claim) == "/fleet/*"
+    forged = replace(claim, metadata=b"<other/>")
+    assert working.work.allowed_pattern(forged) == Refused(RefuseReason.REFUSED)
+    request = JoinRequest.from_bytes(working.request(code))
+    assert not working.work.was_issued(request)
+    working.work.join(request.to_bytes())
+    assert working.work.was_issued(request)
 
 
 def test_what_is_no_request_changes_nothing(working: Working) -> None:

@@ -10,6 +10,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
 from tests.rossec.cli.ca.test_intermediate import NOBODY, installed
 from tests.support.commands import Shell, refused
+from tests.vectors.make_things import KEY
 
 GRANT = ("grant", "sign", "/robot", "--publish", "/p", "--out")
 
@@ -52,7 +53,11 @@ def test_what_is_refused_does_not_fail_the_rest(shell: Shell, host: Shell) -> No
     installed(shell, host)
     for name in ("/robot", "/other"):
         host.enroll(name)
-    shell.enroll("/other")  # the root knows it, with another key
+    shell.enroll("/other")  # the root knows it, with another key, as a router of things
+    ccs = shell.root / "lamp.ccs"
+    ccs.write_bytes(KEY.ccs)
+    thing = ("ca", "thing", "/things/lamp", "--border", "/other", "--key", str(ccs), "--yes")
+    assert shell.unlocked(*thing, "--out", str(shell.root / "lamp.thing")).code == 0
     garbage = shell.root / "garbage.pem"
     garbage.write_bytes(b"garbage")
     files = [carried(host, shell, "/other", "other.pem"), str(garbage), carried(host, shell)]
@@ -65,6 +70,7 @@ def test_what_is_refused_does_not_fail_the_rest(shell: Shell, host: Shell) -> No
     said = shell.unlocked("ca", "import", files[0], "--replace-key", "/other", "--yes", *NOBODY)
     assert said.code == 3  # signed and kept; there is no master
     assert "imported /other\nthe replaced key is revoked\n" in said.out
+    assert shell("ca", "things", "--all").out.endswith("  revoked\n")
     key = NodeHome.of(host.root, "/other").identity(int(time.time())).thumbprint
     assert AuthorityHome.at(shell.root).store().unrevoked_keys("/other", int(time.time())) == {key}
 

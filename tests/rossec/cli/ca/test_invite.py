@@ -77,6 +77,7 @@ def test_a_picture_and_a_tag(shell: Shell, tmp_path: Path) -> None:
         (["fleet"], "not a name pattern", "/robot1/**"),
         (["/master"], "/master is reserved", "rossec node enroll /master"),
         (["/relay/*"], "/relay/* is reserved", "rossec node enroll /relay/name"),
+        (["/gateway/*"], "/gateway/* is reserved", "rossec node enroll /gateway/name"),
         (["/ca", "--anonymous"], "cannot have a wildcard tail", "a name of their own"),
         (["/a", "--address", "a b"], "is not an address", "192.168.1.7"),
         (["/a", "--address", "h" * 63 + ".example"], "1 to 64 characters", "shorter"),

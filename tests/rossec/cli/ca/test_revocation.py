@@ -21,7 +21,7 @@ def test_an_identity_can_be_revoked(shell: Shell) -> None:
     assert listed(shell) == {key_of(shell, "/robot")}
     refused(shell.unlocked(*REVOKE), "/robot has no valid identity to revoke", "rossec ca show")
     grant = ("grant", "sign", "/robot", "--publish", "/p")
-    refused(shell.unlocked(*grant), "/robot has no valid identity", "rossec node request /robot")
+    refused(shell.unlocked(*grant), "the identity of /robot is revoked", "rossec node request")
     request = str(shell.node("/robot") / "node.csr")
     refused(shell.unlocked("ca", "sign", request, "--yes"), "key of /robot is revoked", "new key")
     shell.node("/robot").rename(shell.root / "old")

@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -179,6 +180,18 @@ def test_nodes_join_at_a_port_of_its_network_process(shell: Shell) -> None:
     said = serve(shell, *where, network=True, meanwhile=meanwhile)
     assert (said.code, found) == (0, [port]), said.err
     assert f"nodes join at port {port}" in said.out
+
+
+def test_rules_are_tried_at_the_start(shell: Shell, tmp_path: Path) -> None:
+    rules = tmp_path / "rules.xsl"
+    rules.write_text("<nothing/>")
+    where = ("--join-address", f"127.0.0.1:{free_port()}")
+    said = serve(shell, *where, "--rules", str(rules), network=True)
+    refused(said, "rules are an <xsl:stylesheet>")
+    rules.write_text("<!DOCTYPE a><a/>")
+    refused(shell.unlocked("ca", "serve", "--rules", str(rules)), "with a document type")
+    said = shell.unlocked("ca", "serve", "--rules", str(rules), "--no-network")
+    refused(said, "--rules are for nodes that join")
 
 
 def test_a_port_that_is_taken_ends_it(shell: Shell) -> None:

@@ -45,6 +45,14 @@ def states(said: Said) -> list[tuple[str, str]]:
     return [(row["node"], row["state"]) for row in json.loads(said.out)]
 
 
+def test_a_right_with_several_restrictions_is_listed_once(robot: Shell) -> None:
+    robot.unlocked(
+        "grant", "sign", "/robot", "--subscribe", "/q", "--type", "geometry_msgs/PoseStamped",
+        "--preset", "coarse-position", "--rate", "5",
+    )  # fmt: skip
+    assert robot("grant", "list", *NOBODY).out.count("subscribe /q") == 1
+
+
 def test_the_list_marks_revoked_grants(robot: Shell) -> None:
     robot.unlocked("grant", "sign", "/robot", "--publish", "/p")
     robot.unlocked("grant", "sign", "/robot", "--subscribe", "/q")
@@ -54,10 +62,10 @@ def test_the_list_marks_revoked_grants(robot: Shell) -> None:
     refused(said, "did not take the list", "rossec ca publish", code=3)
     listed = json.loads(robot("grant", "list", "/robot", "--json", *NOBODY).out)
     assert [(row["id"], row["revoked"], row["state"]) for row in listed] == [
-        (first, True, "revoked"),
         (second, False, "delivered"),
+        (first, True, "revoked"),
     ]
-    assert robot("grant", "list", *NOBODY).out.splitlines()[0].endswith("revoked")
+    assert robot("grant", "list", *NOBODY).out.splitlines()[1].endswith(" UTC  revoked")
     assert robot("grant", "list", "/other").out == ""
 
 

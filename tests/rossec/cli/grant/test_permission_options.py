@@ -6,9 +6,18 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from ca.errors import PatternRefused
 from grants.errors import FilterRefused
 from grants.model import Permission, Restriction, Right, filter_rules
-from rossec.cli.grant.permission_options import permissions, read, restrictions, rules, wishes
+from rossec.cli.grant.permission_options import (
+    for_node,
+    own_pattern,
+    permissions,
+    read,
+    restrictions,
+    rules,
+    wishes,
+)
 from rossec.cli.main import run
 from rossec.errors import ConfigurationError
 
@@ -35,7 +44,7 @@ def test_options() -> None:
 
 def test_a_preset_and_more_hold_together() -> None:
     made = restrictions(POSE, rules((), (), ()), ("now.getHours() >= 8",), None, "coarse-position")
-    assert [item.rate for item in made] == [0.2, None]
+    assert [item.rate for item in made] == [1 / 30, None]
     wanted = {Right.PUBLISH: ("/out",), Right.SUBSCRIBE: ("/pose", "/other"), Right.CALL: ("/go",)}
     granted = permissions(wanted, graph=True, restricted=made)
     assert [item.restriction for item in granted] == [None, *made, *made, *made, None]
@@ -67,8 +76,8 @@ def test_presets_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["grant", "presets"], {}) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "coarse-position"
-    assert lines[1].startswith("  hides the place within cells of 2 m")
-    assert lines[2].startswith("  still discloses the room")
+    assert lines[1].startswith("  hides the place within cells of 4 m")
+    assert lines[2].startswith("  still discloses the part of the home")
 
 
 def test_wishes_are_options_and_read_says_what_they_mean() -> None:
@@ -100,3 +109,19 @@ def test_read_without_a_right_is_refused() -> None:
 
     with pytest.raises(ConfigurationError):
         CliRunner().invoke(ask, (), catch_exceptions=False)
+
+
+def test_own_names_are_those_of_the_node() -> None:
+    said = {str(right.name).lower(): () for right in Right} | {"provide": ("{node}/a", "/b")}
+    made = for_node({**said, "rate": 1}, "/rviz", lambda: True)
+    assert (made["provide"], made["rate"]) == (("/rviz~/a", "/b"), 1)
+    assert for_node(said, "/robot", lambda: False)["provide"] == ("/robot/a", "/b")
+    asked: list[bool] = []
+    plain = said | {"provide": ("/b",)}
+    assert for_node(plain, "/robot", lambda: asked == [True]) == plain
+    assert asked == []
+    for text in ("/x{node}", "~a", "~"):
+        with pytest.raises(PatternRefused):
+            own_pattern(text, "/robot", tail=False)
+    with pytest.raises(PatternRefused, match="no name of /remote/lab/robot"):
+        own_pattern("{node}/a", "/remote/lab/robot", tail=False)

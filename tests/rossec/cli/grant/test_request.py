@@ -96,8 +96,8 @@ def test_an_approved_request_is_signed_with_a_preset(site: Shell) -> None:
     path.write_text(POLICY.replace("who: /heating\n    allow", "who: /other\n    allow"))
     number = ask(site, "--subscribe", "/robot/pose")
     said = site.unlocked("grant", "approve", number, "--approximate", "coarse-position")
-    assert "    pose.position: round hysteresis 0.5 step 2.0" in said.out
-    assert "    at most 0.2 messages a second" in said.out
+    assert "    pose.position: round hysteresis 2.0 step 4.0" in said.out
+    assert "    at most one message every 30 s" in said.out
 
 
 def test_a_filter_that_is_not_there(site: Shell) -> None:

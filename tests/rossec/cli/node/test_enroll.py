@@ -79,6 +79,24 @@ def test_confirm_without_digits_shows_and_asks(empty: Shell) -> None:
     assert said.out.count("digits ") == 2
 
 
+def test_the_digits_may_be_typed_as_the_answer(
+    empty: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    codes: list[int] = []
+
+    def walk(_: Operator, digits: str) -> None:
+        for answer in ("n", "", "000000", f"{digits[:3]} {digits[3:]}"):
+            monkeypatch.setattr("click.prompt", lambda *_, answer=answer, **__: answer)
+            codes.append(run(("node", "confirm", "/robot"), empty.environ))
+
+    operator = Operator(empty, walk)
+    operator.start()
+    said = empty(*operator.words)
+    operator.join()
+    assert (codes, said.code) == ([1, 1, 1, 0], 0)
+    assert "rossec: error: the digits were not confirmed" in said.err
+
+
 def test_nothing_waits_to_be_confirmed(shell: Shell) -> None:
     for words in (("123", "456"), ()):
         said = shell("node", "confirm", "/robot", *words)

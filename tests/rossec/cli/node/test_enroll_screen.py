@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from rossec.cli.node.enroll_screen import confirms
 from rossec.enrollment import address
 from tests.rossec.cli.node.operators import Operator, after, typist
 from tests.support.commands import Shell, refused
@@ -88,3 +89,12 @@ def test_a_picture_with_a_secret_is_readable_by_the_owner_only(empty: Shell, lab
     refused(empty(*words, *["--label", "--port", "0"] * label), "the enrollment was stopped")
     stopper.join()
     assert picture.stat().st_mode & 0o777 == (0o644 if label else 0o600)
+
+
+@pytest.mark.parametrize(
+    ("answer", "yes"),
+    [("y", True), ("yes", True), ("123456", True), ("123 456", True), ("123-456", True),
+     ("", False), ("123457", False), ("12345", False), ("yep", False)],
+)  # fmt: skip
+def test_the_digits_themselves_are_a_yes(answer: str, yes: bool) -> None:
+    assert confirms(answer, "123456") is yes

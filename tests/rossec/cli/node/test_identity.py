@@ -6,6 +6,7 @@ import pytest
 
 from ca.enrollment import qr
 from rossec.enrollment.scan import code_in
+from tests.rossec.naming.stylesheets import gives
 from tests.support.commands import Shell, refused
 
 
@@ -16,6 +17,32 @@ def test_a_request_names_the_next_command(shell: Shell) -> None:
     )
     refused(shell("node", "request", "/robot"), "has a key already", "node.csr")
     refused(shell("node", "request", "robot"), "not an absolute ROS name", "/robot1/camera")
+
+
+def test_a_request_for_the_name_that_rules_give(shell: Shell, tmp_path: Path) -> None:
+    meta, sheet = tmp_path / "lamp.xml", tmp_path / "rules.xsl"
+    meta.write_bytes(b"<node><group>lamps</group><name>desk</name></node>")
+    said = shell("node", "request", "--meta", str(meta))
+    assert said.out.startswith("request of /lamps/desk: "), said.err
+    assert (shell.node("/lamps/desk") / "node.csr").exists()
+    sheet.write_bytes(gives("concat('/own/', //name)"))
+    said = shell("node", "request", "--meta", str(meta), "--rules", str(sheet))
+    assert said.out.startswith("request of /own/desk: "), said.err
+    meta.write_bytes(b"<node>")
+    refused(shell("node", "request", "--meta", str(meta)), "metadata that are no XML")
+    sheet.write_bytes(gives("'/master'"))
+    meta.write_bytes(b"<node/>")
+    said = shell("node", "request", "--meta", str(meta), "--rules", str(sheet))
+    refused(said, "/master, which is reserved")
+
+
+def test_a_name_or_metadata(shell: Shell, tmp_path: Path) -> None:
+    meta = tmp_path / "lamp.xml"
+    meta.write_bytes(b"<node/>")
+    for words in ((), ("/a", "--meta", str(meta)), ("/a", "--rules", str(meta))):
+        said = shell("node", "request", *words)
+        assert said.code == 2
+        assert "--meta FILE" in said.err
 
 
 def test_the_code_is_shown_as_picture_and_text(shell: Shell, tmp_path: Path) -> None:

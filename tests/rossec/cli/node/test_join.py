@@ -10,6 +10,7 @@ from ca.enrollment import invitation
 from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
 from ca.errors import CertificateExpired
 from rossec.home import NodeHome
+from rossec.naming import shipped
 from tests.support.commands import PASSPHRASE, Shell, refused
 from tests.support.joining import JoinPort
 
@@ -113,8 +114,8 @@ def test_the_name_is_required_for_a_pattern(shell: Shell, pasted: Pasted) -> Non
     for name in ("/other", "/fleet"):
         pasted(code)
         refused(shell("node", "join", "--name", name), f"not for {name}, but for /fleet/**")
-    for name in ("/master", "/relay"):
-        pasted(invited(shell, None, "/*"))
+    for name in ("/master", "/relay", "/gateway", "/gateway/attic"):
+        pasted(invited(shell, None, "/**"))
         said = shell("node", "join", "--name", name)
         refused(said, f"{name} is reserved: no invitation", f"rossec node enroll {name}")
     assert not (shell.root / "nodes").exists()
@@ -237,3 +238,51 @@ def test_an_identity_that_has_expired_is_renewed_by_another_invitation(
         said = shell("node", "join")
         assert "/robot is enrolled until" in said.out, said.err
     assert (shell.node("/robot") / "node.key").read_bytes() == key
+
+
+LAMP = b"<node><group>lamps</group><owner>ann</owner><name>desk</name></node>"
+
+
+@pytest.fixture
+def meta(tmp_path: Path) -> Path:
+    path = tmp_path / "lamp.xml"
+    path.write_bytes(LAMP)
+    return path
+
+
+def test_the_name_is_that_of_the_authority_s_rules(
+    shell: Shell, pasted: Pasted, meta: Path
+) -> None:
+    with JoinPort(shell.root, PASSPHRASE, shipped.rules()) as port:
+        code = invited(shell, port, "/lamps/**")
+        for answer in ("/lamps/ann/desk is enrolled until ", "/lamps/ann/desk is enrolled already"):
+            pasted(code)
+            said = shell("node", "join", "--meta", str(meta))
+            assert said.code == 0, said.err
+            assert answer in said.out
+    assert [request.metadata for request in port.requests] == [LAMP]
+
+
+def test_what_the_rules_do_not_give_is_refused(shell: Shell, pasted: Pasted, meta: Path) -> None:
+    with JoinPort(shell.root, PASSPHRASE, shipped.rules()) as port:
+        pasted(invited(shell, port, "/cameras/**"))
+        refused(shell("node", "join", "--meta", str(meta)), "the invitation does not allow")
+        meta.write_bytes(b"<node>")
+        pasted(invited(shell, port, "/lamps/**"))
+        refused(shell("node", "join", "--meta", str(meta)), "give no name", "rossec namespace name")
+        meta.write_bytes(b"<node>" + b" " * 4096 + b"</node>")
+        pasted(invited(shell, port, "/lamps/**"))
+        refused(shell("node", "join", "--meta", str(meta)), "where 1 to 4096 are allowed")
+    with JoinPort(shell.root, PASSPHRASE) as port:
+        meta.write_bytes(LAMP)
+        pasted(invited(shell, port, "/lamps/**"))
+        said = shell("node", "join", "--meta", str(meta))
+        refused(said, "the authority has no rules that give names", "rossec ca serve --rules FILE")
+        assert port.requests == []
+    assert not (shell.root / "nodes").exists()
+
+
+def test_a_name_or_metadata(shell: Shell, meta: Path) -> None:
+    said = shell("node", "join", "--meta", str(meta), "--name", "/a")
+    assert said.code == 2
+    assert "not both" in said.err

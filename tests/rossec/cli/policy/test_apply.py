@@ -75,6 +75,19 @@ def test_the_difference_is_shown_and_nothing_done(site: Shell) -> None:
     assert AuthorityHome.at(site.root).store().grants() == []
 
 
+def test_leaks_are_remarked_and_refuse_nothing(site: Shell) -> None:
+    write(site, NARROWER)
+    said = site("policy", "apply", "--dry-run")
+    assert said.code == 0
+    assert said.err == (
+        "rossec: this policy may give away more than it says, 5 remarks: rossec policy lint\n"
+    )
+    other = site.root / "other policy.yaml"
+    other.write_text(NARROWER)
+    said = site("policy", "apply", "--dry-run", "--policy", str(other))
+    assert said.err.endswith(f"rossec policy lint '{other}'\n")
+
+
 def test_the_policy_is_put_in_force_and_twice_changes_nothing(site: Shell) -> None:
     said = apply(site, "--yes")
     assert (said.code, said.err) == (0, "")
@@ -233,3 +246,26 @@ async def test_a_running_system_follows_the_policy_and_nothing_else_comes_down(
                 await anext(aiter(heard[1]))
     finally:
         await server.close()
+
+
+def test_basics_are_one_line_for_all_nodes(site: Shell) -> None:
+    write(site, "rossec: 1\nrobot: r\nbasics: true\nrules: []\n")
+    said = apply(site, "--yes")
+    assert lines(said)[0] == (
+        "+ /robot, /viewer: what every ROS program needs, valid 7d (rule basics, line 3)"
+    )
+    assert (Right.PUBLISH, "/rosout") in held(site, "/robot")
+    assert (Right.PROVIDE, "/robot/get_loggers") in held(site, "/robot")
+    assert (Right.PROVIDE, "/robot/get_loggers") not in held(site, "/viewer")
+    assert "nothing to do" in apply(site, "--yes").out
+
+
+def test_a_policy_of_which_a_test_fails_is_not_applied(site: Shell) -> None:
+    kept = "tests:\n  - {who: /viewer, sees: {/pose: {pose.position: 2.0}}}\n"
+    write(site, POLICY + kept)
+    said = apply(site, "--yes")
+    refused(said, "/viewer sees pose.position.x of /pose finer than 2: rule view, line 5")
+    assert held(site, "/viewer") == []
+    write(site, NARROWER + kept)
+    assert apply(site, "--yes").code == 0
+    assert held(site, "/viewer") != []

@@ -17,7 +17,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_a_valid_policy_is_accepted(shell: Shell, file: Path) -> None:
-    assert shell("policy", "check", str(file)).out == f"{file} is right: 4 rules\n"
+    assert shell("policy", "check", str(file)).out == f"{file} is right; rules: 4\n"
     assert shell("policy", "check", str(file), "--json").out == "[]\n"
 
 
@@ -38,10 +38,19 @@ def test_every_mistake_is_printed_with_its_hint(shell: Shell, file: Path) -> Non
     assert {"line", "column", "message", "hint", "file"} == found[0].keys()
 
 
-def test_findings_are_printed_with_their_number(shell: Shell, file: Path) -> None:
+def test_findings_are_printed_with_their_codes_and_number(shell: Shell, file: Path) -> None:
     said = shell("policy", "lint", str(file)).out
     assert "header.stamp is not" in said
-    assert said.splitlines()[-1].endswith(" remarks")
-    assert json.loads(shell("policy", "lint", str(file), "--json").out)
+    lines = said.splitlines()
+    assert f"{file}:13: rule heating-room: pose.position is rounded without hysteresis" in said
+    assert "[no-hysteresis]\n  write pose.position: {round: {step: 2.0, hysteresis: 1.0}}\n" in said
+    assert lines[-1] == f"{len(lines) // 2} remarks"
+    found = json.loads(shell("policy", "lint", str(file), "--json").out)
+    assert len(found) == len(lines) // 2
+    assert all(item.keys() == {"line", "code", "message", "hint"} for item in found)
     file.write_text("rossec: 1\nrobot: r\nrules: []\n")
     assert shell("policy", "lint", str(file)).out == "nothing to remark\n"
+    file.write_text("rossec: 1\nrobot: r\nrules: [{id: d, who: /x, deny: {call: /b}}]\n")
+    assert shell("policy", "lint", str(file)).out == (
+        f"{file}:3: rule d gives no reason [no-reason]\n  add why: ...\n1 remark\n"
+    )

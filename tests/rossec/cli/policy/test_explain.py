@@ -46,6 +46,8 @@ def test_an_allowed_right_is_explained(shell: Shell, file: str, message: Path) -
                  "--message", str(message))  # fmt: skip
     assert said.out.splitlines() == [
         "ALLOW: /heating subscribe /pose",
+        "  sees where it is: exactly (pose.orientation.x is as it is)",
+        "  sees how it moves: exactly (pose.orientation.x is as it is)",
         "  rule room: Heating lowers rooms. (allow subscribe /pose)",
         "  rule when (allow subscribe /pose)",
         '    only when msg.header.frame_id == "map"',
@@ -55,7 +57,7 @@ def test_an_allowed_right_is_explained(shell: Shell, file: str, message: Path) -
         "    valid 7d",
         "  without room and when it would be deny, by default",
         "this message would be sent",
-        "  header.frame_id: map -> ",
+        "  header.frame_id: \"map\" -> ''",
         "  pose.position.x: 3.3 -> 4.0",
     ]
     assert said.err.startswith("rossec: /heating is not enrolled here: rules that pin its key")
@@ -93,7 +95,11 @@ def test_a_wrong_call_is_refused(shell: Shell, file: str, message: Path) -> None
     ask = ("--policy", file)
     refused(shell("explain", "/heating", "subscibe", "/pose", *ask), "'subscibe'", "'subscribe'")
     refused(shell("explain", "heating", "subscribe", "/pose", *ask), "heating")
-    refused(shell("explain", "/heating", "subscribe", "/pose"), "there is no policy", "learn")
+    refused(
+        shell("explain", "/heating", "subscribe", "/pose"),
+        "there is no policy",
+        "rossec policy init",
+    )
     said = shell("explain", "/heating", "subscribe", "/untyped", *ask, "--message", str(message))
     assert (said.code, "does not say the type of /untyped" in said.err) == (1, True)
 
@@ -110,7 +116,7 @@ def test_changes_are_shortened() -> None:
     kind = message_type("std_msgs/String")
     before, after = (bytes(kind.serialize(kind.create(data=text))) for text in ("a" * 99, ""))
     (line,) = changes("std_msgs/String", before, after)
-    assert line.startswith("data: " + "a" * 40)
+    assert line.startswith('data: "' + "a" * 40)
     assert "..." in line
 
 
@@ -121,3 +127,33 @@ def test_an_anonymous_node_is_its_certified_name(shell: Shell, file: str) -> Non
     subject = subject_of(Environment(shell.environ), "/heating_17")
     assert subject.name == "/heating"
     assert subject.key != bytes(32)
+
+
+LEVELS = """rossec: 1
+robot: r
+types: {/odom: nav_msgs/Odometry, /door: std_msgs/Bool}
+vocabulary: {/door: {data: home}}
+rules:
+  - {id: room, who: /heating, allow: {subscribe: [/odom]}, see: {position: room}}
+  - {id: door, who: /heating, allow: {subscribe: [/door]}, see: {home: no}}
+  - {id: drive, who: /heating, allow: {publish: [/odom]}}
+"""
+
+
+def test_levels_are_said_first_and_the_fields_after(shell: Shell, tmp_path: Path) -> None:
+    path = tmp_path / "levels.yaml"
+    path.write_text(LEVELS)
+    ask = ("explain", "/heating", "subscribe")
+    lines = shell(*ask, "/odom", "--policy", str(path)).out.splitlines()
+    assert lines[:3] == [
+        "ALLOW: /heating subscribe /odom",
+        "  sees where it is: the room (no finer than 4 m, at most one message in 30 s)",
+        "  sees how it moves: only by where it is",
+    ]
+    assert "    pose.pose.position: round hysteresis 2.0 step 4.0" in lines
+    shown = json.loads(shell(*ask, "/odom", "--policy", str(path), "--json").out)["sees"]
+    assert shown == {"position": "room", "movement": "rough"}
+    door = shell(*ask, "/door", "--policy", str(path)).out
+    assert "  sees nothing of the state of the home\n" in door
+    published = shell("explain", "/heating", "publish", "/odom", "--policy", str(path)).out
+    assert "sees" not in published

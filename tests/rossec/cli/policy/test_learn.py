@@ -33,7 +33,7 @@ def test_rules_are_learned_from_a_log(shell: Shell, file: Path, tmp_path: Path) 
     said = shell("policy", "learn", "--from-log", lines, "--policy", str(file))
     assert said.out.splitlines() == [
         "learned learned-joy: publish /cmd_vel",
-        f"1 rules in {file}; next: rossec policy review",
+        f"1 rules in {file}; next: rossec policy review --from-log FILE",
     ]
     assert "learned-joy" in file.read_text()
     out = tmp_path / "new.yaml"
@@ -49,7 +49,7 @@ def test_learn_needs_a_source_and_a_place(shell: Shell, tmp_path: Path) -> None:
     refused(shell("policy", "learn", "--from-log", lines, *nowhere), "there is no", "--policy FILE")
     new = tmp_path / "new.yaml"
     assert shell("policy", "learn", "--from-log", lines, "--policy", str(new)).code == 0
-    assert [rule.id for rule in PolicyFile.read(new).policy.rules] == ["learned-joy"]
+    assert [rule.id for rule in PolicyFile.read(new).policy.rules] == ["learned-joy", "basics"]
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_rules_are_learned_from_the_graph(
 
     monkeypatch.setattr(module, "_observe_graph", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
-    assert said.out.startswith("learned learned-robot: publish /robot/pose\n")
+    assert said.out.startswith("learned learned-robot: publish {node}/pose\n")
 
 
 def test_the_answers_of_a_review_become_rules(
@@ -132,3 +132,36 @@ def test_anonymous_nodes_are_learned_under_their_certified_name(
     monkeypatch.setattr(module, "_observe_graph", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
     assert said.out.splitlines()[0] == "learned learned-rviz: subscribe /scan"
+
+
+def test_own_names_of_anonymous_nodes_are_learned_for_every_run(
+    shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shell("node", "request", "/rviz")
+    request = str(shell.node("/rviz") / "node.csr")
+    assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
+
+    async def look(*_: object) -> list[Observation]:
+        return [Observation(f"/rviz_{n}", Right.PROVIDE, f"/rviz_{n}/load") for n in (1, 2)]
+
+    monkeypatch.setattr(module, "_observe_graph", look)
+    said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
+    assert said.out.startswith("learned learned-rviz: provide {node}/load\n1 rules")
+    learned = PolicyFile.read(file).policy.rules[-1]
+    assert [clause.pattern for clause in learned.clauses] == ["{node}/load"]
+
+
+def test_what_basics_give_is_left_to_basics(shell: Shell, file: Path, tmp_path: Path) -> None:
+    lines = log(
+        tmp_path,
+        log_line(1, "/joy", Right.PUBLISH, "/rosout"),
+        log_line(2, "/joy", Right.PROVIDE, "/joy/get_loggers"),
+        log_line(3, "/joy", Right.PUBLISH, "/cmd_vel"),
+    )
+    said = shell("policy", "learn", "--from-log", lines, "--policy", str(file))
+    assert said.out.startswith("learned learned-joy: publish /cmd_vel\n1 rules")
+    assert "add basics: true to the policy" in said.err
+    new = tmp_path / "new.yaml"
+    said = shell("policy", "learn", "--from-log", lines, "--policy", str(new))
+    assert "basics" not in said.err
+    assert "basics: true" in new.read_text()

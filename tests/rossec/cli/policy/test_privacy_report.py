@@ -29,14 +29,16 @@ def site(shell: Shell) -> Shell:
 
 def test_the_report_shows_what_the_policy_allows(site: Shell) -> None:
     lines = site("privacy").out.splitlines()
-    assert lines[:4] == [
+    assert lines[:5] == [
         "/pose (geometry_msgs/PoseStamped) -> /viewer",
+        "  sees where it is: exactly; how it moves: exactly",
         "  why: looking (rule view)",
         "  when: always",
         "  until: 7d at a time",
     ]
     rows = json.loads(site("privacy", "--field", "position", "--json").out)
     assert {row["field"] for row in rows} == {f"pose.position.{axis}" for axis in "xyz"}
+    assert {row["tells"] for row in rows} == {"position"}
     assert site("privacy", "--node", "/nobody").out == "no receiver has access\n"
 
 
@@ -48,6 +50,7 @@ def test_the_page_is_the_report_of_the_console(site: Shell, tmp_path: Path) -> N
     assert "<title>What robbie shows to whom</title>" in text
     assert "/viewer" in text
     assert "pose.position.x" in text
+    assert "sees where it is: exactly; how it moves: exactly" in text
     site("privacy", "--html", str(page), "--field", "orientation")
     assert "pose.position.x" not in page.read_text()
     site("privacy", "--html", str(page), "--node", "/nobody")

@@ -163,7 +163,7 @@ async def test_the_same_error_is_printed_once(site: Site, monkeypatch: pytest.Mo
         await robot.publisher("/robot/pose", POSE)
         following = asyncio.ensure_future(follow(site))
         await until(lambda: "publisher" in "".join(said))
-        monkeypatch.setattr(module, "_connected", lambda *_: Unreachable())
+        monkeypatch.setattr(module, "calls_as", lambda *_: Unreachable())
         await site.restart_master()
         await until(lambda: len(tries) > 5)
         following.cancel()

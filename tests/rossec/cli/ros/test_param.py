@@ -76,7 +76,7 @@ def test_parameters_are_listed_and_deleted(site: Site, capsys: pytest.CaptureFix
         (("get", "/robot/value"), "/eve", "param-get on /robot/value", ""),
         (("set", "/robot/value", "1"), "/eve", "param-set on /robot/value", ""),
         (("set", "/robot/value", ""), "/robot", "cannot be null", "rossec param delete"),
-        (("set", "/robot/value", '"\\e[2J"'), "/robot", "cannot parse this setParam", "as bytes"),
+        (("set", "/robot/value", '"\\e[2J"'), "/robot", "XML-RPC cannot carry", "as bytes"),
         (("set", "/robot/value", "[1"), "/robot", "cannot parse", ""),
         (("set", "/robot/value", "99999999999"), "/robot", "XML-RPC cannot carry", ""),
         (("list",), "/nobody", "/nobody has no", "rossec node request"),

@@ -67,9 +67,13 @@ def test_the_provider_of_a_service_is_shown(site: Site, capsys: pytest.CaptureFi
     assert found["type"] == "std_srvs/SetBool"
 
 
+def test_the_type_of_a_service_is_printed(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(site, capsys, "type", "/lamp/on", "--as", "/hall") == "std_srvs/SetBool\n"
+
+
 def test_a_service_is_called(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     out = said(site, capsys, "call", "/lamp/on", "{data: true}", "--as", "/hall")
-    assert out == "success: True\nmessage: a\\u001b[2J\\nb\n"
+    assert out == 'success: True\nmessage: "a\\u001b[2J\\nb"\n'
     out = said(site, capsys, "call", "/lamp/on", "--as", "/hall", "--json")
     assert json.loads(out) == {"success": False, "message": "a\x1b[2J\nb"}
     assert said(site, capsys, "call", "/lamp/off", "--as", "/hall") == ""

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from rossec.cli.ros.topic import Messages
+from rossec.participant.message_types import message_type
 from tests.support.commands import Shell, refused
 from tests.support.site import Site
 
@@ -53,10 +55,67 @@ def test_a_published_message_is_echoed(site: Site, master: dict[str, str]) -> No
         site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2"
     )
     out, err = listener.communicate(timeout=30)
-    assert (listener.returncode, out, err) == (0, "data: hello\n---\n" * 2, "")
+    assert (listener.returncode, out, err) == (0, 'data: "hello"\n---\n' * 2, "")
     talker.send_signal(signal.SIGINT)
     _, said = talker.communicate(timeout=60)
     assert (talker.returncode, said) == (130, "rossec: waiting for a subscriber of /chatter\n\n")
+
+
+def test_the_type_need_not_be_given(site: Site, master: dict[str, str]) -> None:
+    talk = ("topic", "pub", "/chatter", STRING, "hello", "--as", "/talker", "--rate", "20")
+    talker = start(site, master, *talk)
+    listener = start(site, master, "topic", "echo", "/chatter", "--as", "/listener", "-n", "1")
+    out, err = listener.communicate(timeout=30)
+    assert (listener.returncode, out, err) == (0, 'data: "hello"\n---\n', "")
+    shown = start(
+        site, master, "topic", "echo", "/chatter", "--as", "/listener", "-n", "1", "--nostr"
+    )
+    assert shown.communicate(timeout=30)[0] == 'data: "<string length: 5>"\n---\n'
+    talker.send_signal(signal.SIGINT)
+    talker.communicate(timeout=60)
+
+
+def test_a_listener_hears_that_nobody_publishes(site: Site, master: dict[str, str]) -> None:
+    for kind in ((), (STRING,)):
+        words = ("topic", "echo", "/chatter", *kind, "--as", "/listener")
+        listener = start(site, master, *words)
+        assert listener.stderr is not None
+        assert listener.stderr.readline() == (
+            "rossec: nobody publishes /chatter at this master; waiting\n"
+        )
+        listener.send_signal(signal.SIGINT)
+        assert "".join(listener.communicate(timeout=60)).strip() == ""
+
+
+def test_what_was_echoed_is_published_again(
+    site: Site, master: dict[str, str], tmp_path: Path
+) -> None:
+    recorded = tmp_path / "recorded.yaml"
+    recorded.write_text('data: "one"\n---\ndata: two\n---\n')
+    talk = ("topic", "pub", "/chatter", STRING, "-f", str(recorded), "--as", "/talker", "-r", "20")
+    listener = start(
+        site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2"
+    )
+    talker = start(site, master, *talk)
+    out, _ = listener.communicate(timeout=30)
+    _, said = talker.communicate(timeout=60)
+    assert (out, talker.returncode) == ('data: "one"\n---\ndata: "two"\n---\n', 0), said
+
+
+def test_files_and_arguments_that_are_no_messages(empty: Shell, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("---\n")
+    command = ("topic", "pub", "/chatter", STRING, "--as", "/talker", "-f", str(file))
+    refused(empty(*command), "holds no message", "one or more")
+    refused(empty(*command, "{data: x}"), "exclude each other", code=2)
+
+
+def test_a_message_of_now_is_made_each_time_anew() -> None:
+    messages = Messages(message_type("std_msgs/Time"), [{"data": "now"}, {"data": 5}])
+    first, again = messages.at(0), messages.at(2)
+    assert first is not again
+    assert messages.at(1) is messages.at(3)
+    assert first.data.sec > 1_700_000_000
 
 
 def test_a_listener_without_a_grant_hears_why(site: Site, master: dict[str, str]) -> None:

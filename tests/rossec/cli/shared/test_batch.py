@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import RecordUnusable, StoreError
-from rossec.cli.shared.batch import Batch
+from rossec.cli.shared.batch import Batch, unique
 from rossec.errors import ConfigurationError
 
 PATH = Path("a.csr")
@@ -42,3 +42,15 @@ def test_a_batch_without_refusals_finishes() -> None:
 def test_a_single_refusal_or_an_unusable_record_is_raised(total: int, error: Exception) -> None:
     with pytest.raises(type(error)):
         refuse(Batch(total), error)
+
+
+def test_it_says_whether_anything_was_done() -> None:
+    batch = Batch(2)
+    refuse(batch, StoreError("x"))
+    assert batch.done
+    refuse(batch, StoreError("x"))
+    assert not batch.done
+
+
+def test_a_name_that_is_given_twice_counts_once() -> None:
+    assert unique(["/b", "/a", "/b"]) == ("/b", "/a")

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rossec import clock
 from rossec.cli.shared import message_text
 from rossec.errors import ConfigurationError
 from rossec.participant.message_types import message_type
@@ -25,28 +26,90 @@ def test_messages_are_written_as_in_rostopic() -> None:
     assert isinstance(message.pose.position.x, float)
     scan = filled("sensor_msgs/LaserScan", {"ranges": [1, 2.5], "header": {"frame_id": "laser"}})
     assert scan.ranges.dtype == np.float32
-    assert "header:\n  seq: 0\n  stamp:\n    sec: 0" in message_text.render(scan)
 
 
-def test_text_of_a_peer_stays_on_its_line() -> None:
-    assert message_text.render(filled(STRING, {"data": "a\n---\ndata: \x1b[2J\u202eb"})) == (
-        "data: a\\n---\\ndata: \\u001b[2J\\u202eb"
-    )
+def test_a_time_has_many_forms() -> None:
+    now = 5_000_000_007
+    for content in ({"secs": 5, "nsecs": 7}, {"sec": 5, "nanosec": 7}, [5, 7], now, "now"):
+        message = message_type("std_msgs/Time").create()
+        message_text.fill(message, {"data": content}, now)
+        assert (message.data.sec, message.data.nanosec) == (5, 7), content
+    header = message_type("geometry_msgs/PoseStamped").create()
+    message_text.fill(header, {"header": "auto"}, now)
+    assert (header.header.stamp.sec, header.header.seq) == (5, 0)
 
 
-def test_arrays_are_shown_as_in_rostopic() -> None:
-    scan = filled("sensor_msgs/LaserScan", {"ranges": [1, 2.5] * 1000})
-    assert "\nranges: [1.0, 2.5, 1.0, 2.5," in message_text.render(scan)
-    assert "\nintensities: []" in message_text.render(scan)
-    image = filled("sensor_msgs/Image", {"data": [1, 255]})
-    assert message_text.render(image).endswith("\ndata: [1, 255]")
-    joints = message_type("sensor_msgs/JointState").create()
-    joints.name = ["left", "a\n', '"]
-    assert "\nname: ['left', 'a\\n', '']\n" in message_text.render(joints)
-    path = message_type("nav_msgs/Path").create()
-    assert message_text.render(path).endswith("\nposes: []")
-    path.poses = [filled("geometry_msgs/PoseStamped", {"header": {"frame_id": "map"}})] * 2
-    assert message_text.render(path).count("\n  -\n    header:\n      seq: 0\n") == 2
+def test_lists_stand_for_all_fields_in_order() -> None:
+    twist = filled("geometry_msgs/Twist", [[1, 0, 0], [0, 0, 2.5]])
+    assert (twist.linear.x, twist.angular.z) == (1.0, 2.5)
+    assert filled(STRING, ["hello"]).data == "hello"
+
+
+def test_lists_of_messages_and_texts() -> None:
+    path = filled("nav_msgs/Path", {"poses": [{"pose": {"position": {"x": 1}}}, {}]})
+    assert [item.pose.position.x for item in path.poses] == [1.0, 0.0]
+    assert filled("sensor_msgs/JointState", {"name": ["a", None]}).name == ["a", ""]
+
+
+def test_values_that_yaml_writes_otherwise() -> None:
+    assert filled(STRING, {"data": None}).data == ""
+    assert filled("std_msgs/Float64", {"data": "-inf"}).data == float("-inf")
+    assert filled("std_msgs/Float32MultiArray", {"data": ["inf", 1]}).data[0] == np.inf
+    assert bytes(filled("std_msgs/UInt8MultiArray", {"data": b"ab"}).data) == b"ab"
+
+
+def test_a_stamp_is_of_this_hosts_clock() -> None:
+    before = clock.now()
+    assert before <= message_text.stamp_now() // 1_000_000_000 <= before + 60
+
+
+def test_now_is_found_anywhere() -> None:
+    assert message_text.mentions_now({"header": {"stamp": "now"}})
+    assert message_text.mentions_now([[{"header": "auto"}]])
+    assert not message_text.mentions_now({"data": "later", "more": [1]})
+
+
+def test_arguments_are_one_mapping_or_the_fields_in_order() -> None:
+    assert message_text.parse_arguments(["{data: 1}"]) == {"data": 1}
+    assert message_text.parse_arguments(["[1, 0]", "[2]"]) == [[1, 0], [2]]
+    assert message_text.parse_arguments(["hello"]) == ["hello"]
+    assert message_text.parse_arguments([]) == {}
+
+
+def test_documents_are_separated_as_echo_separates_them() -> None:
+    text = "data: 1\n---\ndata: 2\n---\n"
+    assert message_text.parse_documents(text) == [{"data": 1}, {"data": 2}]
+    assert message_text.parse_documents("---\n") == []
+
+
+@pytest.mark.parametrize(
+    ("type_name", "content", "error", "hint"),
+    [
+        (STRING, {"data": 5}, "data is text, not a whole number", "put text that looks like"),
+        (STRING, ["a", "b"], "2 values for 1 fields", "give all of data in this order"),
+        ("nav_msgs/Path", {"poses": {}}, "poses is a list, not a mapping", "write"),
+        (
+            "nav_msgs/Path",
+            {"poses": [{"x": 1}]},
+            r"poses\[0\]: no field 'x'",
+            "it has header, pose",
+        ),
+        ("std_msgs/Time", {"data": "then"}, "not text", "secs, nsecs"),
+        ("std_msgs/Time", {"data": {"hours": 1}}, "no field 'hours' in Time", "secs, nsecs"),
+        ("std_msgs/Duration", {"data": "now"}, "data: a message is a mapping", "secs"),
+        ("std_msgs/Empty", {"x": 1}, "no field 'x' in std_msgs/Empty", "it has none"),
+        ("std_msgs/Empty", 5, "not a whole number", "it has no fields"),
+        ("geometry_msgs/PoseWithCovariance", {"covariance": [1]}, "has 36 numbers, not 1", ""),
+        ("sensor_msgs/LaserScan", {"ranges": 5}, "ranges is a list", "write"),
+        ("shape_msgs/Mesh", {"triangles": [{"vertex_indices": "x"}]}, "is a list, not text", ""),
+    ],
+)
+def test_what_is_wrong_and_where_is_said(
+    type_name: str, content: object, error: str, hint: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=error) as refusal:
+        filled(type_name, content)
+    assert hint in refusal.value.hint
 
 
 @pytest.mark.parametrize(

@@ -21,3 +21,7 @@ def test_else_the_first_found_and_the_others_are_named(
     assert said == (
         "rossec: other addresses of this host, for --address: fd00::7\n" if others else ""
     )
+
+
+def test_how_the_master_is_found_does_not_matter() -> None:
+    assert own_address(Environment({"ROS_IP": "10.0.0.7", "ROS_MASTER_URI": "discover:"}))

@@ -61,6 +61,22 @@ def test_the_passphrase_is_read_from_the_terminal(monkeypatch: pytest.MonkeyPatc
     assert [twice for _, twice in asked] == [False, True]
 
 
+def test_what_is_too_short_is_said_before_it_is_asked_twice(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed = iter(["short", "typed by a person", "typed by a person"])
+    asked: list[str] = []
+
+    def getpass(question: str) -> str:
+        asked.append(question)
+        return next(typed)
+
+    monkeypatch.setattr("getpass.getpass", getpass)
+    assert passphrase.choose(None, {}) == "typed by a person"
+    assert [question.startswith("Repeat") for question in asked] == [False, False, True]
+    assert "a passphrase of 5 characters protects nothing" in capsys.readouterr().err
+
+
 def test_ctrl_c_at_the_prompt_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(_: str) -> str:
         raise KeyboardInterrupt

@@ -8,12 +8,14 @@ from typing import Any
 
 import pytest
 
+from rossec.console.preview import receiver
 from rossec.console.preview.client import PreviewClient
 from rossec.console.preview.receiver import NAME, PreviewReceiver, receive
 from rossec.console.samples import see
 from rossec.net.aio.tasks import TaskSet
 from rossec.node import Publisher
 from tests.support.caller import caller
+from tests.support.discovered import Searches
 from tests.support.site import Site, coarse
 
 POSE = "geometry_msgs/PoseStamped"
@@ -54,6 +56,25 @@ async def until_recorded(client: PreviewClient, topic: str, count: int = 1) -> A
             if found is not None and len(found.messages) >= count:
                 return found
             await asyncio.sleep(0.02)
+
+
+async def test_its_master_is_discovered(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    found = Searches()
+    found.result = site.environ["ROS_MASTER_URI"]
+    monkeypatch.setattr(receiver, "discover_master", found.discover)
+    site.publish("/robot", "/pose")
+    site.subscribe(NAME, "/pose")
+    ours, theirs = socket.socketpair()
+    environ = {**site.environ, "ROS_MASTER_URI": "discover:"}
+    running = asyncio.ensure_future(receive(theirs, environ))
+    async with site.node("/robot") as robot:
+        publisher = await robot.publisher("/pose", POSE)
+        await publisher.wait_for_subscribers()
+    assert found.made == [NAME]
+    ours.close()
+    await running
 
 
 async def test_it_receives_what_it_was_granted(site: Site, client: PreviewClient) -> None:

@@ -1,5 +1,6 @@
 """What another master is shown: own registrations only, what it may see, what it wants."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -165,3 +166,15 @@ def test_views_of_disconnected_keys_are_discarded(followed: Followed) -> None:
     assert not followed.call(master(), "first", first[2]["cursor"], [])[2]["whole"]
     followed.api.keep_views(frozenset())
     assert followed.call(master(), "first", first[2]["cursor"], [])[2]["whole"]
+
+
+def test_what_a_silent_gateway_serves_is_not_told_to_other_masters(followed: Followed) -> None:
+    served, gateway = "/gateway/hospital/pose", NodeRef("/gateway", "http://g:1/", b"gateway")
+    other = replace(caller("/master/kitchen", {"/master": Right.GRAPH}), is_own_master=True)
+    followed.registry.register_publisher(served, T, gateway)
+    assert ["publisher", served, "/gateway"] in followed.facts(other, served)
+    followed.registry.set_silent(gateway, silent=True)
+    assert followed.facts(other, served) == []
+    assert ["node", "/gateway", "http://g:1/"] in followed.facts(other)
+    followed.registry.set_silent(gateway, silent=False)
+    assert ["publisher", served, "/gateway"] in followed.facts(other, served)

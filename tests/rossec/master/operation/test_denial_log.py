@@ -72,3 +72,11 @@ async def test_the_master_logs_denials(tmp_path: Path) -> None:
         ("/viewer", Right.SUBSCRIBE, "/robot/pose"),
         ("/viewer", Right.PARAM_GET, "/robot/name"),
     ]
+
+
+def test_runs_of_an_anonymous_node_are_one_line(tmp_path: Path) -> None:
+    log = DenialLog(tmp_path / "complaints")
+    for run in ("/rviz_1795466501944712825", "/rviz_1795466501944712826"):
+        log(7, "/rviz", Right.PROVIDE, f"{run}/load_config")
+    log.close()
+    assert len((tmp_path / "complaints").read_text().splitlines()) == 1

@@ -1,5 +1,7 @@
 """Registrations are removed when no right covers them."""
 
+from dataclasses import replace
+
 import pytest
 
 from grants.model import Right
@@ -7,6 +9,7 @@ from rossec.master.api.methods import MasterEvent
 from rossec.master.rights.enforce import BATCH, EnforcementStep, enforce, steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, caller
+from tests.rossec.master.rights.test_caller import visitor_of
 
 A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
@@ -95,3 +98,15 @@ def test_a_step_is_small_and_uses_the_current_state() -> None:
     assert len(enforce(state, nothing, second, 0)) == 1
     assert enforce(state, nothing, second, 0) == []
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH
+
+
+def test_a_subscriber_of_an_alias_stays_while_it_may_be_served() -> None:
+    state, alias = Registry(), "/remote/hospital/pose"
+    state.register_subscriber(alias, "*", A)
+    served = {"/gateway/hospital/pose": Right.SUBSCRIBE}
+    who = replace(visitor_of(own=served), name="/a", thumbprint=b"/a")
+    assert enforce_all(state, FakeStatements({"/a": who})) == []
+    assert state.is_registered(Kind.SUBSCRIBER, alias, "/a")
+    unlisted = replace(who, domain_of=lambda _: None)
+    assert enforce_all(state, FakeStatements({"/a": unlisted})) == []
+    assert not state.is_registered(Kind.SUBSCRIBER, alias, "/a")

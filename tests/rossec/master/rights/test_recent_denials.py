@@ -81,3 +81,19 @@ def test_never_more_than_the_limit(steps: list[tuple[int, str, int]]) -> None:
     found = denials.newest_first(now)
     assert len(found) == len({(denial.node, denial.name) for denial in found}) <= MAX_DENIALS
     assert [denial.at for denial in found] == sorted((denial.at for denial in found), reverse=True)
+
+
+def test_runs_of_an_anonymous_node_count_once_with_the_newest_name() -> None:
+    denials = RecentDenials()
+    for run in ("/rviz_1795466501944712825", "/rviz_1795466501944712826"):
+        denials.add(NOW, "/rviz", Right.PROVIDE, f"{run}/load_config")
+    [denial] = denials.newest_first(NOW)
+    assert denial.name == "/rviz_1795466501944712826/load_config"
+
+
+def test_what_a_program_works_without_is_not_kept() -> None:
+    denials = RecentDenials()
+    denials.add(NOW, "/eve", Right.PUBLISH, "/rosout")
+    denials.add(NOW, "/eve", Right.PROVIDE, "/eve/get_loggers")
+    denials.add(NOW, "/eve", SUBSCRIBE, "/clock")
+    assert [denial.name for denial in denials.newest_first(NOW)] == ["/clock"]

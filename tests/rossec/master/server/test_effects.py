@@ -107,7 +107,7 @@ async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixtur
     eve = await world.node("/eve", {"/t": Right.CALL})
     with pytest.raises(AnswerRefused):
         await eve.ask("registerPublisher", "/t", T, eve.uri)
-    assert "/eve may not registerPublisher: rossec: /eve needs the right publish" in caplog.text
+    assert "/eve may not publish /t (registerPublisher): an allow rule for /eve with" in caplog.text
 
 
 async def test_administration_is_audited(world: World, caplog: pytest.LogCaptureFixture) -> None:

@@ -108,4 +108,4 @@ async def test_denials_name_foreigners_by_their_domain(
     visitor = await world.visitor({"/t": Right.CALL})
     with pytest.raises(Exception, match="needs the right publish"):
         await visitor.ask("registerPublisher", "/t", T, visitor.uri)
-    assert "hospital:/rounds/robot3 may not registerPublisher" in caplog.text
+    assert "hospital:/rounds/robot3 may not publish /t (registerPublisher)" in caplog.text

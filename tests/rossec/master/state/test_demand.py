@@ -31,10 +31,20 @@ def test_subscribed_topics_are_wanted_while_they_are_subscribed(
     registry.register_subscriber("/pose", "*", HERE)
     registry.register_subscriber("/remote/hospital/map", "*", HERE)
     registry.register_publisher("/own", "*", HERE)
-    assert demand.wanted(KITCHEN, 10**9) == ("/pose",)
+    assert demand.wanted(KITCHEN, 10**9) == ("/gateway/hospital/map", "/pose")
     assert demand.wanted(HOSPITAL, 10**9) == ("/map",)
     registry.unregister(Kind.SUBSCRIBER, "/pose", HERE)
+    registry.unregister(Kind.SUBSCRIBER, "/remote/hospital/map", HERE)
     assert demand.wanted(KITCHEN, 10**9) == NOTHING
+
+
+def test_of_the_own_domain_what_gateways_there_serve_is_wanted(
+    registry: Registry, demand: Demand
+) -> None:
+    for alias in ("/remote/kitchen/pose", "/remote/hospital/remote/clinic/map", "/remote/ward"):
+        registry.register_subscriber(alias, "*", HERE)
+    assert demand.wanted(KITCHEN, 0) == ("/gateway/kitchen/pose", "/pose")
+    assert demand.wanted(HOSPITAL, 0) == ("/remote/clinic/map",)
 
 
 def test_a_name_that_was_looked_up_is_wanted_for_a_minute(demand: Demand) -> None:

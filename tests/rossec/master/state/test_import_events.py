@@ -42,6 +42,12 @@ def test_each_topic_is_reported_once_for_a_site(registry: Registry) -> None:
     assert len(found.report(kitchen, FACTS)) == 2
 
 
+def test_of_an_alias_nobody_here_says_what_type_it_has(registry: Registry) -> None:
+    registry.register_subscriber("/remote/hospital/a", HERE, NodeRef("/n", "http://h:1/", b"n"))
+    hospital = SiteFacts(Site("hospital", "hospital"))
+    assert Contradictions(registry).report(hospital, FACTS) == []
+
+
 def test_reports_of_one_site_are_bounded(
     registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:

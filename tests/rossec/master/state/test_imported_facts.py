@@ -84,3 +84,21 @@ def test_topics_are_those_published_or_subscribed_there(held: SiteFacts) -> None
     for fact in FACTS:
         held.add(fact)
     assert held.topics() == ["/cmd", "/pose"]
+
+
+def test_below_gateway_only_gateways_are_registered(held: SiteFacts) -> None:
+    served = "/gateway/hospital/pose"
+    assert held.registration(("publisher", served, "/robot")) is None
+    assert held.registration(("service", served, "/gateway_1")) is None
+    for kind, node in (("publisher", "/gateway"), ("subscriber", "/robot")):
+        found = held.registration((kind, served, node))
+        assert found is not None
+        assert found.key == served
+
+
+def test_the_names_that_facts_are_about(held: SiteFacts) -> None:
+    for fact in FACTS:
+        held.add(fact)
+    assert held.keys([("type", "/map", "a/Map"), ("node", "/nobody", "http://h:1/")]) == {"/map"}
+    assert held.keys([ROBOT]) == {each.key for each in held.registered["/robot"]}
+    assert held.keys([("type", "/" + "n" * 300, "a/Map")]) == set()

@@ -195,6 +195,25 @@ def test_removing_one_registration() -> None:
     assert registry.keys_of("/a", Kind.PUBLISHER) == ()
 
 
+def test_a_node_is_silent_until_it_answers_or_goes() -> None:
+    registry = Registry()
+    assert not registry.set_silent(A, silent=True)  # not registered
+    registry.register_publisher("/t", TYPE, A)
+    version = registry.version
+    assert registry.set_silent(A, silent=True)
+    assert not registry.set_silent(A, silent=True)
+    assert registry.is_silent(A)
+    assert registry.silent_names == {"/a"}
+    assert registry.version == version + 1
+    assert not registry.set_silent(B._replace(name="/a"), silent=False)
+    assert registry.set_silent(A, silent=False)
+    assert not registry.is_silent(A)
+    registry.set_silent(A, silent=True)
+    registry.remove_node("/a")
+    registry.register_publisher("/t", TYPE, A)
+    assert not registry.is_silent(A)
+
+
 def test_version_grows_only_with_changes() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)

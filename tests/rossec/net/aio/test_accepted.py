@@ -18,6 +18,7 @@ from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo, raw, still_works
 from tests.support.wire import BOB
+from tests.support.witness import until
 
 
 async def test_a_crashing_handler_ends_only_its_connection(
@@ -38,6 +39,22 @@ async def test_a_crashing_handler_ends_only_its_connection(
         await good.close()
     assert "crashed" in caplog.text
     assert "ZeroDivisionError" in caplog.text
+
+
+async def test_a_closed_server_leaves_no_socket_that_waits_for_its_peer() -> None:
+    """A peer that reads no more answers no close: the handler is over, its connection lingers."""
+    handled: list[Stream] = []
+
+    async def brief(stream: Stream) -> None:
+        handled.append(stream)
+
+    async with serve(brief, "127.0.0.1", 0, context(BOB)) as server:
+        silent = await call(server)
+        silent.transport.pause_reading()
+        await until(lambda: bool(handled and handled[0].error))
+        assert [stream.transport.closed for stream in handled] == [False]
+    assert [stream.transport.closed for stream in handled] == [True]
+    silent.abort("done")
 
 
 async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:

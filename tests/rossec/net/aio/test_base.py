@@ -124,6 +124,24 @@ async def test_what_a_sink_raises_is_raised_by_forward(fed: tuple[Fed, socket.so
         await stream.forward(write_nowait, stream.drain)
 
 
+async def test_what_was_written_is_flushed_when_the_kernel_has_taken_all_of_it(
+    fed: tuple[Fed, socket.socket],
+) -> None:
+    stream, far = fed
+    await stream.flushed()
+    size = 8_000_000
+    stream.transport.write(bytes(size))
+    assert stream.backlog > 0
+    reading = asyncio.ensure_future(asyncio.to_thread(far.recv, size, socket.MSG_WAITALL))
+    await stream.flushed()
+    assert stream.backlog == 0
+    assert len(await reading) == size
+    far.close()
+    await stream.wait_ended()
+    with pytest.raises(ChannelClosed, match="over"):
+        await stream.flushed()
+
+
 async def test_a_writer_waits_until_the_peer_has_read(fed: tuple[Fed, socket.socket]) -> None:
     stream, far = fed
     size = 8_000_000

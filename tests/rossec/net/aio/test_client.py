@@ -51,3 +51,22 @@ async def test_a_cancelled_handshake() -> None:
         with peer:
             while peer.recv(4096):
                 pass  # until the end, which is there without a garbage collection
+
+
+def test_where_the_peer_is_the_master_the_hint_says_how_to_start_it() -> None:
+    down = module.as_master(PeerUnreachable("cannot connect", module._NOT_RUNNING))
+    assert (str(down), down.hint) == ("cannot connect", module._START_MASTER)
+    assert module.as_master(PeerUnreachable("reset", "overloaded")).hint == "overloaded"
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (TimeoutError(), "it does not answer"),
+        (ConnectionRefusedError(111, "Connection refused"), "connection refused"),
+        (OSError("Multiple exceptions"), "Multiple exceptions"),
+        (ValueError("bad port"), "bad port"),
+    ],
+)
+def test_the_reason_is_for_people(error: Exception, reason: str) -> None:
+    assert module._reason(error) == reason

@@ -1,7 +1,9 @@
 """The socket by itself, between two ends of a socket pair."""
 
 import asyncio
+import fcntl
 import socket
+import struct
 
 import pytest
 
@@ -76,6 +78,23 @@ async def test_what_the_kernel_does_not_take_is_sent_later() -> None:
     other.close()
     await until(recorder, "lost")
     assert recorder.events == ["drained", "eof", "lost"]
+
+
+@pytest.mark.parametrize("limited", [False, True])
+async def test_the_kernel_takes_little_more_than_it_can_send(limited: bool) -> None:
+    """The peer reads nothing: what the kernel holds unsent would wait for a slow line."""
+    transport, _, other = pair()
+    if limited:
+        transport.limit_unsent()
+    size = 40_000_000
+    transport.write(bytes(size))
+    unsent = bytearray(4)
+    fcntl.ioctl(transport._fd, 0x894B, unsent)  # SIOCOUTQNSD (linux/sockios.h)
+    held = struct.unpack("I", unsent)[0]
+    assert (held < 300_000) is limited, "one buffer of the kernel more than the limit"
+    assert await asyncio.wait_for(swallow(other, size), 30) == bytes(size)
+    other.close()
+    transport.abort()
 
 
 async def test_pending_bytes_are_sent_after_the_peers_end() -> None:

@@ -5,9 +5,17 @@ from collections.abc import Awaitable
 
 import pytest
 
-from rossec.errors import AnswerRefused, HttpRefused, RossecError, XmlRpcRefused
+from rossec.errors import (
+    AnswerRefused,
+    CompactRefused,
+    HttpRefused,
+    RossecError,
+    XmlRpcRefused,
+)
 from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
 from rossec.ros import xmlrpc
+from rossec.ros.callserver import CallServer
+from rossec.ros.compact import dump_answer
 from rossec.ros.xmlrpc import Fault
 from tests.support.streams import MemoryStream, stream_pair
 
@@ -142,3 +150,56 @@ async def test_an_idle_connection_is_closed() -> None:
 
     await serving(run(), far, idle_deadline=0.05)
     assert far.closed
+
+
+@pytest.mark.parametrize("compact", [True, False])
+async def test_both_forms_give_the_same(compact: bool) -> None:
+    near, far = stream_pair("/node", "/master")
+
+    async def run() -> None:
+        client = RpcClient(near, compact=compact)
+        for n in range(30):
+            assert await client.call("echo", {"a": [n, 1.0, True, b"x"]}) == [
+                1, "/node", [{"a": [n, 1.0, True, b"x"]}]
+            ]  # fmt: skip
+            assert client.is_compact == compact
+        body = await client.fetch("echo", 5)
+        assert xmlrpc.load_response(body) == [1, "/node", [5]]
+        for error, method in ((AnswerRefused, "refuse"), (Fault, "other"), (Fault, "bug")):
+            with pytest.raises(error):
+                await client.ask(method)
+        assert await client.ask("echo") == []
+
+    await serving(run(), far)
+
+
+async def test_a_server_that_takes_no_offers_is_called_in_xml_rpc() -> None:
+    near, far = stream_pair("/node", "/master")
+
+    async def run() -> None:
+        client = RpcClient(near)
+        for n in range(3):
+            assert await client.ask("echo", n) == [n]
+        assert not client.is_compact
+
+    await serving(run(), far, compact=False)
+
+
+async def test_a_client_closes_on_a_unit_that_is_not_its_answer() -> None:
+    near, far = stream_pair("/node", "/master")
+
+    async def run() -> None:
+        client = RpcClient(near)
+        server = CallServer()
+        asking = asyncio.ensure_future(client.ask("echo", 1))
+        server.take(await far.receive())
+        await far.send(server.respond([1, "", 1]))
+        assert await asking == 1
+        asking = asyncio.ensure_future(client.ask("echo", 2))
+        await far.receive()
+        await far.send(dump_answer(7, [1, "", 2]))
+        with pytest.raises(CompactRefused, match="out of its turn"):
+            await asking
+        assert client.closed
+
+    await run()

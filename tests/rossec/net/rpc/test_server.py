@@ -8,6 +8,7 @@ import pytest
 from rossec.errors import HangUp, RossecError
 from rossec.net.rpc.server import CallLoop
 from rossec.ros import xmlrpc
+from rossec.ros.callclient import CallClient, value_in
 from rossec.ros.http import HttpClient
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.support.streams import MemoryStream, stream_pair
@@ -22,8 +23,8 @@ class Served:
         self.near, self.far = stream_pair("/node", "/master")
         self.gate = asyncio.Event()
         self.begun = 0
-        loop = CallLoop(self.far, self.dispatch, limit=limit, deadline=10, idle=idle)
-        self.task = asyncio.ensure_future(loop.run())
+        self.loop = CallLoop(self.far, self.dispatch, limit=limit, deadline=10, idle=idle)
+        self.task = asyncio.ensure_future(self.loop.run())
 
     def dispatch(self, method: str, params: tuple[object, ...], peer: str) -> object:
         match method:
@@ -174,3 +175,103 @@ async def test_the_peer_leaves_during_a_call() -> None:
     await served.task
     with pytest.raises(RossecError):
         await served.answer()
+
+
+async def switched(served: Served, client: CallClient) -> None:
+    """Make the first call, which is answered with the switch."""
+    await served.near.send(client.request("now", (1,)))
+    assert value_in(client.take(await served.near.receive())) == ["/node", 1]
+    assert client.is_compact
+
+
+async def test_units_are_answered_at_once_and_later() -> None:
+    served, client = Served(), CallClient("x")
+    await switched(served, client)
+    served.gate.set()
+    for method, expected in (("now", ["/node", 2]), ("later", [2]), ("now", ["/node", 2])):
+        for _ in range(20):
+            await served.near.send(client.request(method, (2,)))
+            assert client.take(await served.near.receive()) == expected
+    served.far.lags = True
+    await served.near.send(client.request("now", (3,)))
+    assert client.take(await served.near.receive()) == ["/node", 3]
+    await served.near.close()
+    await served.task
+
+
+async def test_the_switch_may_come_with_a_later_answer() -> None:
+    served, client = Served(), CallClient("x")
+    served.gate.set()
+    await served.near.send(client.request("later", (1,)))
+    assert value_in(client.take(await served.near.receive())) == [1]
+    assert client.is_compact
+    await served.near.close()
+    await served.task
+
+
+@pytest.mark.parametrize("method", ["long", "long later"])
+async def test_a_unit_too_is_no_longer_than_a_call_may_be(method: str) -> None:
+    served, client = Served(limit=500), CallClient("x")
+    await switched(served, client)
+    await served.near.send(client.request(method, ()))
+    with pytest.raises(Fault, match=r"the answer has 10\d\d bytes, at most 500 are sent"):
+        value_in(client.take(await served.near.receive()))
+    await served.near.send(client.request("now", (2,)))
+    assert client.take(await served.near.receive()) == ["/node", 2]
+    await served.near.close()
+    await served.task
+
+
+@pytest.mark.parametrize("method", ["now", "later"])
+async def test_a_call_before_the_answer_ends_the_connection(method: str) -> None:
+    served, client = Served(), CallClient("x")
+    await switched(served, client)
+    unit = client.request(method, (1,))
+    if method == "now":  # both arrive before the first is looked at
+        served.far.take, callback, served.far.callback = None, served.far.callback, None
+        await served.near.send(unit)
+        await served.near.send(unit)
+        assert callback is not None
+        callback()
+    else:
+        await served.near.send(unit)
+        await asyncio.sleep(0)
+        await served.near.send(unit)
+    async with asyncio.timeout(30):
+        await served.task
+    assert served.near.inbox.empty()
+
+
+@pytest.mark.parametrize(
+    "unit", [b"", b"POST / HTTP/1.1\r\n", b"\x84\x01\x01\x60\x00", b"\xc0\x60"]
+)
+async def test_what_is_not_a_unit_ends_the_connection_without_an_answer(unit: bytes) -> None:
+    served = Served()
+    await switched(served, CallClient("x"))
+    await served.near.send(unit)
+    async with asyncio.timeout(30):
+        await served.task
+    assert served.near.inbox.empty()
+
+
+@pytest.mark.parametrize("method", ["gone", "gone later"])
+async def test_a_hang_up_ends_units_too(method: str) -> None:
+    served, client = Served(), CallClient("x")
+    await switched(served, client)
+    await served.near.send(client.request(method, ()))
+    await served.task
+    assert served.near.inbox.empty()
+
+
+async def test_an_early_call_while_the_connection_runs_out_of_time() -> None:
+    """Both end it; neither stands in the other's way."""
+    served, client = Served(idle=0.05), CallClient("x")
+    await switched(served, client)
+    await served.near.send(client.request("later", (1,)))
+    await asyncio.sleep(0)
+    served.loop._scope.reschedule(0)
+    await asyncio.sleep(0)
+    assert served.loop._scope.expired()
+    await served.near.send(client.request("now", (2,)))
+    async with asyncio.timeout(30):
+        await served.task

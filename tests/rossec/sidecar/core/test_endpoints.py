@@ -85,3 +85,15 @@ def test_programs_get_the_loopback_host_name() -> None:
     assert endpoints.add_egress(PEER, 8000).uri == "rosrpc://localhost:8000"
     assert endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, 8000)) == PEER
     assert endpoints.own_uri(SLAVE) == "http://localhost:5000/"
+
+
+def test_whose_topics_are_at_an_endpoint_is_known_while_a_port_leads_there() -> None:
+    map_, api = EndpointMap("robot.local"), Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+    topics = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    assert map_.api_of(topics) is None
+    map_.add_egress(topics, 8000)
+    map_.set_api(topics, api)
+    assert (map_.api_of(topics), map_.api_of(api)) == (api, None)
+    for port in (8001, 8000, 8000):
+        map_.remove_egress(port)
+    assert map_.api_of(topics) is None

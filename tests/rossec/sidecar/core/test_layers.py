@@ -1,14 +1,21 @@
 """What all layers share: names, endpoints, and commands that are answered as they must be."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from rossec.channel.opening import WireProtocol
+from rossec.errors import HangUp
 from rossec.sidecar.core.commands import OpenEgress, OpenIngress
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import CommandDone, Opened
-from rossec.sidecar.core.layers import Program, UnexpectedEvent, own_endpoint
+from rossec.sidecar.core.events import CommandDone, NoAnswer, Opened, PeerAuthenticated
+from rossec.sidecar.core.layers import (
+    Program,
+    UnexpectedEvent,
+    authenticated_peer,
+    own_endpoint,
+)
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
 from tests.support.site import Site
 
@@ -73,3 +80,32 @@ def test_a_program_that_ended_is_forgotten(setup: AgentSetup) -> None:
     setup.agent.forget(SLAVE)
     setup.agent.forget(SLAVE)
     assert setup.agent.programs == {}
+
+
+def test_a_publisher_is_listed_however_its_uri_is_written(setup: AgentSetup) -> None:
+    topic = "/remote/hospital/word"
+    assert not setup.agent.is_listed(topic, PEER)
+    setup.agent.followed_publishers(topic, ["nonsense", "http://10.0.0.7:6000"])
+    assert setup.agent.is_listed(topic, PEER)
+    assert not setup.agent.is_listed(topic, replace(PEER, door=True))
+    assert not setup.agent.is_listed("/word", PEER)
+    setup.agent.publisher_grace.session_opened()
+    setup.agent.followed_publishers(topic, [])
+    assert setup.agent.is_listed(topic, PEER), "in its grace period"
+    setup.time = 60.0
+    assert not setup.agent.is_listed(topic, PEER)
+
+
+def test_a_foreign_peer_is_told_no_name_with_a_tail(setup: AgentSetup) -> None:
+    foreign = replace(setup.identity("/rviz"), name="/remote/hospital/rviz", certified="/rviz")
+    assert setup.agent.name_for_peer("/rviz_17", foreign) == "/rviz"
+    assert setup.agent.name_for_peer("/rviz_17", setup.identity("/rviz")) == "/rviz_17"
+
+
+def test_a_peer_is_known_once_it_is_authenticated(setup: AgentSetup) -> None:
+    peer = setup.identity("/rviz")
+    assert authenticated_peer(PeerAuthenticated(peer)) is peer
+    with pytest.raises(HangUp, match="gone"):
+        authenticated_peer(NoAnswer("gone"))
+    with pytest.raises(UnexpectedEvent, match="no peer but CommandDone"):
+        authenticated_peer(CommandDone())

@@ -208,6 +208,26 @@ def test_a_refused_registration_is_made_again_with_the_right(setup: AgentSetup) 
     run_layer(restore(setup.agent, has()), ALIVE, (again, Answered([1, "", []])))
 
 
+@pytest.mark.parametrize(
+    ("topic", "reason", "code"),
+    [("/rosout", "no grant for it", 1), ("/rosout", "expired", -1), ("/pose", "no grant", -1)],
+)
+def test_what_a_program_works_without_succeeds_for_it(
+    setup: AgentSetup, topic: str, reason: str, code: int
+) -> None:
+    """rospy calls its refusal fatal. It is made again with the right, as any other."""
+    params = ("/robot", topic, "pkg/Type", INGRESS_URI)
+    status = f"rossec: /robot needs the right publish on {topic}: {reason}"
+    answer = run_layer(
+        handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (CallMaster("registerPublisher", params), Answered([-1, status, []])),
+    )
+    assert answer == [code, status, []]
+    refused = setup.agent.programs[SLAVE].registrations.refused()
+    assert refused == [("registerPublisher", params)]
+
+
 def test_a_registration_that_ended_with_its_right_is_made_again(setup: AgentSetup) -> None:
     register(setup)
     layer = rights_changed(setup.agent, has((Right.SUBSCRIBE, "/scan")))

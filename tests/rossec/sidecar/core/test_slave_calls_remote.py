@@ -8,9 +8,9 @@ from ca.certificates import Identity
 from ca.errors import NameRefused
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.commands import CallPeer, CallProgram, OpenEgress
+from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer, CallProgram, OpenEgress
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Answered, Opened
+from rossec.sidecar.core.events import Answered, Opened, PeerAuthenticated
 from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
@@ -20,6 +20,7 @@ SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 EGRESS_URI = "http://127.0.0.1:8000/"
 ALIAS = "/remote/hospital/scan"
+AUTHENTICATE = AuthenticatePeer(PEER)
 
 
 def foreigner(setup: AgentSetup) -> Identity:
@@ -41,6 +42,7 @@ def test_a_peer_is_asked_for_a_topic_by_the_name_at_its_origin(setup: AgentSetup
     remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_program_call(setup.agent, PEER, "requestTopic", params),
+        (AUTHENTICATE, PeerAuthenticated(foreigner(setup))),
         (request, Answered([1, "ready", ["TCPROS", "10.0.0.7", 6001]], foreigner(setup))),
         (OpenEgress(remote), Opened(8001)),
     )
@@ -120,6 +122,9 @@ def test_an_anonymous_program_has_its_certified_name_towards_foreigners(setup: A
         ("requestTopic", ("/scan", [["TCPROS"]]), "/robot_1_2"),
         ("getPid", (), "/robot"),
     ):  # fmt: skip
-        command = next(handle_program_call(setup.agent, PEER, method, ("/robot_1_2", *params)))
+        layer = handle_program_call(setup.agent, PEER, method, ("/robot_1_2", *params))
+        command = next(layer)
+        if command == AUTHENTICATE:
+            command = layer.send(PeerAuthenticated(foreigner(setup)))
         assert isinstance(command, CallPeer)
         assert command.params[0] == caller

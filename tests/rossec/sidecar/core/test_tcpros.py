@@ -11,10 +11,11 @@ from rossec.participant.access import FIELD
 from rossec.participant.header_fields import Fields
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
+from rossec.participant.wishes import Wishes
 from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram, Suspend
 from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer
-from rossec.sidecar.core.layers import UnexpectedEvent
-from rossec.sidecar.core.tcpros import connect_to_peer
+from rossec.sidecar.core.layers import Layer, UnexpectedEvent
+from rossec.sidecar.core.tcpros import AdmittedConnection, connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
     ANSWER,
@@ -255,3 +256,50 @@ def test_a_restricted_publisher_gets_a_guard(setup: AgentSetup, authorized: Fiel
         ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
     ):
         run_layer(layer, (connect, arrived(setup, undefined, "/robot")))
+
+
+WISHES = {"rossec_rate": b"5.000", "rossec_newest": b"1", "rossec_deflate": b"1"}
+
+
+def test_the_wishes_of_a_peer_are_taken_and_the_program_gets_none(
+    setup: AgentSetup, authorized: Fields
+) -> None:
+    """A program that answers a wish by itself is not believed: the peer would read other bytes."""
+    connect = ConnectProgram(TOPIC_ENDPOINT, REQUEST)
+    asked = {"rossec_rate": b"5.000", "rossec_newest": b"1"}
+    steps = REQUEST_ANSWERED, (connect, arrived(setup, ANSWER | WISHES))
+    admitted = run_layer(admit(setup, authorized | asked), *steps)
+    assert admitted.wishes == Wishes(5, newest=True)
+    assert {key: admitted.answer.get(key) for key in WISHES} == asked | {"rossec_deflate": None}
+    admitted = run_layer(admit(setup, authorized), *steps)
+    assert not admitted.wishes
+    assert WISHES.keys().isdisjoint(admitted.answer)
+
+
+def test_a_malformed_wish_is_refused_before_the_program_is_asked(
+    setup: AgentSetup, authorized: Fields
+) -> None:
+    with pytest.raises(ConnectionHeaderRefused, match="is no rate"):
+        run_layer(admit(setup, authorized | {"rossec_rate": b"-1"}))
+    with pytest.raises(GrantMissing):  # nobody without a right is told
+        run_layer(admit(setup, REQUEST | {"rossec_rate": b"-1"}))
+
+
+def test_a_programs_own_wishes_are_not_passed_on_and_none_may_be_answered(
+    setup: AgentSetup, authorized: Fields
+) -> None:
+    viewer, now = AgentSetup(setup.site, "/viewer"), setup.site.now()
+    wished = REQUEST | WISHES
+    connect = ConnectPeer(PEER, authorized)
+    answer = ANSWER | {"topic": b"/word"} | proof(setup, "/robot", Right.PUBLISH, "/word")
+
+    def subscribing() -> Layer[AdmittedConnection]:
+        return connect_to_peer(
+            viewer.agent, PEER, wished, no_key, memory_scope("/viewer").child, now
+        )
+
+    run_layer(subscribing(), (connect, arrived(setup, answer, "/robot")))
+    for key, value in WISHES.items():
+        forged = arrived(setup, answer | {key: value}, "/robot")
+        with pytest.raises(ConnectionHeaderRefused, match="asked"):
+            run_layer(subscribing(), (connect, forged))

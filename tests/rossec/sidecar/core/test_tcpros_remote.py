@@ -8,8 +8,8 @@ from ca.certificates import Identity
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.header_fields import Fields
 from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram
-from rossec.sidecar.core.events import HeaderArrived
+from rossec.sidecar.core.commands import AuthenticatePeer, ConnectPeer, ConnectProgram
+from rossec.sidecar.core.events import HeaderArrived, PeerAuthenticated
 from rossec.sidecar.core.tcpros import admit_peer, connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
@@ -26,6 +26,8 @@ from tests.rossec.sidecar.core.handshake import (
     no_key,
 )
 from tests.support.openaccess import PROOF, OpenAccess
+
+AUTHENTICATE = AuthenticatePeer(PEER)
 
 
 def foreign(setup: AgentSetup, name: str) -> Identity:
@@ -46,7 +48,7 @@ def test_a_program_subscribes_to_an_alias_and_the_peer_reads_the_origins_name(
     )
     connect = ConnectPeer(PEER, fields | {"topic": b"/word"} | PROOF)
     answer = HeaderArrived(ANSWER | {"topic": b"/word"} | PROOF, robot, setup.site.now())
-    admitted = run_layer(layer, (connect, answer))
+    admitted = run_layer(layer, (AUTHENTICATE, PeerAuthenticated(robot)), (connect, answer))
     assert access.presented == [("subscribe", alias.decode())]
     assert access.authorized == [("/remote/hospital/robot", "publish", alias.decode())]
     assert admitted.answer["topic"] == alias
@@ -79,9 +81,10 @@ def test_a_peer_that_answers_with_another_name_than_the_origins_is_refused(
         setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
     )
     connect = ConnectPeer(PEER, fields | {"topic": b"/word"} | PROOF)
-    answer = HeaderArrived(ANSWER | {"topic": topic}, foreign(setup, "/robot"), setup.site.now())
+    robot = foreign(setup, "/robot")
+    answer = HeaderArrived(ANSWER | {"topic": topic}, robot, setup.site.now())
     with pytest.raises(ConnectionHeaderRefused, match="another topic than hospital:/word"):
-        run_layer(layer, (connect, answer))
+        run_layer(layer, (AUTHENTICATE, PeerAuthenticated(robot)), (connect, answer))
 
 
 def test_a_foreign_subscriber_is_known_to_the_program_by_its_alias(setup: AgentSetup) -> None:
@@ -130,5 +133,7 @@ def test_an_anonymous_program_has_its_certified_name_towards_foreigners(setup: A
             setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
         )
         command = next(layer)
+        if command == AUTHENTICATE:
+            command = layer.send(PeerAuthenticated(foreign(setup, "/viewer")))
         assert command == ConnectPeer(PEER, fields | {"topic": wire, "callerid": caller} | PROOF)
         layer.close()

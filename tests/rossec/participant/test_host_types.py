@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from grants.filters.layout import MAX_TEXT
+from rossec.participant import host_types
+from rossec.participant.host_types import known_type
 from rossec.participant.message_types import message_type, type_names
-from rossec.sidecar import host_types
-from rossec.sidecar.host_types import known_type
 
 
 def package(place: Path, **messages: str) -> Path:

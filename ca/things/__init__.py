@@ -1,0 +1,1 @@
+"""Constrained things: what the authority says of them, and the credentials it says it about."""

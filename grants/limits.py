@@ -1,0 +1,116 @@
+"""How many messages a right admits: a rate, counted exactly, and slots of time. Pure.
+
+A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s,
+0.7 every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
+
+A rate hides nothing of when something begins: its first message passes at once. With a slot the
+time is divided into slots of so many seconds, at the same moments for everybody. A message passes
+in the beginning of a slot, one in each, and only if there was one in the slot before. So what
+begins, ends or happens once is known to a slot, and what happens seldom not at all.
+"""
+
+from typing import Final
+
+_SECOND: Final = 10**9
+_MICROSECONDS: Final = 10**6
+MIN_SLOT: Final = 10
+MAX_SLOT: Final = 86_400
+_LONGEST: Final = 1 << 62  # nanoseconds, 146 years: what any rate may have been meant to be
+_PARTS: Final = 30  # messages pass in the first of so many parts of a slot
+
+
+def _nanoseconds(now: float) -> int:
+    """A time in whole microseconds: floats of seconds since the epoch have a quarter of one."""
+    return round(now * _MICROSECONDS) * 1000
+
+
+class RateBucket:
+    """`rate` messages a second, and bursts of at most `max(1, rate)`.
+
+    A message costs `interval`, and the bucket holds time: `left` nanoseconds, up to `capacity`.
+    """
+
+    __slots__ = ("_refilled_at", "capacity", "interval", "last_message", "left")
+
+    def __init__(self, rate: float, tokens: float) -> None:
+        self.interval: Final = round(min(_SECOND / rate, _LONGEST))
+        self.capacity: Final = max(self.interval, _SECOND)
+        self.left = min(int(tokens * self.interval), self.capacity)
+        self.last_message: object = None
+        self._refilled_at: int | None = None
+
+    @property
+    def tokens(self) -> float:
+        """How many messages it would admit at once."""
+        return self.left / self.interval
+
+    def refill(self, now: float) -> bool:
+        """Add the time since then, none if the clock was set back; whether a message fits."""
+        moment = _nanoseconds(now)
+        if self._refilled_at is not None and moment > self._refilled_at:
+            self.left = min(self.left + moment - self._refilled_at, self.capacity)
+        self._refilled_at = moment
+        return self.left >= self.interval
+
+    def charge(self, message_id: object) -> None:
+        """Count a message admitted by this rate or by another of the same key."""
+        if self.left >= self.interval:
+            self.last_message = message_id
+        self.left = max(self.left - self.interval, 0)
+
+    def is_full(self, now: float) -> bool:
+        """Whether it equals a new one."""
+        self.refill(now)
+        return self.left >= self.capacity
+
+
+class SlotGate:
+    """One message in each slot of so many seconds, in its beginning, if the slot before had any."""
+
+    __slots__ = ("_follows", "_noted", "_passed", "_seconds", "_slot", "_used")
+
+    def __init__(self, seconds: int) -> None:
+        self._seconds = seconds
+        self._slot: int | None = None
+        self._follows = False
+        self._used = False
+        self._noted: object = None
+        self._passed: object = None
+
+    def note(self, message_id: object, now: float) -> bool:
+        """Note that there is this message; whether it may pass, or has passed already.
+
+        One that is tried again, for a connection that is new, is no other message.
+        """
+        if message_id is self._noted:
+            return message_id is self._passed
+        self._noted = message_id
+        slot = int(now // self._seconds)
+        if slot + 1 == self._slot:  # the clock was set back over the border: what passed, passed
+            return message_id is self._passed
+        if slot != self._slot:
+            self._follows = self._slot is not None and slot == self._slot + 1
+            self._slot, self._used = slot, False
+        return message_id is self._passed or (self._follows and self._is_open(now))
+
+    def ready(self, now: float) -> bool:
+        """Whether a new message could pass."""
+        slot = int(now // self._seconds)
+        if slot == self._slot:
+            return self._follows and self._is_open(now)
+        return slot - 1 == self._slot and self._is_beginning(now)
+
+    def _is_open(self, now: float) -> bool:
+        return not self._used and self._is_beginning(now)
+
+    def _is_beginning(self, now: float) -> bool:
+        return now % self._seconds * _PARTS < self._seconds
+
+    def charge(self, message_id: object) -> None:
+        """Count a message that passed."""
+        if message_id is not self._passed:
+            self._used, self._passed = True, message_id
+
+    def is_fresh(self, now: float) -> bool:
+        """Whether it equals a new one."""
+        return self._slot is None or now // self._seconds > self._slot + 1

@@ -1,0 +1,1 @@
+"""`rossec border`: run the border router, and its things."""

@@ -1,0 +1,1 @@
+"""What Tab completes: imported at each press of it, so nothing here is slow to import."""

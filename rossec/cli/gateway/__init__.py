@@ -1,0 +1,1 @@
+"""`rossec gateway`: topics of other domains, brought here once for everybody."""

@@ -1,0 +1,1 @@
+"""`rossec namespace`: names by rules."""

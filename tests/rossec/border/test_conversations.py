@@ -1,0 +1,74 @@
+"""What a border router knows of each thing: one conversation, bounded, found by name and by kid."""
+
+import pytest
+
+from rossec.border import conversations
+from rossec.border.contexts import OscoreContext
+from rossec.border.conversations import REMEMBERED, Conversation, Conversations
+
+HERE, THERE = ("::1", 5683, 0, 0), ("::1", 5684, 0, 0)
+
+
+def conversation(name: str, kid: bytes) -> Conversation:
+    return Conversation(name, OscoreContext(bytes(16), b"", b"", kid), HERE)
+
+
+@pytest.fixture
+def ended() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def held(ended: list[str]) -> Conversations:
+    return Conversations(lambda each: ended.append(each.name))
+
+
+def test_a_thing_has_one(held: Conversations, ended: list[str]) -> None:
+    first, second = conversation("/lamp", b"1"), conversation("/lamp", b"2")
+    held.add(first)
+    assert (held.of("/lamp"), held.find(b"1"), held.find(b"2")) == (first, first, None)
+    held.add(second)
+    assert (held.of("/lamp"), held.find(b"1"), held.find(b"2")) == (second, None, second)
+    assert (ended, len(held), held.all()) == (["/lamp"], 1, [second])
+    held.drop("/lamp")
+    held.drop("/lamp")
+    assert (ended, len(held), held.find(b"2")) == (["/lamp", "/lamp"], 0, None)
+
+
+def test_a_thing_with_a_secret_that_was_renamed(held: Conversations, ended: list[str]) -> None:
+    """It has its kid under either name."""
+    former, now = conversation("/things/fan", b"k"), conversation("/kitchen/fan", b"k")
+    held.add(former)
+    held.add(now)
+    assert ended == ["/things/fan"]
+    assert held.find(b"k") is now
+    held.drop("/things/fan")
+    assert held.find(b"k") is now
+    held.drop("/kitchen/fan")
+    assert held.find(b"k") is None
+
+
+def test_the_one_that_was_quiet_for_longest_makes_room(
+    held: Conversations, ended: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conversations, "CAPACITY", 2)
+    a, b = conversation("/a", b"a"), conversation("/b", b"b")
+    held.add(a)
+    held.add(b)
+    held.used(a)
+    held.add(conversation("/c", b"c"))
+    assert ended == ["/b"]
+    assert [each.name for each in held.all()] == ["/a", "/c"]
+    held.add(conversation("/a", b"d"))
+    assert ended == ["/b", "/a"]
+
+
+def test_answers_are_kept_for_repeated_requests() -> None:
+    thing = conversation("/lamp", b"k")
+    assert thing.kid == b"k"
+    assert thing.remembered(HERE, 1) is None
+    for number in range(REMEMBERED + 1):
+        thing.remember(HERE, number, b"%d" % number)
+    assert thing.remembered(HERE, 0) is None
+    assert thing.remembered(HERE, REMEMBERED) == b"%d" % REMEMBERED
+    assert thing.remembered(THERE, REMEMBERED) is None

@@ -1,0 +1,43 @@
+"""The group `rossec border`."""
+
+import sys
+
+import click
+import pytest
+
+from rossec.cli.border import serve, show_demo
+from rossec.cli.border.group import border
+from tests.rossec.cli.tables import check_table
+from tests.support.commands import Shell, refused
+
+
+def test_each_verb_exists_and_has_this_help_line() -> None:
+    check_table(border)
+
+
+def test_options_of_the_router_do_not_stand_before_a_verb(empty: Shell) -> None:
+    said = empty("border", "--port", "1", "list")
+    refused(said, "options of the router do not stand before a verb", code=2)
+
+
+def test_without_a_verb_it_runs(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[object] = []
+
+    def run(_environment: object, *arguments: object, as_json: bool) -> None:
+        given.append((*arguments, as_json))
+
+    monkeypatch.setattr(serve, "run", run)
+    assert empty("border", "--as", "/attic", "--listen", "::1", "--json").code == 0
+    assert given == [("/attic", "::1", 5683, True)]
+
+
+def test_the_demonstration(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[click.Context] = []
+    monkeypatch.setattr(show_demo, "show_demo", shown.append)
+    assert empty("border", "--demo").code == 0
+    assert len(shown) == 1
+
+
+def test_without_the_extra(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rossec.cli.border.serve", None)
+    refused(empty("border"), "CoAP for things is not installed", "rossec[constrained]")

@@ -1,0 +1,67 @@
+from operator import methodcaller
+
+import click
+import pytest
+
+from rossec.cli.completion.outline import outline_of
+from rossec.cli.completion.sources import Sources
+from rossec.cli.completion.values import ARGUMENTS, FREE, KINDS, OPTIONS, kinds_of
+from rossec.cli.main import rossec
+from rossec.cli.shared.lazy import LazyCommand
+from tests.rossec.cli.tables import all_commands
+
+LEAVES = {
+    listed.place: command
+    for _, listed, command in all_commands(rossec)
+    if listed is not None and not isinstance(command, click.Group)
+}
+
+
+def texts(command: click.Command) -> int:
+    params = outline_of(command)["params"]
+    return sum(1 for each in params if each.get("text") and "opts" not in each)
+
+
+@pytest.mark.parametrize("place", sorted(LEAVES))
+def test_every_argument_that_is_text_has_its_kind(place: str) -> None:
+    """A new one gets a row: which names it takes, or `FREE`."""
+    assert texts(LEAVES[place]) == len(ARGUMENTS.get(place, ()))
+
+
+def test_every_row_is_of_a_command() -> None:
+    assert ARGUMENTS.keys() <= LEAVES.keys()
+    options = {name for command in LEAVES.values() for each in command.params for name in each.opts}
+    assert OPTIONS.keys() <= options
+
+
+def test_every_kind_can_be_read(tmp_path: object) -> None:
+    used = {kind for kinds in ARGUMENTS.values() for kind in kinds} | set(OPTIONS.values())
+    assert used <= KINDS.keys()
+    methods = {read.__reduce__()[1][0] for reads in KINDS.values() for read in reads}
+    assert all(callable(getattr(Sources, name)) for name in methods)
+    assert {type(read) for reads in KINDS.values() for read in reads} == {methodcaller}
+
+
+def kinds(place: str) -> dict[str, str]:
+    outline = outline_of(LEAVES[place])
+    names = [each.get("opts", [each["name"]])[0] for each in outline["params"]]
+    return dict(zip(names, kinds_of(place, outline), strict=True))
+
+
+def test_arguments_and_options_get_theirs() -> None:
+    found = kinds("ros.topic:echo")
+    assert [found[name] for name in ("name", "type_name", "--as")] == [
+        "topic", "message type", "own node",
+    ]  # fmt: skip
+    assert found["--count"] == FREE
+    assert [kinds("relay.peers:add")[name] for name in ("label", "file")] == [FREE, FREE]
+
+
+def test_an_option_may_mean_something_else_in_one_command() -> None:
+    assert kinds("federation.sites:add")["--as"] == FREE
+    assert kinds("ros.service:call")["--type"] == "service type"
+
+
+def test_the_places_are_those_of_the_tables() -> None:
+    assert isinstance(rossec.commands["ca"], LazyCommand)
+    assert "ca.init:init" in LEAVES

@@ -1,0 +1,122 @@
+"""A subscriber of rospy with wishes: thinned out, the newest only, deflated once for all."""
+
+import socket
+import struct
+from typing import Any
+
+import pytest
+
+from rossec.net.bounds import UNSENT
+from rossec.participant import deflating
+from rossec.participant.deflating import LARGE, deflated
+from rossec.participant.wishes import NO_WISHES, Wishes
+from tests.support.rosconnection import transport
+from tests.support.witness import until
+
+pytestmark = pytest.mark.ros
+
+send_queue = pytest.importorskip("rossec.inprocess.send_queue")
+wish_queue = pytest.importorskip("rossec.inprocess.wish_queue")
+
+
+def connection(wishes: Wishes) -> Any:
+    made = transport()
+    made.socket.wishes = wishes
+    made.socket.options = []
+    made.socket.setsockopt = lambda *option: made.socket.options.append(option)
+    return made
+
+
+def framed(content: bytes) -> bytes:
+    return struct.pack("<I", len(content)) + content
+
+
+def sent(made: Any) -> bytes:
+    return b"".join(made.socket.units)
+
+
+def test_only_a_subscriber_with_wishes_has_such_a_queue() -> None:
+    for wishes, kind in (
+        (NO_WISHES, send_queue.SendQueue),
+        (Wishes(5), wish_queue.WishQueue),
+    ):
+        made = connection(wishes)
+        queue = wish_queue.queue_for(made, 3)
+        made.close()
+        queue._thread.join(30)
+        assert type(queue) is kind
+        assert made.socket.options == []
+
+
+async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = connection(Wishes(1.0))
+    queue = wish_queue.queue_for(made, 0)
+    now = 0.0
+    monkeypatch.setattr(wish_queue.time, "monotonic", lambda: now)
+    for number in range(40):
+        now = number * 0.1
+        queue.write_data(framed(b"%d" % number))
+    monkeypatch.undo()
+    expected = b"".join(map(framed, (b"0", b"1", b"10", b"20", b"30")))
+    await until(lambda: sent(made) == expected)
+    assert made.stat_num_msg == 5
+    made.close()
+
+
+@pytest.mark.parametrize("newest", [True, False])
+async def test_of_what_waits_only_the_newest_is_sent(newest: bool) -> None:
+    made = connection(Wishes(newest=newest, deflate=not newest))
+    queue = wish_queue.queue_for(made, 100)
+    made.socket.gate.clear()
+    queue.write_data(framed(b"first"))
+    await until(lambda: not queue._waiting)
+    for number in range(50):
+        queue.write_data((b"\2\0\0\0", b"%02d" % number))
+    made.socket.gate.set()
+    if newest:
+        await until(lambda: sent(made) == framed(b"first") + framed(b"49"))
+        assert made.socket.options == [(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)]
+    else:
+        every = b"".join(framed(b"\0%02d" % number) for number in range(50))
+        await until(lambda: sent(made) == framed(b"\0first") + every)
+    made.close()
+
+
+@pytest.mark.parametrize("size", [0, 10, 1000, LARGE - 2])
+async def test_a_message_is_deflated_once_for_all(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def count(pieces: Any) -> bytes:
+        calls.append(pieces)
+        return deflated(pieces)
+
+    monkeypatch.setattr(deflating, "deflated", count)
+    many = [connection(Wishes(deflate=True)) for _ in range(3)]
+    queues = [wish_queue.queue_for(made, 10) for made in many]
+    for made in many:
+        made.socket.gate.clear()
+    content = bytes(size)
+    whole, filtered = framed(content), (struct.pack("<I", size + 1), content, b"x")
+    for data in (whole, filtered):
+        for queue in queues:
+            queue.write_data(data)
+    for made in many:
+        made.socket.gate.set()
+    expected = framed(deflated([content])) + framed(deflated([content, b"x"]))
+    await until(lambda: [sent(made) for made in many] == [expected] * 3)
+    assert len(calls) == 2
+    for made in many:
+        made.close()
+
+
+async def test_an_error_is_raised_by_the_next_call() -> None:
+    exceptions = pytest.importorskip("rospy.exceptions")
+    made = connection(Wishes(newest=True))
+    queue = wish_queue.queue_for(made, 1)
+    made.socket.error = OSError("gone")
+    queue.write_data(framed(b"one"))
+    await until(lambda: queue._error is not None)
+    with pytest.raises(exceptions.TransportTerminated, match="gone"):
+        queue.write_data(framed(b"two"))

@@ -1,0 +1,130 @@
+"""Wishes between nodes over real sockets: taken, refused, and unknown to an older peer."""
+
+import asyncio
+from typing import Any, Final
+
+import pytest
+
+from grants.model import Restriction, filter_rules
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused
+from rossec.node import Node, Publisher, listener
+from rossec.node import subscriber as subscribing
+from rossec.node.wish_queue import WishQueue
+from rossec.participant import topic_handshake
+from rossec.participant.wishes import NO_WISHES, Wishes
+from tests.support.site import Site
+from tests.support.witness import until
+
+TOPIC: Final = "/robot/words"
+TYPE: Final = "std_msgs/String"
+WORDS: Final = [f"{number} {'again and again ' * 3000}" for number in range(5)]
+
+
+def prepare(site: Site, restriction: Restriction | None = None) -> tuple[Node, Node]:
+    site.publish("/robot", TOPIC)
+    site.subscribe("/viewer", TOPIC, restriction)
+    return site.node("/robot"), site.node("/viewer")
+
+
+async def publishing(robot: Node) -> Publisher:
+    return await robot.publisher(TOPIC, TYPE, queue_size=100)
+
+
+def say(publisher: Publisher, *words: str) -> None:
+    for word in words:
+        publisher.publish(publisher.create(data=word))
+
+
+async def heard(subscriber: Any, count: int) -> list[str]:
+    found: list[str] = []
+    async with asyncio.timeout(30):
+        async for message in subscriber:
+            found.append(message.data)
+            if len(found) == count:
+                break
+    return found
+
+
+async def test_deflated_messages_arrive_as_they_were_sent(site: Site) -> None:
+    robot, viewer = prepare(site)
+    async with robot, viewer:
+        publisher = await publishing(robot)
+        subscriber = await viewer.subscriber(TOPIC, TYPE, deflate=True)
+        await publisher.wait_for_subscribers()
+        say(publisher, *WORDS)
+        assert await heard(subscriber, 5) == WORDS
+        (queue,) = publisher.links.values()
+        assert isinstance(queue, WishQueue)
+
+
+async def test_what_is_deflated_is_what_the_filter_left(site: Site) -> None:
+    """No length depends on what was taken away."""
+    rules = filter_rules({"data": {"truncate": {"length": 1}}})
+    robot, viewer = prepare(site, Restriction(TYPE, (), rules))
+    async with robot, viewer:
+        publisher = await publishing(robot)
+        subscriber = await viewer.subscriber(TOPIC, TYPE, deflate=True, newest=True)
+        await publisher.wait_for_subscribers()
+        say(publisher, WORDS[3])
+        assert await heard(subscriber, 1) == ["3"]
+
+
+async def test_a_rate_is_kept_by_the_publisher(site: Site) -> None:
+    robot, viewer = prepare(site)
+    async with robot, viewer:
+        publisher = await publishing(robot)
+        subscriber = await viewer.subscriber(TOPIC, TYPE, rate=0.001)
+        await publisher.wait_for_subscribers()
+        say(publisher, "one", "two", *WORDS)
+        assert await heard(subscriber, 2) == ["one", "two"]
+        (queue,) = publisher.links.values()
+        assert isinstance(queue, WishQueue)
+        assert queue.thinned == 5
+
+
+async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listener, "requested_wishes", lambda _: NO_WISHES)
+    robot, viewer = prepare(site)
+    async with robot, viewer:
+        publisher = await publishing(robot)
+        subscriber = await viewer.subscriber(TOPIC, TYPE, rate=0.001, newest=True, deflate=True)
+        await publisher.wait_for_subscribers()
+        say(publisher, "one", "two", *WORDS)
+        assert await heard(subscriber, 2) == ["one", "two"]
+        (queue,) = publisher.links.values()
+        assert not isinstance(queue, WishQueue)
+
+
+async def test_a_publisher_that_does_what_was_not_asked_is_refused(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener, "requested_wishes", lambda _: Wishes(deflate=True))
+    robot, viewer = prepare(site)
+    async with robot, viewer:
+        await publishing(robot)
+        subscriber = await viewer.subscriber(TOPIC, TYPE)
+        await until(lambda: subscriber.refusals)
+        assert isinstance(subscriber.refusals[0], ConnectionHeaderRefused)
+        assert "was not asked to" in str(subscriber.refusals[0])
+
+
+async def test_a_malformed_wish_is_refused(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = topic_handshake.subscriber_header
+
+    def forged(*arguments: Any) -> dict[str, bytes]:
+        return {**written(*arguments), "rossec_rate": b"1e9"}
+
+    monkeypatch.setattr(subscribing, "subscriber_header", forged)
+    robot, viewer = prepare(site)
+    async with robot, viewer:
+        await publishing(robot)
+        subscriber = await viewer.subscriber(TOPIC, TYPE)
+        await until(lambda: subscriber.refusals)
+        assert "'rossec_rate' is no rate" in str(subscriber.refusals[0])
+
+
+async def test_a_wish_for_no_rate_at_all_is_the_callers_mistake(site: Site) -> None:
+    _, viewer = prepare(site)
+    async with viewer:
+        with pytest.raises(ConfigurationError, match="a rate of 0 messages"):
+            await viewer.subscriber(TOPIC, TYPE, rate=0)

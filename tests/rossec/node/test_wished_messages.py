@@ -1,0 +1,79 @@
+"""What a subscriber does for its wishes by itself, and what it takes from a publisher."""
+
+import asyncio
+import struct
+import zlib
+
+import pytest
+
+from rossec.errors import ConnectionHeaderRefused, FrameRefused
+from rossec.node import wished_messages as module
+from rossec.node.wished_messages import WishedMessages, wished_messages
+from rossec.participant.deflating import LARGE, deflated
+from rossec.participant.wishes import NO_WISHES, Wishes
+
+LIMIT = 1 << 20
+ALL = Wishes(5, newest=True, deflate=True)
+
+
+def of(asked: Wishes, taken: Wishes) -> WishedMessages:
+    found = wished_messages(asked, taken.fields, LIMIT)
+    assert found is not None
+    return found
+
+
+def test_nothing_is_done_where_nothing_is_left_to_do() -> None:
+    assert wished_messages(NO_WISHES, {}, LIMIT) is None
+    assert wished_messages(Wishes(5, newest=True), Wishes(5).fields, LIMIT) is None
+    assert wished_messages(Wishes(newest=True), {}, LIMIT) is None
+    with pytest.raises(ConnectionHeaderRefused, match="not asked to"):
+        wished_messages(Wishes(5), Wishes(5, deflate=True).fields, LIMIT)
+
+
+async def test_an_older_publishers_messages_come_as_they_are_and_are_thinned_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(module, "monotonic", lambda: now)
+    messages = of(ALL, NO_WISHES)
+    assert await messages.inflated(b"\1as it is") == b"\1as it is"
+    passed = 0
+    for number in range(100):
+        now = number * 0.02
+        passed += messages.admits()
+    assert passed == 11
+
+
+async def test_a_publisher_that_takes_the_rate_is_not_thinned_out_again() -> None:
+    messages = of(ALL, ALL)
+    assert all(messages.admits() for _ in range(100))
+
+
+@pytest.mark.parametrize("size", [0, 10, LARGE - 1, LARGE, LIMIT])
+async def test_messages_are_inflated(size: int) -> None:
+    assert await of(ALL, ALL).inflated(deflated([bytes(size)])) == bytes(size)
+
+
+@pytest.mark.parametrize("size", [LIMIT + 1, 1 << 31])
+async def test_a_message_beyond_the_limit_is_refused(size: int) -> None:
+    engine = zlib.compressobj(9, zlib.DEFLATED, -15)
+    bomb = b"\1" + struct.pack("<I", size) + engine.compress(bytes(9)) + engine.flush()
+    with pytest.raises(FrameRefused, match=f"at most {LIMIT} allowed"):
+        await of(ALL, ALL).inflated(bomb)
+
+
+async def test_thousands_of_small_bombs_leave_the_loop_its_turns() -> None:
+    messages, small = of(ALL, ALL), deflated([bytes(LARGE // 2)])
+    turns = 0
+
+    async def count() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    counting = asyncio.ensure_future(count())
+    for _ in range(100):
+        await messages.inflated(small)
+    counting.cancel()
+    assert turns >= 49

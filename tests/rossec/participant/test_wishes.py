@@ -1,0 +1,80 @@
+"""Wishes in connection headers: read strictly, and answered with no more than was asked."""
+
+import math
+
+import pytest
+
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused
+from rossec.participant.wishes import (
+    NO_WISHES,
+    Wishes,
+    requested_wishes,
+    taken_wishes,
+    without_wishes,
+)
+from rossec.ros import header
+
+ALL = Wishes(2.5, newest=True, deflate=True)
+FIELDS = {"rossec_rate": b"2.500", "rossec_newest": b"1", "rossec_deflate": b"1"}
+
+
+def test_a_header_says_them_and_is_read_back() -> None:
+    assert ALL.fields == FIELDS
+    assert requested_wishes(header.decode(header.encode(ALL.fields)[4:])) == ALL
+    for wishes in (Wishes(0.001), Wishes(10_000), Wishes(newest=True), Wishes(deflate=True)):
+        assert requested_wishes({"topic": b"/t", **wishes.fields}) == wishes
+        assert bool(wishes)
+
+
+def test_without_wishes_nothing_is_said() -> None:
+    assert NO_WISHES.fields == {}
+    assert not NO_WISHES
+    assert requested_wishes({"topic": b"/t"}) is NO_WISHES
+    assert without_wishes({"topic": b"/t", **FIELDS}) == {"topic": b"/t"}
+
+
+def test_a_rate_has_three_decimals() -> None:
+    assert Wishes(1 / 3).rate == 0.333
+    assert Wishes(30).fields == {"rossec_rate": b"30.000"}
+
+
+@pytest.mark.parametrize("rate", [0, -1, 0.0009, 10_001, math.nan, math.inf, -math.inf])
+def test_an_absurd_rate_cannot_be_wished(rate: float) -> None:
+    with pytest.raises(ConfigurationError, match="a rate of") as caught:
+        Wishes(rate)
+    assert "from 0.001 to 10000" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        b"", b"0", b"0.000", b"-1", b"+1", b"1e3", b"nan", b"inf", b"1_0", b" 1", b"1 ", b"1\n",
+        b"1,5", b".5", b"1.", b"0.0001", b"10000.001", b"99999", b"9" * 48_000, b"1\0", b"0x1",
+        "\uff11".encode(), b"\xff",
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_a_rate_that_is_none_is_refused(value: bytes) -> None:
+    with pytest.raises(ConnectionHeaderRefused, match="'rossec_rate' is no rate"):
+        requested_wishes({"rossec_rate": value})
+
+
+@pytest.mark.parametrize("key", ["rossec_newest", "rossec_deflate"])
+@pytest.mark.parametrize("value", [b"", b"0", b"true", b"01", b"1\n", b"2"])
+def test_another_value_than_1_is_refused(key: str, value: bytes) -> None:
+    with pytest.raises(ConnectionHeaderRefused, match=f"{key!r} is not 1"):
+        requested_wishes({key: value})
+
+
+def test_a_publisher_may_take_some_of_them() -> None:
+    assert taken_wishes({}, ALL) == NO_WISHES
+    assert taken_wishes(FIELDS, ALL) == ALL
+    assert taken_wishes({"rossec_newest": b"1"}, ALL) == Wishes(newest=True)
+    assert taken_wishes({"rossec_rate": b"2.5"}, ALL) == Wishes(2.5)
+
+
+@pytest.mark.parametrize("asked", [NO_WISHES, Wishes(7)])
+@pytest.mark.parametrize("key", FIELDS)
+def test_a_publisher_may_take_none_that_was_not_asked(asked: Wishes, key: str) -> None:
+    with pytest.raises(ConnectionHeaderRefused, match="asked"):
+        taken_wishes({key: FIELDS[key]}, asked)

@@ -1,0 +1,44 @@
+import io
+
+import pytest
+
+from rossec import colour
+
+WANTED = {"TERM": "xterm-256color"}
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("environ", "wanted"),
+    [
+        (WANTED, True),
+        ({**WANTED, "NO_COLOR": ""}, True),
+        ({**WANTED, "NO_COLOR": "1"}, False),
+        ({"TERM": "dumb"}, False),
+        ({}, False),
+    ],
+)
+def test_who_does_not_want_colour_gets_none(environ: dict[str, str], wanted: bool) -> None:
+    assert colour.is_wanted(Terminal(), environ) is wanted
+    assert not colour.is_wanted(io.StringIO(), environ)
+
+
+def test_a_closed_stream_is_no_terminal() -> None:
+    stream = Terminal()
+    stream.close()
+    assert not colour.is_wanted(stream, WANTED)
+
+
+def test_colour_is_beside_the_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert colour.state("ok    ", Terminal()) == "\x1b[32mok    \x1b[0m"
+    assert colour.state("revoked", Terminal()) == "\x1b[31mrevoked\x1b[0m"
+    assert colour.state("something", Terminal()) == "something"
+    assert colour.state("revoked", io.StringIO()) == "revoked"
+    assert colour.paint("error:", colour.RED, Terminal()) == "\x1b[31merror:\x1b[0m"
+    assert colour.paint("x", "", Terminal()) == "x"
