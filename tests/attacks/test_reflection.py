@@ -187,8 +187,10 @@ HEARS = (
 import rospy
 from std_msgs.msg import String
 rospy.init_node("robot")
+def print_whole(message):  # in one write: other threads print as well
+    print(f"HEARD {message.data}\\n", end="", flush=True)
 said = rospy.Publisher("/loop", String, queue_size=10)
-heard = rospy.Subscriber("/loop", String, lambda message: print("HEARD", message.data, flush=True))
+heard = rospy.Subscriber("/loop", String, print_whole)
 print("AT", rospy.get_node_uri(), flush=True)
 input()
 while said.get_num_connections() < 1:

@@ -23,12 +23,15 @@ from playwright.sync_api import (
     Response,
     sync_playwright,
 )
+from playwright.sync_api import TimeoutError as NotLoaded
 
 CHROMIUM: Final = shutil.which("chromium") or "/usr/bin/chromium"
 PHONE: Final = (390, 844)
 DESKTOP: Final = (1120, 800)
 NARROW: Final = 360  # CSS pixels of the narrowest phones in use
 WAIT_MS: Final = 15_000
+_LOAD_MS: Final = 6_000
+_OVERTAKEN: Final = ("ERR_ABORTED", "interrupted by another navigation")
 _SCENE: Final = (640, 480)
 _FRAMES: Final = 8
 _TRIES: Final = 10
@@ -68,14 +71,14 @@ def _jpeg(frame: Image.Image) -> bytes:
     return out.getvalue()
 
 
-def _again_if_aborted(go: Callable[[], object]) -> None:
+def _again_if_overtaken(navigate: Callable[[], object]) -> None:
     """Go to a page; twice, if the old one loaded itself again just then."""
     try:
-        go()
+        navigate()
     except Error as error:
-        if "ERR_ABORTED" not in str(error):
+        if not any(reason in str(error) for reason in _OVERTAKEN):
             raise
-        go()
+        navigate()
 
 
 class Window:
@@ -92,12 +95,17 @@ class Window:
     def open(self, path: str) -> Page:
         """Go to a page of the site."""
         self.sizes.clear()
-        _again_if_aborted(lambda: self.page.goto(self.origin + path))
+        url = self.origin + path
+        # Chromium never begins a navigation if the old page loads itself again in that moment.
+        with contextlib.suppress(NotLoaded):
+            _again_if_overtaken(lambda: self.page.goto(url, timeout=_LOAD_MS))
+            return self.page
+        _again_if_overtaken(lambda: self.page.goto(url))
         return self.page
 
     def back(self) -> None:
         """Go back to the page before."""
-        _again_if_aborted(self.page.go_back)
+        _again_if_overtaken(self.page.go_back)
 
     def add_authenticator(self) -> None:
         """Give the page a passkey store, as a phone has; its user agrees to everything."""
@@ -195,6 +203,9 @@ class Window:
         self.faults = [f for f in self.faults if not any(text in f for text in texts)]
 
     def close(self) -> None:
+        """Leave the page, then close: Chromium may hang if it loads itself again just then."""
+        with contextlib.suppress(Error):
+            self.page.goto("about:blank", timeout=_LOAD_MS)
         self.context.close()
 
     def _watched(self, page: Page) -> Page:
