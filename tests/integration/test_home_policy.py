@@ -13,6 +13,7 @@ from tests.integration.test_first_steps import ROOT
 from tests.integration.test_quiet_programs import check_quiet
 from tests.support.lan import lan_of
 from tests.support.typed import TypedShell, blocks_of, shells_of
+from tests.support.xserver import x_server
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
@@ -21,7 +22,6 @@ POLICY: Final = re.compile(r"<<'END'\n(rossec: 1\n.*?)END\n", re.DOTALL)
 RVIZ: Final = """
 until rossec run --as /rviz -- rosnode list 2>&1 | grep -q '^/rviz_.*'; do sleep 0.3; done
 """
-DISPLAY: Final = ("Xvfb", "-displayfd", "1", "-screen", "0", "500x500x24")
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def shell(short_path: Path) -> Iterator[TypedShell]:
 
 @pytest.fixture
 def display() -> Iterator[str]:
-    running = Running(DISPLAY, {})
+    running = Running(x_server(), {})
     try:
         wait(lambda: running.said.strip().isdecimal())
         yield f":{running.said.strip()}"

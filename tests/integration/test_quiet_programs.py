@@ -16,6 +16,7 @@ import pytest
 from tests.integration.sidecarworld import ROSSEC, Running, wait
 from tests.integration.test_first_steps import Home
 from tests.support.ports import free_port
+from tests.support.xserver import x_server
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
@@ -141,7 +142,7 @@ def test_programs_that_do_nothing_wrong_are_refused_nothing(home: Home) -> None:
 
 @contextlib.contextmanager
 def rviz(site: Site) -> Iterator[Running]:
-    with site.started("Xvfb", "-displayfd", "1", "-screen", "0", "500x500x24") as display:
+    with site.started(*x_server()) as display:
         wait(lambda: display.said.strip().isdecimal())
         where = f"DISPLAY=:{display.said.strip()}"
         with site.started(ROSSEC, "run", "--", "env", where, "rviz") as running:

@@ -15,6 +15,7 @@ from tests.support import rospyuse
 from tests.support.hosts import two_hosts
 from tests.support.roscpp import compiled, nodelet
 from tests.support.site import Site
+from tests.support.xserver import x_server
 
 NODELET = "/usr/lib/nodelet/nodelet"
 ECHO = "/usr/lib/tf2_tools/echo.py"
@@ -112,10 +113,10 @@ def test_rviz_draws_what_another_host_publishes(world: World) -> None:
     config = world.directory / "test.rviz"
     config.write_text(RVIZ)
     pixels = world.directory / "Xvfb_screen0"
-    screen = ("-screen", "0", "500x500x24", "-nolisten", "tcp", "-fbdir", str(world.directory))
+    screen = x_server("-nolisten", "tcp", "-fbdir", str(world.directory))
     python = (sys.executable, "-c")
     with (
-        world.started(far, "Xvfb", "-displayfd", "1", *screen) as display,
+        world.started(far, *screen) as display,
         world.secured(near, *python, rospyuse.MARKERS),
         world.secured(near, *python, rospyuse.TF_BROADCASTER),
     ):
