@@ -131,7 +131,7 @@ def touches(pattern: str, namespace: str) -> bool:
 
 
 def _namespace_segments(text: str) -> list[str]:
-    return [] if text == "/" else _segments(text)
+    return [] if text == "/" else text[1:].split("/")
 
 
 def _segments(text: str) -> list[str]:
@@ -152,6 +152,8 @@ def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
     """
     ends = {0}
     for segment in pattern:
+        if not ends:
+            break
         ends = _advance(ends, segment, name)
     return ends
 
@@ -159,4 +161,6 @@ def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
 def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
     if segment == "**":
         return set(range(min(ends, default=len(name)) + 1, len(name) + 1))
-    return {at + 1 for at in ends if at < len(name) and fits(segment, name[at])}
+    if TAIL in segment:
+        return {at + 1 for at in ends if at < len(name) and fits(segment, name[at])}
+    return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}  # not a call
