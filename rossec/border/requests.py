@@ -24,7 +24,7 @@ from rossec.errors import DatagramRefused, ThingUnreachable
 
 DEADLINE: Final = 95.0  # seconds for one message and its answer; repeated for 62 to 93
 RETRY: Final = 0.25  # seconds until a request is sent again that got an unprotected answer
-RETRIES: Final = 4
+RETRIES: Final = 7  # over half a minute: what tells the thing its context may be lost a few times
 _NONE: Final = -2  # lower than the sequence number of any answer
 _SZX: Final = 6  # blocks of 1024 octets
 
