@@ -163,4 +163,5 @@ def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
         return set(range(min(ends, default=len(name)) + 1, len(name) + 1))
     if TAIL in segment:
         return {at + 1 for at in ends if at < len(name) and fits(segment, name[at])}
-    return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}  # not a call
+    # As `fits`, without a call for each segment: the master checks thousands of names in one turn.
+    return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}

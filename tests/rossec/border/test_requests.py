@@ -169,6 +169,27 @@ def test_an_unprotected_answer_ends_nothing_and_is_asked_again(line: Line) -> No
     assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
 
 
+def test_a_thing_that_learns_its_context_late_is_not_left_to_repetitions(line: Line) -> None:
+    """Those it answers from its memory (RFC 7252 section 4.2): only a new message asks anew."""
+    answered: set[int] = set()
+    line.ask()
+    while not line.answers and line.now < DEADLINE:
+        sealed = wire.read(line.sent[-1])
+        mid = wire.number_of(sealed)
+        if mid not in answered and line.now >= 10:  # what told it its context was lost twice
+            line.reply(b"20")
+        elif mid not in answered:
+            plain = aiocoap.Message(code=codes.UNAUTHORIZED)
+            plain.token, plain.mtype, plain.mid = sealed.token, wire.ACK, mid
+            with pytest.raises(DatagramRefused):
+                line.take(wire.read(wire.write(plain)))
+        answered.add(mid)
+        line.now += 0.25
+        line.timers.run(line.now)
+    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
+    assert line.now < 20
+
+
 def block(number: int, more: bool) -> Any:
     return BlockOption.BlockwiseTuple(number, more, 6)
 
