@@ -4,6 +4,7 @@
 SHELL := /bin/bash
 BIN := .venv/bin
 READY := .venv/.ready
+RUNTIME := .venv/.runtime
 
 .PHONY: help demo test attacks check static cover bench man ros format clean
 help:
@@ -19,13 +20,17 @@ help:
 $(READY): pyproject.toml constraints.txt tools/venv.sh
 	@tools/venv.sh
 
+# The demo needs none of the packages that tests and development need.
+$(RUNTIME): pyproject.toml constraints.txt tools/venv.sh
+	@tools/venv.sh runtime
+
 # ROS packages first: they decide which Python the venv is made from.
 ros:
 	@tools/ros-packages.sh
 
-demo: $(READY)
+demo: $(RUNTIME)
 	@$(BIN)/rossec demo
-	@echo "(here: $(BIN)/rossec console --demo)"
+	@echo "(here: $(BIN)/pip install -e '.[console]' and $(BIN)/rossec console --demo)"
 
 # The venv is looked at after the ROS packages: installing them may bring a better Python for it.
 # Unit tests alone must cover the packages; integration tests only add confidence, a worker a file.

@@ -84,7 +84,7 @@ def _neighbours() -> Floats:
     return np.where(distance < 1.5 * CELL, 1.0, 0.0)
 
 
-def grid(step: float, hysteresis: float) -> Likelihood:
+def grid(step: float, hysteresis: float, shift: tuple[float, float] = (0.0, 0.0)) -> Likelihood:
     """What a rounded position tells: its cell, and that it is not far outside of the last one."""
 
     def likelihood(told: Told, before: Told | None) -> Floats:
@@ -92,8 +92,9 @@ def grid(step: float, hysteresis: float) -> Likelihood:
         last = (None, None) if before is None else (before.x, before.y)
         for axis, (value, earlier) in enumerate(zip((told.x, told.y), last, strict=True)):
             half = step / 2 + (hysteresis if value == earlier else 0)
-            overlap = np.minimum(CENTRES[:, axis] + CELL / 2, value + half) - np.maximum(
-                CENTRES[:, axis] - CELL / 2, value - half
+            at = value - shift[axis]
+            overlap = np.minimum(CENTRES[:, axis] + CELL / 2, at + half) - np.maximum(
+                CENTRES[:, axis] - CELL / 2, at - half
             )
             found *= np.clip(overlap / CELL, _FLOOR, 1)
         return found
@@ -115,14 +116,23 @@ def rooms(reach: float) -> Likelihood:
     return likelihood
 
 
-def track(told: Sequence[Told], likelihood: Likelihood, seconds: int, known: Habits) -> Floats:
-    """For each second: x, y, and the number of the room, as an attacker believes afterwards."""
+def track(
+    streams: Sequence[tuple[Sequence[Told], Likelihood]], seconds: int, known: Habits
+) -> Floats:
+    """For each second: x, y, and the number of the room, as an attacker believes afterwards.
+
+    Of two streams that say the same at the same time one is used.
+    """
     seen = np.ones((seconds, len(CENTRES)))
-    before: Told | None = None
-    for each in told:
-        seen[each.second] *= likelihood(each, before)
-        seen[each.second] /= seen[each.second].max()
-        before = each
+    used: set[Told] = set()
+    for told, likelihood in streams:
+        before: Told | None = None
+        for each in told:
+            if each not in used:
+                seen[each.second] *= likelihood(each, before)
+                seen[each.second] /= seen[each.second].max()
+            before = each
+        used.update(told)
     forward = np.empty_like(seen)
     belief = known.occupied
     for second in range(seconds):

@@ -35,11 +35,11 @@ class Publisher:
         self._layout = layout(type_name)
         self._scope = MemoryScope(MemoryStore(lambda: NOW), ("/publisher",))
 
-    def guard(self, restriction: Restriction, receiver: int = 1) -> Guard:
+    def guard(self, restriction: Restriction, receiver: int = 1, topic: str = "/topic") -> Guard:
         """The guard of one connection of a receiver."""
         grant: Any = SimpleNamespace(holder=bytes([receiver]) * 32, chain=())
         grant.links = (grant,)
-        decision = Decision(Right.SUBSCRIBE, "/topic", (grant,), NOW * 2, (restriction,))
+        decision = Decision(Right.SUBSCRIBE, topic, (grant,), NOW * 2, (restriction,))
         return Guard(self._layout, decision, _KEYS, self._scope)
 
 
@@ -63,17 +63,17 @@ def received(
 _HEADER: Final = struct.Struct("<IIII3s")
 
 
-def header(number: int, at: float) -> bytes:
-    """A Header of the frame `map`."""
+def header(number: int, at: float, frame: bytes = b"map") -> bytes:
+    """A Header of the frame `map`, or of another with three letters."""
     whole, rest = divmod(NOW + at, 1)
-    return _HEADER.pack(number, int(whole), int(rest * 1e9), 3, b"map")
+    return _HEADER.pack(number, int(whole), int(rest * 1e9), 3, frame)
 
 
-def poses(path: Any, rate: int) -> Iterator[tuple[float, bytes]]:
+def poses(path: Any, rate: int, frame: bytes = b"map") -> Iterator[tuple[float, bytes]]:
     """PoseStamped messages of a path."""
     for number, (x, y) in enumerate(path.tolist()):
         at = number / rate
-        yield at, header(number, at) + struct.pack("<7d", x, y, 0, 0, 0, 0, 1)
+        yield at, header(number, at, frame) + struct.pack("<7d", x, y, 0, 0, 0, 0, 1)
 
 
 def pose_place(message: bytes) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from grants.model import Restriction
 RATE: Final = 10
 _STAY: Final = 400  # seconds on average that somebody is there, and away
 _TYPE: Final = "std_msgs/String"
-_NEAR: Final = 5.0  # seconds within which a moment is called known
+NEAR: Final = 5.0  # seconds within which a moment is called known
 
 Span = tuple[float, float]
 
@@ -61,7 +61,7 @@ def watched(restriction: Restriction, seconds: int) -> dict[str, dict[str, float
         # How many of those who came are known to have come within 5 s of a moment.
         "arrivals_told": {
             "naive": _moments(told, days[4], 0.0),
-            "prior": round(len(days[4]) * 2 * _NEAR / seconds, 3),
+            "prior": round(len(days[4]) * 2 * NEAR / seconds, 3),
             "attacker": _moments(told, days[4], late),
         },
     }
@@ -98,8 +98,8 @@ def _fitted(told: npt.NDArray[np.float64], there: npt.NDArray[np.bool_]) -> Span
     return max(choices, key=right)
 
 
-def _first(told: npt.NDArray[np.float64]) -> list[float]:
-    """The messages after a pause."""
+def first_messages(told: npt.NDArray[np.float64]) -> list[float]:
+    """When those came that follow a pause."""
     gaps = [b - a for a, b in pairwise(told)]
     usual = float(np.median(gaps)) if gaps else 1.0
     later = [float(b) for a, b in pairwise(told) if b - a > 1.5 * usual + 1]
@@ -108,11 +108,11 @@ def _first(told: npt.NDArray[np.float64]) -> list[float]:
 
 def _lateness(told: npt.NDArray[np.float64], spans: Sequence[Span]) -> float:
     starts = np.array([start for start, _ in spans])
-    late = [at - starts[starts <= at].max() for at in _first(told) if (starts <= at).any()]
+    late = [at - starts[starts <= at].max() for at in first_messages(told) if (starts <= at).any()]
     return float(np.median(late)) if late else 0.0
 
 
 def _moments(told: npt.NDArray[np.float64], spans: Sequence[Span], late: float) -> float:
-    guesses = np.array([at - late for at in _first(told)] or [-np.inf])
-    known = [np.abs(guesses - start).min() <= _NEAR for start, _ in spans]
+    guesses = np.array([at - late for at in first_messages(told)] or [-np.inf])
+    known = [np.abs(guesses - start).min() <= NEAR for start, _ in spans]
     return round(float(np.mean(known)), 3)

@@ -19,8 +19,6 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from ca import svid
 from ca.domains.aliases import refuse_alias
 from ca.errors import (
-    CertificateExpired,
-    CertificateNotYetValid,
     CertificateRefused,
     ForeignCertificate,
     NameRefused,
@@ -30,6 +28,7 @@ from ca.keys.publickey import thumbprint
 from ca.names import check_wildcard, covers, parse_spiffe_id
 from ca.requests import MAX_REQUEST, IdentityRequest, build_request, check_request
 from ca.svid import MAX_CERTIFICATE
+from ca.validity import check_time, way_back
 
 __all__ = [
     "MAX_CERTIFICATE", "MAX_REQUEST", "Identity", "IdentityRequest", "TrustAnchor",
@@ -78,6 +77,13 @@ class Identity:
     def covers(self, name: str) -> bool:
         """Whether the holder may call itself `name`: as certified, or with a certified tail."""
         return covers(self.certified_name, name, wildcard=self.wildcard)
+
+    def renews(self, other: "Identity") -> bool:
+        """Whether it is `other` with a renewed certificate: nothing but times and issuer differ."""
+        return all(
+            getattr(self, each) == getattr(other, each)
+            for each in ("domain", "name", "thumbprint", "wildcard", "certified", "root")
+        )
 
     @property
     def keys(self) -> tuple[bytes, ...]:
@@ -137,8 +143,11 @@ class TrustAnchor:
                     "send the node's certificate and its intermediate's, if it has one",
                 )
         identity = self._identity(leaf, issuer)
-        _check_time("authority's certificate", self.not_before, self.not_after, now)
-        _check_time(f"certificate of {identity.name}", identity.not_before, identity.not_after, now)
+        self.check_time(now)
+        check_time(
+            f"certificate of {identity.name}", identity.not_before, identity.not_after, now,
+            f"where its authority is: {way_back(identity.name)}",
+        )  # fmt: skip
         if issuer is self:
             return identity
         end = min(identity.not_after, issuer.not_after)
@@ -156,7 +165,7 @@ class TrustAnchor:
             )
         certificate = svid.parse(der)
         if not svid.is_signed_by(certificate, self.subject, self.public_key):
-            raise self._foreign("intermediate")
+            raise self._foreign("intermediate", certificate)
         return read_intermediate(certificate, der, self.domain)
 
     def check_intermediate(self, der: bytes, now: int) -> Intermediate:
@@ -167,14 +176,36 @@ class TrustAnchor:
             CertificateRefused: as `read_intermediate`.
         """
         found = self.read_intermediate(der)
-        _check_time("intermediate's certificate", found.not_before, found.not_after, now)
+        check_time(
+            "intermediate's certificate", found.not_before, found.not_after, now,
+            "at the root: rossec ca intermediate sign FILE --may renew",
+        )  # fmt: skip
         return found
 
-    def _foreign(self, what: str) -> ForeignCertificate:
-        return ForeignCertificate(
-            f"the {what} is not signed by the authority of trust domain {self.domain!r}",
-            "enroll the node with this authority, or use the ca.pem that fits",
-        )
+    def check_time(self, now: int) -> None:
+        """Return if the authority's own certificate is valid at `now`.
+
+        Raises:
+            CertificateExpired, CertificateNotYetValid: otherwise, which is a matter of clocks.
+        """
+        check_time(
+            "authority's certificate", self.not_before, self.not_after, now,
+            "the authority is ten years old, and must be replaced by a new one",
+        )  # fmt: skip
+
+    def _foreign(self, what: str, certificate: x509.Certificate) -> ForeignCertificate:
+        """What it claims is no proof, but tells the operator which of two mistakes it is."""
+        text = f"the {what} is not signed by the authority of trust domain {self.domain!r}"
+        hint = "enroll the node with this authority, or use the ca.pem that fits"
+        try:
+            claimed = svid.claimed_domain(certificate)
+        except CertificateRefused:
+            claimed = ""
+        if claimed == self.domain:
+            return ForeignCertificate(
+                f"{text}, but has its name", f"is there another authority of that name? {hint}"
+            )
+        return ForeignCertificate(f"{text}, but names {claimed!r}" if claimed else text, hint)
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
         """The identity in a leaf; its signature is verified each time, also of a cached one."""
@@ -184,7 +215,7 @@ class TrustAnchor:
         certificate = svid.parse(der)
         signed = svid.certificate_signature(certificate, issuer.subject)
         if signed is None or not signed.verifies(issuer.public_key):
-            raise self._foreign("certificate")
+            raise self._foreign("certificate", certificate)
         identity = _read(self.domain, certificate, der)
         _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
         if len(_cache) > CACHE_SIZE:
@@ -259,14 +290,3 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
-
-
-def _check_time(what: str, start: int, end: int, now: int) -> None:
-    if now < start:
-        raise CertificateNotYetValid(
-            f"the {what} becomes valid in {start - now} s", "check this computer's clock"
-        )
-    if now > end:
-        raise CertificateExpired(
-            f"the {what} expired {now - end} s ago", "sign and install a new certificate"
-        )

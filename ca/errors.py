@@ -4,6 +4,9 @@ The message says what happened, `hint` what to do about it. `HintedError` is the
 three error roots (`CAError`, `GrantError`, `RossecError`); a command line catches only that.
 """
 
+from copy import copy
+from typing import Self
+
 
 class HintedError(Exception):
     """A refusal with a remedy.
@@ -16,6 +19,13 @@ class HintedError(Exception):
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
         self.hint = hint
+
+    def bare(self) -> Self:
+        """The same error without traceback, cause and context, for whoever keeps one.
+
+        Those refer to frames, and so to everything that was received when it was raised.
+        """
+        return copy(self)
 
 
 class CAError(HintedError):

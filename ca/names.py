@@ -13,6 +13,7 @@ import re
 from typing import Final
 
 from ca.errors import NameRefused
+from ca.suggestions import proposed_domain, proposed_name
 
 MAX_NAME: Final = 255
 AUTHORITY: Final = "/ca"  # the authority's own node
@@ -40,11 +41,14 @@ def check_name(text: str) -> str:
             "shorten the node's name or its namespace",
         )
     if _NAME.fullmatch(text) is None:
-        raise NameRefused(
-            f"{text!a} is not an absolute ROS name",
-            "write it as /robot1/camera: segments begin with a letter, then letters, digits or _",
-        )
+        raise NameRefused(f"{text!a} is not an absolute ROS name", _name_hint(text))
     return text
+
+
+def _name_hint(text: str) -> str:
+    proposed = proposed_name(text)
+    example = "write it as /robot1/camera" if proposed is None else f"for example {proposed}"
+    return f"{example}: segments begin with a letter, then letters, digits or _"
 
 
 def check_domain(text: str) -> str:
@@ -61,7 +65,8 @@ def check_domain(text: str) -> str:
     if _DOMAIN.fullmatch(text) is None:
         raise NameRefused(
             f"{text!a} is not a trust domain",
-            "use lower case letters, digits, dots, dashes and underscores, for example home",
+            "use lower case letters, digits, dots, dashes and underscores, for example"
+            f" {proposed_domain(text) or 'home'}",
         )
     return text
 

@@ -15,6 +15,7 @@ from typing import Final
 
 from ca.errors import NameRefused, PatternRefused
 from ca.names import check_name, check_wildcard
+from ca.suggestions import proposed_name
 
 TAIL: Final = "~"
 _WILDCARDS = ("*", "**")
@@ -32,9 +33,15 @@ def check_pattern(text: str) -> str:
     try:
         check_name("/".join(segments))
     except NameRefused as error:
-        hint = _HINT_LABEL if ":/" in text else _HINT
-        raise PatternRefused(f"not a name pattern: {error}", hint) from None
+        raise PatternRefused(f"not a name pattern: {error}", _hint(text)) from None
     return text
+
+
+def _hint(text: str) -> str:
+    if ":/" in text:
+        return _HINT_LABEL
+    proposed = None if "*" in text else proposed_name(text)
+    return _HINT if proposed is None else f"for example {proposed}; {_HINT}"
 
 
 def check_tail_pattern(text: str) -> str:

@@ -112,7 +112,8 @@ def _check_due(identity: Identity, now: int) -> None:
     if now < half:
         raise RenewalRefused(
             f"the identity of {identity.name} is not due for renewal for {half - now} s",
-            "possible after half its lifetime; before that, an operator can: rossec ca renew NAME",
+            "possible after half its lifetime; before that, where the authority is:"
+            f" rossec ca renew {identity.name}",
         )
 
 

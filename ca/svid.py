@@ -253,6 +253,16 @@ def only_uri(extensions: x509.Extensions) -> str:
             )
 
 
+def claimed_domain(certificate: x509.Certificate) -> str:
+    """The trust domain that a certificate names, whoever signed it; empty: none."""
+    uri = only_uri(extensions(certificate))
+    domain = uri.removeprefix(SCHEME).partition("/")[0]
+    try:
+        return check_domain(domain) if uri.startswith(SCHEME) else ""
+    except NameRefused:
+        return ""
+
+
 def has_wildcard(extensions: x509.Extensions) -> bool:
     """Whether the identity also stands for its name with any tail (`ca.names.covers`)."""
     for extension in extensions:

@@ -38,6 +38,8 @@ _TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE = 0, 1, 2, 3, 4
 _RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE}
 _RATE: Final = "rate"
 _SLOT: Final = "slot"
+_BODY: Final = "body"
+_PAD: Final = "pad"
 _KEEP: Final = "keep"
 
 _UINT, _BYTES, _TEXT, _MAP = 0x00, 0x40, 0x60, 0xA0  # major types
@@ -84,6 +86,10 @@ def _restriction_claims(restriction: Restriction) -> Value:
         limits[_RATE] = restriction.rate
     if restriction.slot is not None:
         limits[_SLOT] = restriction.slot
+    if restriction.body is not None:
+        limits[_BODY] = restriction.body
+    if restriction.pad is not None:
+        limits[_PAD] = restriction.pad
     if limits:
         claims[_LIMITS] = limits
     if restriction.keep_when_stale:
@@ -255,19 +261,22 @@ def _restriction(value: Value) -> Restriction:
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
     if claims.get(_ON_STALE, _KEEP) != _KEEP:
         raise GrantMalformed("on_stale of a grant is not keep")
-    rate, slot = _limits(claims)
-    return Restriction(kind, texts, rules, rate, _ON_STALE in claims, slot=slot)
+    rate, slot, body, pad = _limits(claims)
+    stale = _ON_STALE in claims
+    return Restriction(kind, texts, rules, rate, stale, slot=slot, body=body, pad=pad)
 
 
-def _limits(claims: dict[Any, Any]) -> tuple[float | None, int | None]:
+def _limits(claims: dict[Any, Any]) -> tuple[float | None, int | None, str | None, int | None]:
     limits = _optional(claims, _LIMITS, dict)
-    if unknown := limits.keys() - {_RATE, _SLOT}:
+    if unknown := limits.keys() - {_RATE, _SLOT, _BODY, _PAD}:
         raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
     rate: float | None = limits.get(_RATE)
     if rate is not None and type(rate) not in (int, float):
         raise GrantMalformed("rate of a grant is of a wrong type")
     slot = _typed(limits[_SLOT], int, "slot") if _SLOT in limits else None
-    return rate, slot
+    body = _typed(limits[_BODY], str, "body") if _BODY in limits else None
+    pad = _typed(limits[_PAD], int, "pad") if _PAD in limits else None
+    return rate, slot, body, pad
 
 
 def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:

@@ -59,6 +59,11 @@ class Decision:
         more = (entry for grant in self.grants for entry in grant.revocable[1:])
         return (*(grant.id for grant in self.grants), *dict.fromkeys(more))
 
+    @property
+    def pad(self) -> int:
+        """What is sent is padded to a multiple of so many bytes; 0: it is not."""
+        return max((each.pad or 0 for each in self.restrictions), default=0)
+
     def require_unrestricted(self) -> None:
         """Return if there are no restrictions: for callers that have no message to apply them to.
 
@@ -136,12 +141,12 @@ def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, 
     same_name = [
         f"grant {grant.short_id} gives {permission.rights.label}, not {right.label}, on {name}"
         for grant, permission in pairs
-        if permission.matches(name, right)
+        if permission.matches(name, right) and right not in permission.rights
     ]
     same_right = [
         f"grant {grant.short_id} is for {permission.pattern}, not {name}"
         for grant, permission in pairs
-        if right in permission.rights
+        if right in permission.rights and not permission.matches(name, right)
     ]
     return tuple(dict.fromkeys([*same_name, *same_right]))[:MAX_NEAR_MISSES]
 

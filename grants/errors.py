@@ -38,11 +38,12 @@ class GrantRevoked(GrantError):
 class GrantMissing(GrantError):
     """No presented grant covers the request.
 
-    `near_misses` lists what the presented grants cover instead, one line each.
+    `near_misses` lists what the presented grants cover instead, one line each; `remedy` what to do.
     """
 
-    def __init__(self, message: str, near_misses: tuple[str, ...] = ()) -> None:
-        super().__init__(message, "; ".join(near_misses) or "ask the authority for a grant")
+    def __init__(self, message: str, near_misses: tuple[str, ...] = (), remedy: str = "") -> None:
+        hints = (*near_misses, remedy) if remedy else near_misses
+        super().__init__(message, "; ".join(hints) or "ask the authority for a grant")
         self.near_misses = near_misses
 
 
@@ -81,6 +82,10 @@ class PolicyRefused(GrantError):
 
 class DefinitionRefused(GrantError):
     """A message definition that is malformed, incomplete or too large."""
+
+
+class DefinitionIncomplete(DefinitionRefused):
+    """A message definition without that of a type it uses."""
 
 
 class FilterRefused(GrantError):

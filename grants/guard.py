@@ -5,8 +5,8 @@ filters before it left. Else whoever may narrow its right could ask, by conditio
 the filters hide from it. Conditions that read no message are checked first, whoever wrote them.
 
 Built once per connection from the layout the wire proved and the decision; then called for every
-message. Its state (limits, hysteresis) belongs to the holder and outlives the connection
-(`grants.memory`). It fails closed: a message it cannot process is not sent.
+message. Its limits belong to the holder and outlive the connection (`grants.memory`); hysteresis is
+common to all holders (`grants.common_state`). It fails closed: what it cannot process is not sent.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -14,6 +14,14 @@ from functools import partial
 from itertools import groupby
 from typing import Final, NamedTuple, TypeAlias
 
+from grants.common_state import (
+    BodyFields,
+    CommonState,
+    FieldKey,
+    HysteresisState,
+    frame_reader,
+    group_of,
+)
 from grants.conditions.compile import Condition, compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError, GrantExpired, MessageRefused, RestrictionMismatch
@@ -22,7 +30,7 @@ from grants.filters.compile import Filter, compile_filter
 from grants.filters.hashing import Keys, is_personal, key_names, receiver_keys
 from grants.filters.layout import Layout
 from grants.limits import RateBucket, SlotGate
-from grants.memory import FieldKey, HysteresisState, Memory
+from grants.memory import Memory
 from grants.model import KEY_SIZE, FilterRule, Restriction
 from grants.validity import format_time
 
@@ -67,6 +75,11 @@ class Guard:
         self.expires: Final = decision.expires
         self.memory: Memory | None = None
         self._find_memory = Memory if find_memory is None else partial(find_memory, decision)
+        self._group = group_of(decision)
+        self._common: CommonState | None = None
+        self._body: BodyFields | None = None
+        header = layout is not None and _begins_with_header(layout)
+        self._frame = frame_reader(has_header=header)
         ordered = sorted(decision.restrictions, key=lambda each: each.layer)
         blind = _compile_conditions(None, (each for each in ordered if each.type is None))
         own = receiver_keys(keys or {}, _receiver(decision))
@@ -85,8 +98,17 @@ class Guard:
             self.memory = self._find_memory()
         return self.memory
 
+    def _require_common(self) -> CommonState:
+        if self._common is None:
+            self._common = self._require_memory().common(self._group)
+            if self._group[0]:
+                self._body = BodyFields(self._common)
+        return self._common
+
     def _hysteresis(self, stage: int, field: FieldKey) -> HysteresisState:
-        return self._require_memory().hysteresis((stage, *field))
+        common = self._require_common()
+        own = (stage, *field)
+        return common.hysteresis(own) if self._body is None else self._body.bind(own)
 
     def _compile_layers(
         self, layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
@@ -113,7 +135,10 @@ class Guard:
     def _slot_gate(self, restrictions: Iterable[Restriction]) -> SlotGate | None:
         """The longest of the slots."""
         slots = [restriction.slot for restriction in restrictions if restriction.slot is not None]
-        return self._require_memory().gate(max(slots)) if slots else None
+        if self._group[0]:
+            self._require_common()
+        self._slot = max(slots, default=0)
+        return self._require_memory().gate(self._slot) if slots else None
 
     def check(self, now: float) -> None:
         """Return if the right still holds at `now`.
@@ -131,7 +156,8 @@ class Guard:
         if self.memory is None:
             return True
         with self.memory.lock:
-            opened = self._gate is None or self._gate.ready(now)
+            gate = self._gate
+            opened = gate is None or (gate.ready(now) and self.memory.is_longest(gate, now))
             return opened and (self._bucket is None or self._bucket.refill(now))
 
     def apply(self, message: Buffer, now: float, message_id: object = None) -> list[Buffer] | None:
@@ -170,19 +196,38 @@ class Guard:
         if self.memory is None:
             return self._filter(message, whole)
         with self.memory.lock:
-            if not self._admits(self.memory, message_id, now):
+            if not self._admits(self.memory, message, message_id, now):
                 return None
-            return self._filter(message, whole)
+            if self._common is None:
+                return self._filter(message, whole)
+            with self._common.lock:
+                return self._filter_in_common(message, whole)
 
-    def _admits(self, memory: Memory, message_id: object, now: float) -> bool:
+    def _filter_in_common(self, message: Buffer, now: int) -> list[Buffer] | None:
+        if self._body is None:
+            return self._filter(message, now)
+        frame = self._frame(message)
+        self._body.load(frame)
+        pieces = self._filter(message, now)
+        self._body.store(frame)
+        return pieces
+
+    def _admits(self, memory: Memory, message: Buffer, message_id: object, now: float) -> bool:
         gate = self._gate
-        if gate is not None and not gate.note(message_id, now):
+        if gate is not None and not (gate.note(message_id, now) and memory.is_longest(gate, now)):
+            return False
+        if self._body is not None and not self._leads(message, now):
             return False
         if self._bucket is not None and not memory.take(self._bucket, message_id, now):
             return False
         if gate is not None:
             gate.charge(message_id)
         return True
+
+    def _leads(self, message: Buffer, now: float) -> bool:
+        """Whether the body is told in the frame of this message: in two, their cells intersect."""
+        with self._require_common().lock:
+            return self._require_common().leads(self._frame(message), now, self._slot)
 
     def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
         """The message after all layers; None: one that sees the work of another refuses it."""
@@ -195,6 +240,11 @@ class Guard:
             for rewrite in layer.filters:
                 pieces = rewrite(_joined(pieces))
         return pieces
+
+
+def _begins_with_header(layout: Layout) -> bool:
+    fields = layout.root.fields
+    return bool(fields) and fields[0][1].name == "std_msgs/Header"
 
 
 _Stage: TypeAlias = dict[str, FilterRule]

@@ -7,16 +7,36 @@ A rate hides nothing of when something begins: its first message passes at once.
 time is divided into slots of so many seconds, at the same moments for everybody. A message passes
 in the beginning of a slot, one in each, and only if there was one in the slot before. So what
 begins, ends or happens once is known to a slot, and what happens seldom not at all.
+
+Padding hides from who watches the network how long a message is: what is sent for the right has,
+encrypted, a multiple of so many bytes (docs/spec/channel.md section 5).
 """
 
+import re
 from typing import Final
 
 _SECOND: Final = 10**9
 _MICROSECONDS: Final = 10**6
 MIN_SLOT: Final = 10
 MAX_SLOT: Final = 86_400
+MIN_PAD: Final = 32
+MAX_PAD: Final = 65_536
+_RARE: Final = 0.1  # a second: below it an interval is easier to read
+_BODY: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}", re.ASCII)
 _LONGEST: Final = 1 << 62  # nanoseconds, 146 years: what any rate may have been meant to be
 _PARTS: Final = 30  # messages pass in the first of so many parts of a slot
+
+
+def is_body(name: str) -> bool:
+    """Whether it may name a body in a restriction."""
+    return _BODY.fullmatch(name) is not None
+
+
+def rate_text(rate: float) -> str:
+    """A rate as text: `at most 5 messages a second`, `at most one message every 30 s`."""
+    if rate < _RARE:
+        return f"at most one message every {1 / rate:.3g} s"
+    return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
 def _nanoseconds(now: float) -> int:
@@ -67,10 +87,10 @@ class RateBucket:
 class SlotGate:
     """One message in each slot of so many seconds, in its beginning, if the slot before had any."""
 
-    __slots__ = ("_follows", "_noted", "_passed", "_seconds", "_slot", "_used")
+    __slots__ = ("_follows", "_noted", "_passed", "_slot", "_used", "seconds")
 
     def __init__(self, seconds: int) -> None:
-        self._seconds = seconds
+        self.seconds: Final = seconds
         self._slot: int | None = None
         self._follows = False
         self._used = False
@@ -85,7 +105,7 @@ class SlotGate:
         if message_id is self._noted:
             return message_id is self._passed
         self._noted = message_id
-        slot = int(now // self._seconds)
+        slot = int(now // self.seconds)
         if slot + 1 == self._slot:  # the clock was set back over the border: what passed, passed
             return message_id is self._passed
         if slot != self._slot:
@@ -95,7 +115,7 @@ class SlotGate:
 
     def ready(self, now: float) -> bool:
         """Whether a new message could pass."""
-        slot = int(now // self._seconds)
+        slot = int(now // self.seconds)
         if slot == self._slot:
             return self._follows and self._is_open(now)
         return slot - 1 == self._slot and self._is_beginning(now)
@@ -104,7 +124,7 @@ class SlotGate:
         return not self._used and self._is_beginning(now)
 
     def _is_beginning(self, now: float) -> bool:
-        return now % self._seconds * _PARTS < self._seconds
+        return now % self.seconds * _PARTS < self.seconds
 
     def charge(self, message_id: object) -> None:
         """Count a message that passed."""
@@ -113,4 +133,8 @@ class SlotGate:
 
     def is_fresh(self, now: float) -> bool:
         """Whether it equals a new one."""
-        return self._slot is None or now // self._seconds > self._slot + 1
+        return self._slot is None or now // self.seconds > self._slot + 1
+
+    def is_in_use(self, now: float) -> bool:
+        """Whether there was a message in this slot or in one beside it."""
+        return self._slot is not None and abs(now // self.seconds - self._slot) <= 1

@@ -1,7 +1,8 @@
 """State of rights that are limited over time: rates, slots and hysteresis. Pure.
 
 It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
-hundred connections, continues with the same state. For a chain the key is its first holder's: who
+hundred connections, continues with the same state; hysteresis is common to all keys
+(`grants.common_state`). For a chain the key is its first holder's: who
 hands a right on, to however many, gets no more by it. A message counts once: under one message id
 it is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
 bounded: only state that equals fresh state and is not in use is evicted, so eviction gains a peer
@@ -11,9 +12,11 @@ nothing; otherwise a new peer is refused.
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, TypeAlias
 from weakref import WeakValueDictionary
 
+from grants.common_state import CommonState, Group
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
 from grants.limits import RateBucket, SlotGate
@@ -21,20 +24,10 @@ from grants.model import Right
 
 MAX_MEMORIES: Final = 16_384  # about 700 bytes each
 _MAX_RATES: Final = 64  # of one memory, and as many slots; a grant has one
-_MAX_FIELDS: Final = 4096  # of one memory: as many fields as a definition may have
 
-FieldKey: TypeAlias = tuple[object, ...]  # path of the field, and how it is rounded
 MakeLock: TypeAlias = Callable[[], AbstractContextManager[Any]]
+_CommonKey: TypeAlias = tuple[tuple[str, ...], Right, Group]
 _MemoryKey: TypeAlias = tuple[tuple[str, ...], bytes, Right, str]
-
-
-class HysteresisState:
-    """The value a field with hysteresis was last rounded to."""
-
-    __slots__ = ("value",)
-
-    def __init__(self) -> None:
-        self.value: float | None = None
 
 
 class Memory:
@@ -42,13 +35,19 @@ class Memory:
 
     Args:
         lock: held around `take` and the use of any other state; one thread needs none.
+        find_common: finds what is common to the keys of a group.
     """
 
-    def __init__(self, lock: AbstractContextManager[Any] | None = None) -> None:
+    def __init__(
+        self,
+        lock: AbstractContextManager[Any] | None = None,
+        find_common: Callable[[Group], CommonState] | None = None,
+    ) -> None:
+        self._find_common = find_common or (lambda _: CommonState())
         self.lock: Final = nullcontext() if lock is None else lock
         self._buckets: dict[float, RateBucket] = {}
         self._gates: dict[int, SlotGate] = {}
-        self._hysteresis: dict[FieldKey, HysteresisState] = {}
+        self._commons: dict[Group, CommonState] = {}
 
     def bucket(self, rate: float) -> RateBucket:
         """The bucket for a rate; a new one starts with no more tokens than the others have.
@@ -75,17 +74,26 @@ class Memory:
                 self._gates[seconds] = SlotGate(seconds)
             return self._gates[seconds]
 
-    def hysteresis(self, field: FieldKey) -> HysteresisState:
-        """The hysteresis state of a field.
+    def is_longest(self, gate: SlotGate, now: float) -> bool:
+        """Whether no longer slot of the key is in use.
+
+        The moments of slots of many lengths together tell more than those of the longest, and who
+        narrows a right can make as many as it likes.
+        """
+        longer = (each for seconds, each in self._gates.items() if seconds > gate.seconds)
+        return not any(each.is_in_use(now) for each in longer)
+
+    def common(self, group: Group) -> CommonState:
+        """What is common to a group; without a store, to this key alone.
 
         Raises:
             MemoryExhausted: there are too many.
         """
         with self.lock:
-            if field not in self._hysteresis:
-                _check_limit(len(self._hysteresis), _MAX_FIELDS, "fields with hysteresis")
-                self._hysteresis[field] = HysteresisState()
-            return self._hysteresis[field]
+            if group not in self._commons:
+                _check_limit(len(self._commons), _MAX_RATES, "bodies")
+                self._commons[group] = self._find_common(group)
+            return self._commons[group]
 
     def take(self, bucket: RateBucket, message_id: object, now: float) -> bool:
         """Whether the message with this id is admitted at `now`; all rates of the key count it.
@@ -104,13 +112,11 @@ class Memory:
         return True
 
     def is_fresh(self, now: float) -> bool:
-        """Whether it equals a new memory; a stored hysteresis value never expires."""
+        """Whether it equals a new memory."""
         with self.lock:
             full = all(each.is_full(now) for each in self._buckets.values())
             unused = all(each.is_fresh(now) for each in self._gates.values())
-            return (
-                full and unused and all(state.value is None for state in self._hysteresis.values())
-            )
+            return full and unused
 
 
 class MemoryStore:
@@ -131,6 +137,7 @@ class MemoryStore:
         self._lock = lock()
         self._stored: dict[_MemoryKey, Memory] = {}
         self._in_use: WeakValueDictionary[_MemoryKey, Memory] = WeakValueDictionary()
+        self._commons: dict[_CommonKey, CommonState] = {}
         self._evicted_at = -1
 
     def find(self, scope: tuple[str, ...], decision: Decision) -> Memory:
@@ -144,7 +151,21 @@ class MemoryStore:
             found = self._stored.get(key)
             if found is None:
                 self._evict_fresh()
-                found = self._stored[key] = self._in_use[key] = Memory(self._make_lock())
+                common = partial(self._common, scope, decision.right)
+                found = self._stored[key] = self._in_use[key] = Memory(self._make_lock(), common)
+            return found
+
+    def _common(self, scope: tuple[str, ...], right: Right, group: Group) -> CommonState:
+        key = scope, right, group
+        with self._lock:
+            found = self._commons.get(key)
+            if found is None:
+                if len(self._commons) >= self._limit:
+                    unused = [each for each, item in self._commons.items() if item.is_fresh]
+                    for each in unused:
+                        del self._commons[each]
+                _check_limit(len(self._commons), self._limit, "topics with hysteresis")
+                found = self._commons[key] = CommonState(self._make_lock())
             return found
 
     def _evict_fresh(self) -> None:

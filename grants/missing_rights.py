@@ -17,6 +17,7 @@ _STATUS: Final = re.compile(
     r" no grant .*",
     re.DOTALL,
 )
+_IN_SHELL: Final = re.compile(r"[A-Za-z0-9_/:]+", re.ASCII)
 _PLAIN: Final = re.compile(r"[^{}\[\],:#&*!|>'\"%@`\s][^{}\[\],:#\s]*", re.ASCII)
 
 
@@ -64,11 +65,39 @@ def needed_rule(node: str, rights: Iterable[tuple[Right, str]]) -> str:
     return f"an allow rule for {node} with {given}"
 
 
+def grant_command(node: str, rights: Iterable[tuple[Right, str]]) -> str:
+    """The command that gives `node` these rights, for who holds the authority."""
+    options = dict.fromkeys(_option(right, name) for right, name in rights)
+    return f"rossec grant sign {node} {' '.join(options)}"
+
+
+def remedy(node: str, right: Right, name: str) -> str:
+    """The commands that give `node` a right it lacks: at its authority, or as a request.
+
+    Short: an answer to many calls in one says it for each of them.
+
+    Args:
+        name: as `MissingRight.in_rule` has it.
+    """
+    sign = grant_command(node, [(right, name)])
+    return sign if right is Right.ADMIN else f"{sign}, or ask: `rossec grant request`"
+
+
+def in_shell(name: str) -> str:
+    """A name or pattern as it is typed in a shell."""
+    return name if _IN_SHELL.fullmatch(name) else f"'{name}'"
+
+
+def _option(right: Right, name: str) -> str:
+    return "--graph" if right is Right.GRAPH else f"--{right.label} {in_shell(name)}"
+
+
 def refusal(node: str, missing: Iterable[tuple[Right, str]]) -> str:
-    """One line for all that `node` lacks, at least one right."""
+    """One line for all that `node` lacks, at least one right: with a policy, and without one."""
     [first, *more] = listed = list(dict.fromkeys(missing))
     what = "do all that it asks for" if more else f"{first[0].label} {first[1]}"
-    return f"{node} may not {what}: {needed_rule(node, listed)} would change it"
+    command = grant_command(node, listed)
+    return f"{node} may not {what}: {needed_rule(node, listed)} would change it, or {command}"
 
 
 def _in_yaml(name: str) -> str:

@@ -14,7 +14,7 @@ from typing import Any, Final, Self, TypeAlias
 from ca.names import check_name
 from ca.patterns import check_tail_pattern, covers, covers_tree, tail_base
 from grants.errors import FilterRefused, GrantMalformed
-from grants.limits import MAX_SLOT, MIN_SLOT
+from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT, is_body, rate_text
 
 Scalar: TypeAlias = bool | int | float | str
 
@@ -24,7 +24,6 @@ MAX_NARROWINGS: Final = 3  # how many may follow a grant
 MAX_CONDITION: Final = 1000  # characters
 MAX_RATE: Final = 1_000_000
 _MAX_TIME: Final = 1 << 53
-_RARE: Final = 0.1  # a second: below it an interval is easier to read
 KEEP_WHEN_STALE: Final = "kept while revocation data is stale"
 
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -134,6 +133,8 @@ class Restriction:
         keep_when_stale: an established connection may stay open while revocation data is stale.
         layer: in a decision, how many links of a chain stand before its own: it is applied to what
             the restrictions of these let through. 0 as signed.
+        body: what shows the same thing as other topics of the publisher (`grants.common_state`).
+        pad: what is sent for the right has, encrypted, a multiple of so many bytes.
     """
 
     type: str | None = None
@@ -143,6 +144,8 @@ class Restriction:
     keep_when_stale: bool = False
     layer: int = 0
     slot: int | None = None
+    body: str | None = None
+    pad: int | None = None
 
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
@@ -159,11 +162,15 @@ class Restriction:
             raise GrantMalformed(f"a rate must be above zero and at most {MAX_RATE} a second")
         if self.slot is not None and not MIN_SLOT <= self.slot <= MAX_SLOT:
             raise GrantMalformed(f"a slot must have {MIN_SLOT} to {MAX_SLOT} seconds")
+        if self.body is not None and (self.slot is None or not is_body(self.body)):
+            raise GrantMalformed(f"a body has a slot and a name, not {self.body[:40]!r}")
+        if self.pad is not None and not MIN_PAD <= self.pad <= MAX_PAD:
+            raise GrantMalformed(f"messages are padded to {MIN_PAD} to {MAX_PAD} bytes")
 
     @property
     def restricts_messages(self) -> bool:
         """Whether it applies to messages; a caller without messages has nothing to apply."""
-        limited = self.rate is not None or self.slot is not None
+        limited = (self.rate, self.slot, self.pad) != (None, None, None)
         return bool(self.conditions or self.filters) or limited
 
     def lines(self) -> list[str]:
@@ -174,14 +181,11 @@ class Restriction:
             lines.append(rate_text(self.rate))
         if self.slot is not None:
             lines.append(f"one message at the start of each {self.slot} s")
+        if self.body is not None:
+            lines.append(f"with all topics of the body {self.body}")
+        if self.pad is not None:
+            lines.append(f"padded to multiples of {self.pad} bytes")
         return [*lines, KEEP_WHEN_STALE] if self.keep_when_stale else lines
-
-
-def rate_text(rate: float) -> str:
-    """A rate as text: `at most 5 messages a second`, `at most one message every 30 s`."""
-    if rate < _RARE:
-        return f"at most one message every {1 / rate:.3g} s"
-    return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,12 @@ class Permission:
             raise GrantMalformed(
                 f"{self.rights.label} on {self.pattern} cannot be restricted by message content",
                 "put these rights into a separate permission",
+            )
+        padded = self.restriction is not None and self.restriction.pad is not None
+        if padded and self.rights != Right.SUBSCRIBE:
+            raise GrantMalformed(
+                f"{self.rights.label} on {self.pattern} cannot be padded",
+                "only what is sent to a subscriber is",
             )
 
     def matches(self, name: str, right: Right) -> bool:

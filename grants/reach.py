@@ -7,7 +7,7 @@ For parameters a whole namespace can be checked, without a list of the names in 
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from ca import patterns
 from ca.errors import NameRefused
@@ -24,13 +24,22 @@ class Reach:
         chains: the reaches of the links of each chain: all of them together give a right.
     """
 
-    __slots__ = ("_any", "_by_right", "_chains")
+    __slots__ = ("_any", "_by_right", "_by_slot", "_chains", "_given", "_slot", "has_slots")
 
     def __init__(
         self, permissions: Iterable[Permission], chains: Iterable[Sequence["Reach"]] = ()
     ) -> None:
         given = tuple(permissions)
         self._chains = tuple(tuple(links) for links in chains)
+        self._given: bool = bool(given or self._chains)
+        slots = {_slot(permission) for permission in given}
+        self._slot = min(slots, default=0)  # of all, unless they are apart in `_by_slot`
+        self._by_slot = tuple(
+            Reach(each for each in given if _slot(each) == slot)
+            for slot in slots if len(slots) > 1
+        )  # fmt: skip
+        linked = (link.has_slots for links in self._chains for link in links)
+        self.has_slots: bool = any(slots) or any(linked)
         shared: dict[_NameSets, _NameSets] = {}  # many rights mostly have equal sets
         sets = {int(right): _name_sets(given, right) for right in Right}
         self._by_right = {right: shared.setdefault(each, each) for right, each in sets.items()}
@@ -44,6 +53,11 @@ class Reach:
             (each for grant in held if not grant.chain for each in grant.permissions),
             ([cls(link.permissions) for link in grant.chain] for grant in held if grant.chain),
         )
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no grant at all."""
+        return not self._given
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether some permission gives the single `right` on `name`; False for an invalid name."""
@@ -59,12 +73,31 @@ class Reach:
             sets = self._any[int(rights)] = _union(
                 self._by_right[int(right)] for right in Right if right in rights
             )
-        return _covers(sets, name) or any(
-            all(link.covers(right, name) for link in links)
-            for links in self._chains
-            for right in Right
-            if right in rights
-        )
+        return _covers(sets, name) or any(map(bool, self._linked(rights, name)))
+
+    def slot(self, rights: Right, name: str) -> int:
+        """The shortest slot in which one of `rights` is given on `name`; 0: one is without.
+
+        Only what gives the right to subscribe alone is in slots. Of a chain the longest counts.
+        """
+        if not self.has_slots:
+            return 0
+        found = [part.slot(rights, name) for part in self._by_slot if part.covers_any(rights, name)]
+        if not self._by_slot and self._covers_itself(rights, name):
+            found.append(self._slot)
+        for links in self._linked(rights, name):
+            found += [max(link.slot(rights, name) for link in links)]
+        return min(found, default=0)
+
+    def _covers_itself(self, rights: Right, name: str) -> bool:
+        return any(_covers(self._by_right[int(right)], name) for right in Right if right in rights)
+
+    def _linked(self, rights: Right, name: str) -> Iterator[Sequence["Reach"]]:
+        """The chains that give one of `rights`: all links give the same."""
+        single = [right for right in Right if right in rights]
+        for links in self._chains:
+            if any(all(link.covers(right, name) for link in links) for right in single):
+                yield links
 
     def covers_below(self, right: Right, namespace: str) -> bool:
         """Whether `right`, one of parameters, is given on every name below `namespace`.
@@ -108,6 +141,14 @@ class Reach:
 
     def _parameter_sets(self, right: Right) -> "_NameSets | None":
         return self._by_right.get(int(right)) if right & TREE_RIGHTS else None
+
+
+def _slot(permission: Permission) -> int:
+    """The slot of a permission that gives nothing but to subscribe; 0: it has none."""
+    restriction = permission.restriction
+    if restriction is None or permission.rights != Right.SUBSCRIBE:
+        return 0
+    return restriction.slot or 0
 
 
 _NameSets = tuple[frozenset[str], tuple[str, ...], tuple[tuple[Right, Permission], ...]]

@@ -48,6 +48,7 @@ _KEYWORDS: Final[dict[str, object]] = {
     **{sign + value: float(f"{sign}inf")
        for sign in ("", "+", "-") for value in (".inf", ".Inf", ".INF")},
 }  # fmt: skip
+_SURROGATES: Final = re.compile("[\ud800-\udfff]")  # an escape of YAML may say them
 _TIME: Final = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}:[0-9]{2}", re.ASCII)
 _KINDS: Final = {
     "binary": bytes,
@@ -200,6 +201,8 @@ def _unsupported(event: Any, *, tags: bool) -> str:
         return "anchors and aliases are not allowed"
     if not isinstance(event, NodeEvent):
         return ""
+    if isinstance(event, ScalarEvent) and _SURROGATES.search(event.value):
+        return "a text is not Unicode: it has half a pair of surrogates"
     kind = _tag(event)
     if kind is None or (tags and isinstance(event, ScalarEvent) and kind in _KINDS):
         return ""

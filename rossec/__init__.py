@@ -19,6 +19,17 @@ if TYPE_CHECKING:
     from rossec.inprocess.secure import secure as secure
 
 
+def _check_python() -> None:
+    """This file alone is read by an older Python, as that of Ubuntu 20.04 with Noetic."""
+    if _sys.version_info < (3, 11):  # noqa: UP036 - it is imported where pip never was asked
+        version = ".".join(map(str, _sys.version_info[:2]))
+        _sys.exit(
+            "rossec: error: Python 3.11 or newer is needed, and this is Python " + version + "\n"
+            "rossec: hint: run this program unmodified behind a sidecar, which has a Python of its"
+            " own: docs/howto/unmodified-programs.md"
+        )
+
+
 def _check_siblings() -> None:
     home = _Path(__file__).resolve().parent.parent
     for name in ("ca", "grants"):
@@ -33,6 +44,7 @@ def _check_siblings() -> None:
             )
 
 
+_check_python()
 _check_siblings()
 
 _PUBLIC = {"ask": "rossec.inprocess.request", "secure": "rossec.inprocess.secure"}

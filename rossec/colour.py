@@ -5,6 +5,7 @@ is set and not empty (https://no-color.org).
 """
 
 import os
+import re
 from collections.abc import Mapping
 from typing import Final, TextIO
 
@@ -18,6 +19,11 @@ STATES: Final = {
     "not ok": RED, "revoked": RED, "denied": RED, "refused": RED,
     "expired": YELLOW, "stale": YELLOW, "waiting": YELLOW, "unknown": YELLOW,
 }  # fmt: skip
+
+PAINTED: Final = re.compile(
+    "(\x1b\\[(?:{})m *(?:{}) *\x1b\\[0m)".format("|".join({*STATES.values()}), "|".join(STATES))
+)
+"""A state as `state` paints it, and no other sequence that steers a terminal."""
 
 
 def is_wanted(stream: TextIO, environ: Mapping[str, str] | None = None) -> bool:

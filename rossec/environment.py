@@ -8,6 +8,7 @@ from ca.keys import ownership
 from ca.names import GATEWAY, MASTER, RELAY, is_gateway, is_master_name, is_relay_name
 from rossec.errors import ConfigurationError
 
+DEFAULT_HOME: Final = "~/.local/share/rossec"
 OWN_MASTER: Final = "ROSSEC_MASTER"  # the name of a node's own master
 OWN_RELAY: Final = "ROSSEC_RELAY"  # the name of the relay of this host
 OWN_GATEWAY: Final = "ROSSEC_GATEWAY"  # the name of the gateway of this host
@@ -19,7 +20,7 @@ def rossec_home(environ: Mapping[str, str]) -> Path:
     Raises:
         ConfigurationError: not an absolute path, or the home directory is unknown.
     """
-    value = environ.get("ROSSEC_HOME", "~/.local/share/rossec")
+    value = environ.get("ROSSEC_HOME", DEFAULT_HOME)
     try:
         path = Path(value).expanduser()
     except RuntimeError as error:  # no such user, or one that has no home

@@ -107,6 +107,10 @@ class PolicyContradicted(RossecError):
     """The policy is in force, but grants made by hand allow what it denies."""
 
 
+class PolicyIncomplete(RossecError):
+    """The policy is in force, except for rights of some nodes that cannot be granted."""
+
+
 class WireError(RossecError):
     """The peer sent bytes that are not the ROS protocol."""
 
@@ -188,6 +192,10 @@ class HandshakeTimeout(HandshakeFailed):
 
 class IdentityRefused(HandshakeFailed):
     """The peer speaks the protocol, but its certificate was not accepted."""
+
+
+class ForeignIdentity(IdentityRefused):
+    """The peer's certificate is signed by an authority that is not trusted here."""
 
 
 class PeerRefused(ChannelError):

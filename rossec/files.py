@@ -4,13 +4,17 @@ A disk that is full, failing or read-only raises `NotWritten`: the reason, and t
 is unchanged, since nothing is damaged.
 """
 
+import ctypes
 import errno
 import fcntl
 import os
+import re
 import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from dataclasses import replace as changed
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Final, TextIO
@@ -20,6 +24,35 @@ from rossec.errors import ConfigurationError, NotWritten
 
 _DISK: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # fcntl.h, linux/fs.h
+_NO_EXCHANGE: Final = {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EXDEV}
+
+
+@dataclass(frozen=True)
+class Owned:
+    """What the part that owns files in a directory says of them.
+
+    Args:
+        pattern: of their paths below it, a regular expression of the whole.
+        kept: whether they are in a backup.
+        public: whether others may read them.
+        stays: where a backup replaces the home they are in, they are newer than those of the
+            backup, and an older one would bring back what was taken away.
+    """
+
+    pattern: str
+    kept: bool = True
+    public: bool = False
+    stays: bool = False
+
+    def below(self, directory: str) -> "Owned":
+        """The same in `directory`."""
+        return changed(self, pattern=f"{re.escape(directory)}/(?:{self.pattern})")
+
+    def names(self, path: str) -> bool:
+        """Whether it speaks of the file at `path`."""
+        return re.fullmatch(self.pattern, path) is not None
 
 
 def make_private_directory(path: Path) -> None:
@@ -45,8 +78,10 @@ def create(path: Path, data: bytes, mode: int = 0o600) -> None:
         _create(path, data, mode)
 
 
-def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
+def replace(path: Path, data: bytes, mode: int = 0o600, *, keep: bool = False) -> None:
     """Write or replace a file in one step: a reader or a crash sees the old or the new content.
+
+    With `keep` a file that is there keeps its mode, its owner and its group.
 
     Raises:
         ConfigurationError: the path is a link, a device or the like, which is not replaced.
@@ -58,13 +93,19 @@ def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
         )
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     with _disk_errors(path):
-        _create(temporary, data, mode)
+        known = path.stat() if keep and path.exists() else None
+        _create(temporary, data, mode if known is None else known.st_mode & 0o600)
         try:
+            if known is not None:
+                made = temporary.stat()
+                if (made.st_uid, made.st_gid) != (known.st_uid, known.st_gid):
+                    os.chown(temporary, known.st_uid, known.st_gid)
+                temporary.chmod(stat.S_IMODE(known.st_mode))
             temporary.replace(path)
         except OSError:
             temporary.unlink(missing_ok=True)
             raise
-        _sync_directory(path.parent)
+        sync_directory(path.parent)
 
 
 def _create(path: Path, data: bytes, mode: int) -> None:
@@ -82,7 +123,7 @@ def _create(path: Path, data: bytes, mode: int) -> None:
     except OSError:
         path.unlink(missing_ok=True)
         raise
-    _sync_directory(path.parent)
+    sync_directory(path.parent)
 
 
 @contextmanager
@@ -105,7 +146,7 @@ def commit_directory(temporary: Path, path: Path) -> None:
     Raises:
         ConfigurationError: `path` exists; it is not changed.
     """
-    _sync_directory(temporary)
+    sync_directory(temporary)
     try:
         temporary.rename(path)
     except OSError as error:
@@ -114,7 +155,53 @@ def commit_directory(temporary: Path, path: Path) -> None:
         raise ConfigurationError(
             f"{path} exists and is not overwritten", "move it away if it is not needed"
         ) from error
-    _sync_directory(path.parent)
+    sync_directory(path.parent)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Give each of two directories the path of the other in one step, durable on return.
+
+    A crash leaves both as they were, or both exchanged: at no moment is there nothing at a path.
+
+    Raises:
+        ConfigurationError: this file system cannot; nothing was changed.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    try:
+        done = library.renameat2(
+            _AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE
+        )
+        number = ctypes.get_errno() if done else 0
+    except AttributeError:  # a C library without it
+        number = errno.ENOSYS
+    if number in _NO_EXCHANGE:
+        raise ConfigurationError(
+            f"the file system of {other} cannot exchange two directories in one step",
+            f"move {other} away by hand, then do it again",
+        )
+    if number:
+        raise OSError(number, os.strerror(number), str(other))
+    for directory in {one, other, one.parent, other.parent}:
+        sync_directory(directory)
+
+
+def replace_directory(new: Path, target: Path, aside: Path) -> None:
+    """Put the directory `new` in the place of `target`, which is at `aside` from then on.
+
+    The last step is an exchange: after a crash nothing is left to do, and what was replaced is
+    where it belongs. A crash before it leaves `new` at `aside`.
+
+    Raises:
+        ConfigurationError, OSError: as `exchange`; `new` is where it was.
+    """
+    made = new.stat().st_ino
+    new.rename(aside)
+    try:
+        exchange(aside, target)
+    except BaseException:
+        if aside.stat().st_ino == made:
+            aside.rename(new)
+        raise
 
 
 def lock_file(path: Path, busy: ConfigurationError) -> int:
@@ -221,7 +308,8 @@ def lines(file: TextIO, longest: int) -> Iterator[str]:
     return iter(partial(file.readline, longest), "")
 
 
-def _sync_directory(path: Path) -> None:
+def sync_directory(path: Path) -> None:
+    """Make what was renamed or made in a directory durable."""
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -2,11 +2,15 @@
 
 import secrets
 from pathlib import Path
+from typing import Final
 
 from ca.errors import PathRefused
 from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
 from rossec.errors import ConfigurationError
+
+DIRECTORY: Final = "filters"  # of a node
+OWNED: Final = (files.Owned(r"[a-z][a-z0-9_-]{0,31}\.key"),)
 
 
 def filter_key(directory: Path, name: str) -> bytes:

@@ -4,7 +4,6 @@ A shell. Keys are written by `ca.keys.key_files`, everything else by `rossec.fil
 verified by the module of its format. The hints of errors name the next command.
 """
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, Self
@@ -19,19 +18,29 @@ from ca.certificates import (
     from_pem,
     to_pem,
 )
-from ca.errors import HintedError, KeyRefused, RequestRefused
+from ca.errors import CertificateExpired, HintedError, KeyRefused, RequestRefused
 from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.names import check_name
 from ca.revocation.state import NO_FLOOR, open_statement
 from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
-from rossec import files
+from rossec import files, home_hints
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
+from rossec.filter_keys import DIRECTORY as FILTERS
 from rossec.filter_keys import filter_key
+from rossec.own_validity import ended, has_key, seen_in
 
 _SIZE_LIMIT: Final = 256 * 1024
-_NUMBERS: Final = re.compile(r"(?<=[^_])(?:_[0-9]+)+$")  # as ROS makes names anonymous
+REVOCATIONS: Final = "revocations.cose"  # the newest list that the node has seen
+OWNED: Final = (
+    files.Owned(r"node\.key"),
+    files.Owned(r"node\.csr"),
+    files.Owned(r"(?:node|ca)\.pem", public=True),
+    files.Owned(r"grants/[0-9a-f]{1,128}\.grant", kept=False),  # its holder fetches them again
+    files.Owned(r"revocations\.(?:cose|entries)", stays=True),
+    files.Owned(r"delegation\.cose", stays=True),
+)
 
 
 class NodeHome:
@@ -84,8 +93,7 @@ class NodeHome:
         """
         if (self.path / "node.key").exists():
             raise KeyRefused(
-                f"{self.name} has a key already, in {self.path}",
-                f"its request is {self.request_path}; for a new key move that directory away first",
+                f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path)
             )
         files.make_private_directory(self.path)
         key = key_files.generate()
@@ -151,7 +159,7 @@ class NodeHome:
 
     def request(self) -> bytes:
         """The request (DER)."""
-        return self._read("node.csr", f"rossec node request {self.name}")
+        return self._read("node.csr", f"next: rossec node request {self.name}")
 
     def install(self, bundle: bytes, now: int) -> Identity:
         """Store a signed identity and trust its authority.
@@ -184,7 +192,11 @@ class NodeHome:
             ConfigurationError: another node's, or another key's: files were copied or renamed.
         """
         anchor, own = self.anchor(), self.credentials()
-        identity = anchor.verify(own.chain, now)
+        try:
+            identity = anchor.verify(own.chain, now)
+        except CertificateExpired as error:
+            seen = seen_in(self.path, anchor, self.load_revocations())
+            raise ended(self.name, own.chain, anchor, now, seen) from error
         if identity.name != self.name:
             raise ConfigurationError(
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
@@ -237,7 +249,7 @@ class NodeHome:
 
     def load_revocations(self) -> bytes | None:
         """The newest revocation list this node has seen, if any."""
-        return self._read_if_present("revocations.cose", _SIZE_LIMIT)
+        return self._read_if_present(REVOCATIONS, _SIZE_LIMIT)
 
     def save_revocations(self, data: bytes) -> None:
         """Store a revocation list; durable on return.
@@ -247,7 +259,7 @@ class NodeHome:
         with files.locked_directory(self.path):
             held = self.load_revocations()
             if held is None or self._number(held) <= self._number(data):
-                files.replace(self.path / "revocations.cose", data)
+                files.replace(self.path / REVOCATIONS, data)
 
     def _number(self, data: bytes) -> tuple[int, int]:
         """The number of a list or tree of this node's authority; the lowest if it is invalid."""
@@ -274,26 +286,26 @@ class NodeHome:
 
     def filter_key(self, name: str) -> bytes:
         """The key `name` for pseudonyms; raises as `rossec.filter_keys.filter_key`."""
-        return filter_key(self.path / "filters", name)
+        return filter_key(self.path / FILTERS, name)
 
     @property
     def _enroll(self) -> str:
         if not (self.path / "node.key").exists():
-            base = _NUMBERS.sub("", self.name)
-            anonymous = "" if base == self.name else f", or for all such nodes {base} --anonymous"
-            return f"rossec node request {self.name}{anonymous}"
-        return f"rossec ca sign {self.request_path}, then rossec node install FILE"
+            return home_hints.missing_node(self.path.parent.parent, self.name)
+        return (
+            f"next: rossec ca sign {self.request_path}, then rossec node install FILE;"
+            " or go on with an invitation: rossec node join"
+        )
 
-    def _read(self, name: str, command: str) -> bytes:
+    def _read(self, name: str, hint: str) -> bytes:
         path = self.path / name
-        return files.read_own(path, _SIZE_LIMIT, self._missing(path, command))
+        return files.read_own(path, _SIZE_LIMIT, self._missing(path, hint))
 
     def _read_if_present(self, name: str, limit: int) -> bytes | None:
         path = self.path / name
         return files.read_own(path, limit, self._missing(path, "")) if path.exists() else None
 
-    def _missing(self, path: Path, command: str) -> ConfigurationError:
-        hint = f"next: {command}" if command else ""
+    def _missing(self, path: Path, hint: str) -> ConfigurationError:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
 
     def _check_is_ours(self, identity: Identity) -> None:

@@ -20,6 +20,10 @@ from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
+OWNED: Final = (
+    files.Owned(r"domains\.cose", stays=True),
+    files.Owned(r"foreign/[a-z0-9_-][a-z0-9._-]{0,199}\.cose", stays=True),
+)
 LONGEST: Final = 200  # characters of a domain that is the name of a file
 
 

@@ -7,16 +7,20 @@ interrupted. Of several names, 1 says that one or more were refused; the others 
 
 With `--json` a command that acts prints its facts (`record`) as one document, and what it says to
 people goes to stderr, where a question can still be understood (docs/spec/results.md).
+
+Every command prints through these functions, and they escape whatever they are given: names of
+peers and files, reasons in a policy and arguments reach a terminal as text, wherever they are from.
 """
 
 import io
 import json
 import os
+import re
 import stat
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextvars import ContextVar
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 from rossec import colour
 from rossec.ros.text import printable as text_on_one_line
@@ -26,7 +30,10 @@ USAGE = 2
 UNDELIVERED = 3
 CONTRADICTED = 4
 WAITING = 5
+INCOMPLETE = 6
 INTERRUPTED = 130
+
+_SURROGATE: Final = re.compile("[\ud800-\udfff]")
 
 FACTS: Final[ContextVar[dict[str, Any] | None]] = ContextVar("FACTS", default=None)
 """Where `record` puts what it is told; None: no `--json`."""
@@ -36,10 +43,20 @@ TEMPORARY: Final[list[Callable[[], None]]] = []
 
 
 def say(text: str) -> None:
-    """One line of result."""
-    _make_room()
+    """One line of result; a line break in `text` is escaped as other control characters are."""
+    _say([text])
+
+
+def say_block(text: str) -> None:
+    """Lines of result that are meant to be several, and their tabs: a document, a message."""
+    _say(text.split("\n"), tabs=True)
+
+
+def _say(lines: Iterable[str], *, tabs: bool = False) -> None:
     stream = sys.stdout if FACTS.get() is None else sys.stderr
-    stream.write(f"{text}\n")
+    parts = (line.split("\t") if tabs else [line] for line in lines)
+    painted = ("\t".join(_painted(part, stream) for part in line) for line in parts)
+    _write(stream, "".join(f"{line}\n" for line in painted))
     stream.flush()  # a pipe must get each line at once
 
 
@@ -50,12 +67,32 @@ def record(**facts: Any) -> None:
 
 
 def say_secret(text: str) -> None:
-    """Print a line that others must not read; a file that it is redirected to is closed to them.
+    """Print lines that others must not read; a file they are redirected to is closed to them.
 
-    With `--json` it is in the document, and nowhere else.
+    With `--json` they are in the document, and nowhere else.
     """
-    if FACTS.get() is not None:
+    if FACTS.get() is None:
+        _close_to_others()
+        say_block(text)
+
+
+def say_picture(text: str, *, is_secret: bool = False) -> None:
+    """A picture of the terminal's own blocks and colours, that is `qr.terminal`'s; not escaped."""
+    if is_secret and FACTS.get() is not None:
         return
+    if is_secret:
+        _close_to_others()
+    stream = sys.stdout if FACTS.get() is None else sys.stderr
+    _write(stream, f"{text}\n")
+    stream.flush()
+
+
+def note_picture(text: str) -> None:
+    """The same on stderr."""
+    _write(sys.stderr, f"{text}\n")
+
+
+def _close_to_others() -> None:
     try:
         output = sys.stdout.fileno()
         if stat.S_ISREG(os.fstat(output).st_mode):  # the shell made it as its umask says
@@ -64,7 +101,6 @@ def say_secret(text: str) -> None:
         pass
     except OSError as error:  # another user's file, or of a file system without modes
         note(f"others may read the file: {error.strerror}")
-    say(text)
 
 
 def say_json(value: Any) -> None:
@@ -73,25 +109,42 @@ def say_json(value: Any) -> None:
 
 
 def to_json(value: Any) -> str:
-    """One line of JSON."""
-    return json.dumps(value, sort_keys=True)
+    """One line of JSON that every parser takes (RFC 7493 2.1: no surrogate stands alone)."""
+    return json_text(value, sort_keys=True)
+
+
+def json_text(value: Any, indent: int | None = None, *, sort_keys: bool = False) -> str:
+    """JSON in ASCII, without a control character; half a surrogate pair is written as an escape."""
+    text = json.dumps(_whole(value), sort_keys=sort_keys, indent=indent)
+    return text.replace("\x7f", "\\u007f")
+
+
+def _whole(value: Any) -> Any:
+    """`value` without halves of surrogate pairs in its texts."""
+    match value:
+        case str():
+            return _SURROGATE.sub(lambda found: printable(found[0]), value)
+        case dict():
+            return {_whole(key): _whole(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_whole(item) for item in value]
+        case _:
+            return value
 
 
 def note(text: str) -> None:
     """A message on stderr that is not a result."""
-    _make_room()
-    sys.stderr.write(f"rossec: {text}\n")
+    _write(sys.stderr, f"rossec: {printable(text)}\n")
 
 
 def fail(message: str, hint: str = "") -> None:
     """An error and what to do about it; what a peer said begins with `rossec: ` already."""
-    _make_room()
     message = message.removeprefix("rossec: ")
     error = colour.paint("error:", colour.RED, sys.stderr)
-    sys.stderr.write(f"rossec: {error} {printable(message)}\n")
+    _write(sys.stderr, f"rossec: {error} {printable(message)}\n")
     if hint:
         remedy = colour.paint("hint:", colour.BOLD, sys.stderr)
-        sys.stderr.write(f"rossec: {remedy} {printable(hint)}\n")
+        _write(sys.stderr, f"rossec: {remedy} {printable(hint)}\n")
 
 
 def state(word: str) -> str:
@@ -99,9 +152,22 @@ def state(word: str) -> str:
     return colour.state(word, sys.stdout if FACTS.get() is None else sys.stderr)
 
 
-def _make_room() -> None:
+def _write(stream: TextIO, text: str) -> None:
+    """Write `text`, with escapes for what the stream's encoding has not."""
     for take_away in TEMPORARY:
         take_away()
+    encoding = stream.encoding or "utf-8"
+    stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def _painted(line: str, stream: TextIO) -> str:
+    """`line` escaped, but for states that `state` has painted for this stream."""
+    if not colour.is_wanted(stream):
+        return printable(line)
+    return "".join(
+        part if place % 2 else printable(part)
+        for place, part in enumerate(colour.PAINTED.split(line))
+    )
 
 
 def printable(text: str) -> str:

@@ -120,7 +120,7 @@ def test_the_table_names_every_query_and_lines_that_are_there() -> None:
         for query in re.findall(r"\(\* \{([\w-]+)\}", text)
     }
     assert {(query, name) for query, name, _ in rows} == asked
-    assert len(rows) == len(asked) == 10
+    assert len(rows) == len(asked) == 11
     named = set()
     for query, name, lines in rows:
         there = set(LABEL.findall(FILES[name] + FILES.get(MAIN[name], "")))

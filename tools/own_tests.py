@@ -51,10 +51,12 @@ OTHERS: Final[dict[str, tuple[str, ...]]] = {
         "rossec/inprocess/test_background.py",
     ),
     "rossec/inprocess/xmlrpc_client.py": (
+        "rossec/inprocess/test_xmlrpc_client.py",
         "rossec/inprocess/test_early.py",
         "rossec/inprocess/test_connections.py",
     ),
     "rossec/inprocess/xmlrpc_server.py": (
+        "rossec/inprocess/test_xmlrpc_server.py",
         "rossec/inprocess/test_connections.py",
         "rossec/inprocess/test_allow_plain.py",
     ),

@@ -1,6 +1,9 @@
 #!/usr/bin/env bash
-# Makes .venv, once: from the system's Python when that one can serve (it sees Debian's ROS
-# packages), otherwise from any Python 3.11 or newer on PATH. Says what it does.
+# Makes .venv: from the system's Python when that one can serve (it sees Debian's ROS packages),
+# otherwise from any Python 3.11 or newer on PATH. Says what it does.
+#   tools/venv.sh            with all that tests and development need
+#   tools/venv.sh runtime    with what rossec itself needs, as for the demo: a tenth of it
+# A whole one serves for both; one for the demo is completed when more is needed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -17,14 +20,21 @@ choose() {
     return 1
 }
 
-python=$(choose)
-ready=.venv/.ready
-wanted="$python $(cat pyproject.toml constraints.txt | sha256sum | cut -c1-16)"
-if [ "$(cat $ready 2>/dev/null)" = "$wanted" ]; then touch $ready; exit 0; fi
+is_made() { [ "$(cat ".venv/.$1" 2>/dev/null)" = "$wanted" ]; }
 
-echo "rossec: preparing .venv from $python (a minute, once)"
-rm -rf .venv
-"$python" -m venv --system-site-packages .venv
+python=$(choose)
+wanted="$python $(cat pyproject.toml constraints.txt | sha256sum | cut -c1-16)"
+if [ "${1:-}" = runtime ]; then made=runtime what=. said="half a minute"; else made=ready what='.[dev]' said="a minute"; fi
+if is_made "$made" || { [ $made = runtime ] && is_made ready; }; then
+    if [ -e ".venv/.$made" ]; then touch ".venv/.$made"; else echo "$wanted" > ".venv/.$made"; fi
+    exit 0
+fi
+
+echo "rossec: preparing .venv from $python ($said, once)"
+if ! is_made runtime; then
+    rm -rf .venv
+    "$python" -m venv --system-site-packages .venv
+fi
 PIP_DISABLE_PIP_VERSION_CHECK=1 .venv/bin/python -m pip install --quiet \
-    --constraint constraints.txt --editable '.[dev]' 2> >(grep -v '^WARNING: Location' >&2)
-echo "$wanted" > $ready
+    --constraint constraints.txt --editable "$what" 2> >(grep -v '^WARNING: Location' >&2)
+echo "$wanted" > ".venv/.$made"

@@ -25,7 +25,8 @@ def _treatment(treatment: Treatment | None) -> str:
 
 def _limit(level: Level) -> str:
     if level.slot is not None:
-        return f"slot of {level.slot} s"
+        outdoors = "" if level.outdoors is None else f", of {level.outdoors} s outdoors"
+        return f"slot of {level.slot} s{outdoors}"
     return "" if level.rate is None else f"1 in {1 / level.rate:.0f} s"
 
 

@@ -1,8 +1,7 @@
 """Challenges for passkeys that approve nothing: of a login, and of a new passkey. Pure.
 
 Their first field differs from that of a statement, and so does the type that a browser signs for a
-new passkey: nothing signed for one purpose is ever taken for another. The service keeps the
-challenges it made in memory and takes each once.
+new passkey: nothing signed for one purpose is ever taken for another. The service takes each once.
 """
 
 from enum import StrEnum
@@ -20,7 +19,7 @@ class Purpose(StrEnum):
 
 
 class Challenge(NamedTuple):
-    """One challenge; `id` are 16 random bytes, `until` is its last second."""
+    """One challenge; `id` has 16 random bytes, `until` is its last second."""
 
     purpose: Purpose
     id: bytes

@@ -18,7 +18,6 @@ from ca.domains.aliases import alias_of
 from ca.domains.lists import DomainList, ForeignDomain, open_domains
 from ca.errors import CertificateRefused, DomainsRefused, NameRefused, NotAdmitted
 from ca.keys.publickey import from_coordinates
-from ca.names import parse_spiffe_id
 from ca.patterns import covers
 
 NO_FLOOR: Final = (0, 0)
@@ -179,6 +178,6 @@ def _terms(listed: ListedDomain) -> tuple[object, ...]:
 def _claimed_domain(leaf: bytes) -> str:
     """The trust domain a leaf claims; empty: none. Not trusted: it selects the root to try."""
     try:
-        return parse_spiffe_id(svid.only_uri(svid.extensions(svid.parse(leaf))))[0]
-    except (NameRefused, CertificateRefused):
+        return svid.claimed_domain(svid.parse(leaf))
+    except CertificateRefused:
         return ""

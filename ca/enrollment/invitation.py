@@ -124,12 +124,12 @@ class InvitationCode:
 
 
 def parse(text: str) -> InvitationCode:
-    """Parse a code as pasted; surrounding whitespace is ignored.
+    """Parse a code as pasted: a mail or a chat may have broken its line, so white space is ignored.
 
     Raises:
         CodeRefused: not a code of an invitation, incomplete, or of an unknown version.
     """
-    stripped = text.strip()
+    stripped = "".join(text.split())
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the code of an invitation", _HINT)
     digits = stripped.removeprefix(PREFIX)

@@ -14,10 +14,12 @@ from typing import Final
 
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     NoEncryption,
     PrivateFormat,
+    load_der_private_key,
     load_pem_private_key,
 )
 
@@ -29,6 +31,7 @@ __all__ = ["generate", "load_private", "thumbprint", "write_private"]
 
 _MAX_FILE: Final = 8 * 1024
 _ENCRYPTED: Final = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
+_END: Final = _ENCRYPTED.replace(b"BEGIN", b"END")
 # O_NONBLOCK: opening a FIFO must not hang; it is refused afterwards, as not a regular file.
 _READ: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -73,12 +76,13 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
     Raises:
         PassphraseRefused: the passphrase is missing, wrong, or given for a key without one.
         PathRefused: another user owns or can replace it.
-        KeyRefused: not a readable regular file, accessible by others, or not a P-256 key.
+        KeyRefused: not a readable regular file, accessible by others, not a P-256 key, or
+            trying the passphrase would cost too much.
     """
     pem = _read(path)
     _check_passphrase(path, passphrase, encrypted=_ENCRYPTED in pem)
     try:
-        key = load_pem_private_key(pem, None if passphrase is None else passphrase.encode())
+        key = load_pem_private_key(pem, None) if passphrase is None else _open(pem, passphrase)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         if passphrase is not None:
             raise PassphraseRefused(
@@ -93,6 +97,17 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
     return key
 
 
+def _open(pem: bytes, passphrase: str) -> PrivateKeyTypes:
+    """The encrypted key in a file, after its cost was checked: of the same bytes."""
+    before, _, text = pem.partition(_ENCRYPTED)
+    text, _, after = text.partition(_END)
+    if b"-----" in before + after:
+        raise ValueError("more than one key")
+    encrypted = base64.b64decode(b"".join(text.split()), validate=True)
+    pbes2.check_cost(encrypted)
+    return load_der_private_key(encrypted, passphrase.encode())
+
+
 def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
     if passphrase is None:
         return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
@@ -102,7 +117,7 @@ def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
     salt, iv = secrets.token_bytes(pbes2.SALT_SIZE), secrets.token_bytes(pbes2.IV_SIZE)
     text = base64.b64encode(pbes2.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
     lines = [text[start : start + 64] for start in range(0, len(text), 64)]
-    return b"\n".join([_ENCRYPTED, *lines, _ENCRYPTED.replace(b"BEGIN", b"END"), b""])
+    return b"\n".join([_ENCRYPTED, *lines, _END, b""])
 
 
 def _write_durably(descriptor: int, data: bytes, directory: Path) -> None:

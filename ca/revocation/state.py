@@ -40,6 +40,7 @@ __all__ = [
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
 MAX_PROOFS: Final = 16 * 1024  # cached entries proved absent, and entries without a proof
+NO_LIST_YET: Final = "no revocation list was received yet"
 _HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
 
 
@@ -156,7 +157,7 @@ class Revocations:
             RollbackRefused: older than one seen, or different with the same number.
         """
         revocations = open_statement(data, self._key)
-        self._check_number(revocations)
+        self.check_number(revocations)
         if data == self._data:
             return frozenset()
         if persist is not None:
@@ -226,7 +227,7 @@ class Revocations:
             RevocationsStale: no list, an expired list, no confirmation, or an outdated one.
         """
         if self._list is None:
-            raise RevocationsStale("no revocation list was received yet", _HINT_STALE)
+            raise RevocationsStale(NO_LIST_YET, _HINT_STALE)
         if now >= self._list.expires:
             raise RevocationsStale(
                 f"the revocation list expired {now - self._list.expires} s ago",
@@ -247,7 +248,12 @@ class Revocations:
         """The last second of a confirmation."""
         return timestamp.issued + (timestamp.max_age if self.fresh is None else self.fresh)
 
-    def _check_number(self, new: RevocationList | RevocationTree) -> None:
+    def check_number(self, new: RevocationList | RevocationTree) -> None:
+        """Return if a list or tree may follow the current one, or is the same.
+
+        Raises:
+            RollbackRefused: older than one seen, or different with the same number.
+        """
         if new.number < self._floor:
             raise RollbackRefused(
                 f"revocation list {_text(new.number)} is older than {_text(self._floor)}",

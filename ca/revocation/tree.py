@@ -7,14 +7,14 @@ master can hide nothing, and a node requests only the entries it needs.
 """
 
 from bisect import bisect_left
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Generator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.cose import Profile
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode, encode, head
 from ca.errors import EncodingError, ProofRefused, RevocationRefused, SignatureError
 from ca.keys.signer import Signer
 from ca.revocation.lists import check_entry
@@ -29,6 +29,15 @@ MAX_PROOF: Final = 4096
 _EXP, _IAT = 4, 6
 _EPOCH, _SEQ, _SIZE, _ROOT = -70001, -70002, -70006, -70007
 _INT_LIMIT: Final = 1 << 53
+_ARRAY: Final = 4 << 5
+_SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
+_LONG: Final = 34, b"\x58\x20"  # of a thumbprint
+_STEP: Final = 256  # entries; a millisecond
+_NO_ENTRIES: Final = "not the entries of a revocation tree"
+_NOT_THOSE: Final = (
+    "the entries are not those of the signed tree", "deliver it again: rossec ca publish",
+)  # fmt: skip
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -102,6 +111,39 @@ def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
             raise RevocationRefused("the revocation tree has missing or unknown fields")
 
 
+def finished(steps: Generator[None, None, _T]) -> _T:
+    """What the steps return, all of them done at once."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: _T = end.value
+            return result
+
+
+def _count(data: bytes) -> tuple[int, int]:
+    """How many entries an encoded array of them has, by its head; where the first begins."""
+    if len(data) > MAX_TREE_ENTRIES_SIZE:
+        raise RevocationRefused("too many entries for a revocation tree")
+    for length in (1, 2, 3):
+        size = data[0] & 31 if length == 1 and data else int.from_bytes(data[1:length])
+        room = len(data) - length
+        if size <= MAX_LEAVES and data[:length] == head(_ARRAY, size):
+            if room % _SHORT[0] or not size * _SHORT[0] <= room <= size * _LONG[0]:
+                break  # the long form has twice the room of the short one
+            return size, length
+    raise RevocationRefused(_NO_ENTRIES)
+
+
+def _entry(data: bytes, position: int) -> tuple[bytes, int]:
+    """The entry that begins there, and where it ends."""
+    for size, form in (_SHORT, _LONG):
+        end = position + size
+        if data.startswith(form, position) and end <= len(data):
+            return data[position + len(form) : end], end
+    raise RevocationRefused(_NO_ENTRIES)
+
+
 class TreeEntries:
     """All entries of a tree; creates the proofs.
 
@@ -120,13 +162,33 @@ class TreeEntries:
         Raises:
             RevocationRefused: it is malformed.
         """
-        try:
-            value = decode(data, limit=MAX_TREE_ENTRIES_SIZE)
-        except EncodingError as error:
-            raise RevocationRefused(f"not the entries of a revocation tree: {error}") from error
-        if not isinstance(value, list):
-            raise RevocationRefused("not the entries of a revocation tree")
-        return cls([check_entry(item) for item in value])
+        return finished(cls.reading(data))
+
+    @classmethod
+    def reading(
+        cls, data: bytes, tree: RevocationTree | None = None
+    ) -> Generator[None, None, "TreeEntries"]:
+        """As `read` and `check` with `tree`, in steps that each cost little: anybody may send it.
+
+        The number of entries, and what room they take, is compared before any of them is read.
+        """
+        size, position = _count(data)
+        if tree is not None and tree.size != size:
+            raise RevocationRefused(*_NOT_THOSE)
+        found = cls(())
+        for number in range(size):
+            entry, position = _entry(data, position)
+            if found._entries and entry <= found._entries[-1]:
+                raise RevocationRefused("the entries of a revocation tree are not sorted")
+            found._entries.append(entry)
+            found._tree.append(entry)
+            if number % _STEP == _STEP - 1:
+                yield
+        if position != len(data):
+            raise RevocationRefused(_NO_ENTRIES)
+        if tree is not None:
+            found.check(tree)
+        return found
 
     def encoded(self) -> bytes:
         """The entries, encoded for the master."""
@@ -150,10 +212,7 @@ class TreeEntries:
             RevocationRefused: otherwise.
         """
         if self.size_and_root != (tree.size, tree.root):
-            raise RevocationRefused(
-                "the entries are not those of the signed tree",
-                "deliver it again: rossec ca publish",
-            )
+            raise RevocationRefused(*_NOT_THOSE)
 
     def prove(self, entry: bytes) -> bytes:
         """The proof that `entry` is in the tree, or that it is not."""

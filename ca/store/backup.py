@@ -3,7 +3,8 @@
 scrypt (RFC 7914) derives the key from the passphrase, AES-256-GCM encrypts one deterministic CBOR
 map from file names to contents; the header is authenticated data. A wrong passphrase and a changed
 byte cannot be told apart. Names are restricted: an untrusted backup cannot write outside the
-directory it is restored to, nor add a journal file that SQLite would apply to the record.
+directory it is restored to, nor add a journal file that SQLite would apply to the record. Which
+files an authority has, the parts say that own them (`rossec.authority.contents`).
 """
 
 import re
@@ -25,7 +26,8 @@ _HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
 _N, _R, _P = 2**15, 8, 3  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
 _DIRECTORIES: Final = ("node", "inbox")
 _JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which applies them on opening
-_NAME: Final = re.compile(r"(?:node/|inbox/)?[A-Za-z0-9_-][A-Za-z0-9_.-]{0,127}")
+_SEGMENT: Final = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,254}"
+_NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
 
 
 def seal(files: Mapping[str, bytes], passphrase: str, *, salt: bytes, nonce: bytes) -> bytes:
@@ -81,8 +83,11 @@ def _read(plain: bytes) -> dict[str, bytes]:
 
 
 def _check_names(files: Mapping[str, bytes]) -> None:
+    parts = [name.split("/") for name in files]
+    directories = {"/".join(each[:end]) for each in parts for end in range(1, len(each))}
+    directories.update(_DIRECTORIES)
     for name in files:
-        if _NAME.fullmatch(name) is None or name in _DIRECTORIES or name.endswith(_JOURNALS):
+        if _NAME.fullmatch(name) is None or name in directories or name.endswith(_JOURNALS):
             raise BackupRefused(f"{name!a} is not a file of an authority")
 
 

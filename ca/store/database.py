@@ -197,10 +197,14 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _check_kind(db: sqlite3.Connection, path: Path) -> None:
     """Before any PRAGMA is set: a database of another program must not be changed."""
     (application,) = db.execute("PRAGMA application_id").fetchone()
-    if application != schema.APPLICATION_ID or not 1 <= schema.version(db) <= schema.VERSION:
+    if application == schema.APPLICATION_ID and schema.version(db) > schema.VERSION:
         raise StoreError(
-            f"{path} is not a record of this version of rossec", "restore it, or update rossec"
+            f"{path} was written by a newer version of rossec",
+            "use that version; to go back, move the directory away and restore the backup from"
+            " before the update: rossec ca restore FILE --list FILE",
         )
+    if application != schema.APPLICATION_ID or schema.version(db) < 1:
+        raise StoreError(f"{path} is not a record of rossec", "restore it from a backup")
 
 
 def _configure(db: sqlite3.Connection) -> None:

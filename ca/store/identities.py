@@ -99,6 +99,21 @@ class IdentityTable:
                     f"choose another name, or revoke {known.name} first",
                 )
 
+    def ever_shared(
+        self, name: str, thumbprint: bytes, covers: Callable[[str], bool]
+    ) -> list[CertificateRow]:
+        """Identities of another key that `name` was or would be shared with, oldest first.
+
+        Also those that were revoked or have expired, and through a wildcard tail of either: who
+        gets a name gets what people and policies mean by it. `covers`: as for `check_names`.
+        """
+        return [
+            row
+            for row in self._beside(name)
+            if row.thumbprint != thumbprint
+            and (row.name == name or row.covers(name) or covers(row.name))
+        ]
+
     def issued_for(self, request: bytes) -> CertificateRow | None:
         """The certificate that was issued for the request with this digest."""
         found = self._find("WHERE serial = (SELECT serial FROM answer WHERE request = ?)", request)
@@ -159,13 +174,16 @@ class IdentityTable:
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
         """Unexpired, unrevoked identities whose name is a prefix of `name`, or the reverse."""
+        alive = " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
+        return self.with_valid_issuer(self._beside(name, alive, now))
+
+    def _beside(self, name: str, clause: str = "", *values: object) -> list[CertificateRow]:
+        """All identities whose name is `name`, or a prefix of it, or the reverse."""
         prefixes = json.dumps([name[:size] for size in range(1, len(name))])
-        found = self._find(
-            f"WHERE (name IN (SELECT value FROM json_each(?)) OR {_BEGINS})"  # noqa: S608  (constants)
-            " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
-            prefixes, *_beginning(name), now,
+        return self._find(
+            f"WHERE (name IN (SELECT value FROM json_each(?)) OR {_BEGINS}){clause}",  # noqa: S608  (constants)
+            prefixes, *_beginning(name), *values,
         )  # fmt: skip
-        return self.with_valid_issuer(found)
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)

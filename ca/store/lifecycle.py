@@ -2,8 +2,8 @@
 
 The states are those of Kubernetes' certificate signing requests: a person approves, the authority
 issues, and both are recorded separately. `TRANSITIONS` is complete; triggers made from it enforce
-it in the database too. Every request expires and is then collected. What was issued stays in the
-record, so that one request never gets two certificates.
+it in the database too. Every request expires, and is collected long after. What was issued stays in
+the record, so that one request never gets two certificates.
 """
 
 from enum import StrEnum
@@ -14,6 +14,10 @@ from ca.errors import RequestClosed, StoreError
 HOUR: Final = 3600
 DAY: Final = 24 * HOUR
 MAX_OPEN: Final = 256  # unauthenticated peers can send requests
+JOINING: Final = "invitation "  # begins the source of a request that came by an invitation
+MAX_JOINING: Final = 192  # open ones of those: the rest is for who enrolls nodes by hand
+COLLECTED_AFTER: Final = 30 * DAY  # seconds since it expired
+KEPT_EXPIRED: Final = 1024  # expired requests that stay, whatever the clock says
 
 
 class RequestState(StrEnum):
@@ -51,7 +55,8 @@ _HINTS: Final = {
     RequestState.PENDING: "first approve it: rossec ca approve REQUEST_ID",
     RequestState.APPROVED: "",
     RequestState.DENIED: "if that was a mistake, make a new request on the node",
-    RequestState.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME",
+    RequestState.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME,"
+    " or where it is over rossec ca renew --expired NAME",
 }
 
 
@@ -76,7 +81,7 @@ class RequestRow(NamedTuple):
 
     @property
     def expires(self) -> int:
-        """The last second at which it may be used; afterwards it is collected."""
+        """The last second at which it may be used; afterwards it counts nowhere."""
         return self.changed + RETENTION[self.state]
 
 

@@ -70,6 +70,11 @@ class AuthorityLog:
         rows = self._database.rows("SELECT peaks FROM log WHERE number = ?", size - 1)
         return root_of(split_peaks(rows[0][0])) if rows else None
 
+    def subjects(self, what: str) -> frozenset[str]:
+        """The subjects of all entries of this kind."""
+        rows = self._database.rows("SELECT DISTINCT subject FROM log WHERE what = ?", what)
+        return frozenset(subject for (subject,) in rows)
+
     def last_restore(self) -> int:
         """The number of the entry about the last restore from a backup; -1: there was none."""
         query = "SELECT number FROM log WHERE what = ? ORDER BY number DESC LIMIT 1"

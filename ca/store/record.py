@@ -26,6 +26,8 @@ from ca.store.requests import RequestTable
 from ca.store.rows import CertificateRow, GrantRow, RevocationRow
 from ca.store.schema import append_entry
 from ca.store.things import ThingTable
+from ca.suggestions import closest
+from ca.validity import utc
 
 _OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
 
@@ -140,21 +142,60 @@ class Store:
                     f"the intermediate that signed the identity of {name} is revoked",
                     f"enroll it again: rossec node request {name}, then rossec ca sign FILE",
                 )
-            if any(row.not_after >= now for row in self.identities.by_name(name)):
+            ended = self._newest_unrevoked(name)
+            rows = self.identities.by_name(name)
+            if rows and (ended is None or any(row.not_after >= now for row in rows)):
                 raise StoreError(
                     f"the identity of {name} is revoked",
                     "for a new one, on its machine, move the directory of its key away, then:"
                     f" rossec node request {name}",
                 )
             certified = self.identities.certified_name(name, now)
+            if certified == name and ended is not None:
+                raise StoreError(
+                    f"the identity of {name} ended on {utc(ended.not_after)}",
+                    f"rossec ca renew --expired {name}, then on its machine: rossec node install"
+                    f" FILE; its key and its grants are kept",
+                )
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"first enroll it: rossec node request {name}, then rossec ca sign FILE;"
-                " where an intermediate enrolled or renewed it: rossec ca import NODE.pem"
+                f"{self._meant(name)}first enroll it: rossec node request {name}, then"
+                " rossec ca sign FILE; where an intermediate enrolled or renewed it:"
+                " rossec ca import NODE.pem"
                 if certified == name
                 else f"it is one of the anonymous nodes of {certified}: name that",
             )
         return alive[-1]
+
+    def renewable_certificate(self, name: str, now: int, *, expired: bool) -> CertificateRow:
+        """As `valid_certificate`; with `expired` also the newest one, if it is over.
+
+        Raises:
+            StoreError: there is none; its key was revoked, or that of its intermediate.
+        """
+        ended = self._newest_unrevoked(name) if expired else None
+        if ended is None or self.identities.unrevoked(name, now):
+            return self.valid_certificate(name, now)
+        if not self.identities.with_valid_issuer([ended]):
+            raise StoreError(
+                f"the intermediate that signed the identity of {name} is revoked",
+                f"enroll it again: rossec node request {name}, then rossec ca sign FILE",
+            )
+        return ended
+
+    def _newest_unrevoked(self, name: str) -> CertificateRow | None:
+        """The newest identity of `name`, over or not; None: there is none, or its key is revoked.
+
+        An older key does not come back in its place.
+        """
+        rows = self.identities.by_name(name)
+        if not rows or rows[-1].thumbprint in self.revoked_entries():
+            return None
+        return rows[-1]
+
+    def _meant(self, name: str) -> str:
+        near = closest(name, {row.name for row in self.identities.all()} - {name})
+        return "" if near is None else f"did you mean {near}? else "
 
     def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
         """Record a grant before it is delivered; `rules`: those of the policy it came from.
@@ -216,6 +257,11 @@ class Store:
         """Everything revoked, oldest first."""
         rows = self.database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
         return [RevocationRow(*row) for row in rows]
+
+    def count_revoked(self) -> int:
+        """How many entries are revoked; none is ever taken back."""
+        ((count,),) = self.database.rows("SELECT COUNT(*) FROM revocation")
+        return int(count)
 
     def revoked_entries(self) -> frozenset[bytes]:
         """Everything revoked."""

@@ -12,7 +12,18 @@ from ca.names import covers
 from ca.requests import IdentityRequest
 from ca.store.database import Database
 from ca.store.identities import IdentityTable
-from ca.store.lifecycle import MAX_OPEN, OPEN, RETENTION, RequestRow, RequestState, advance
+from ca.store.lifecycle import (
+    COLLECTED_AFTER,
+    JOINING,
+    KEPT_EXPIRED,
+    MAX_JOINING,
+    MAX_OPEN,
+    OPEN,
+    RETENTION,
+    RequestRow,
+    RequestState,
+    advance,
+)
 from ca.store.log import COLLECTED
 from ca.store.schema import append_entry
 
@@ -22,6 +33,8 @@ _COLUMNS = (
 
 _OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
 _RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
+# A row in an unknown state is read, and refused: it must not be taken for an expired one.
+_EXPIRES = f"changed + CASE state {_RETENTION} ELSE {1 << 53} END"
 
 
 class RequestTable:
@@ -42,9 +55,11 @@ class RequestTable:
         self.collect(now)
         with self._database.transaction() as db:
             stored = self.find(request.digest)
-            if stored is not None:
+            if stored is not None and now <= stored.expires:
                 return stored
-            self._check_new(request)
+            self._check_new(request, source, now)
+            if stored is not None:  # it expired, and is asked anew
+                _delete(db, stored, now)
             row = RequestRow(
                 request.digest, request.name, request.thumbprint, der, source, now,
                 RequestState.PENDING, "", now,
@@ -53,28 +68,37 @@ class RequestTable:
             append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
 
-    def all(self) -> list[RequestRow]:
-        """Every request that is not collected, oldest first."""
-        return self._rows("ORDER BY arrived, rowid")
+    def all(self, now: int = 0) -> list[RequestRow]:
+        """Every request that has not expired at `now` (0: expired ones too), oldest first."""
+        return self._rows(f"WHERE {_EXPIRES} >= ? ORDER BY arrived, rowid", now)
 
-    def open(self) -> list[RequestRow]:
-        """Those that wait for an answer, or for their identity."""
-        return self._rows(f"WHERE state IN ({_OPEN})")
+    def open(self, now: int = 0) -> list[RequestRow]:
+        """Those that wait for an answer or their identity; at `now` without expired ones."""
+        return self._rows(f"WHERE state IN ({_OPEN}) AND {_EXPIRES} >= ?", now)
 
     def find(self, digest: bytes) -> RequestRow | None:
         """The request with this digest, if it is recorded."""
         return next(iter(self._rows("WHERE digest = ?", digest)), None)
 
     def get(self, digest: bytes) -> RequestRow:
-        """One request, by its digest or a prefix of it.
+        """One request, by its digest.
+
+        Raises:
+            StoreError: there is none.
+        """
+        return self.begun(digest.hex())
+
+    def begun(self, beginning: str) -> RequestRow:
+        """The one request whose digest begins so, in hexadecimal digits.
 
         Raises:
             StoreError: there is none, or more than one.
         """
-        found = self._rows("WHERE substr(digest, 1, ?) = ?", len(digest), digest)
-        if len(found) != 1 or not digest:
+        begins = "WHERE substr(lower(hex(digest)), 1, ?) = ?"
+        found = self._rows(begins, len(beginning), beginning.lower())
+        if len(found) != 1 or not beginning:
             raise StoreError(
-                f"{len(found)} requests begin with {digest.hex()}", "see: rossec ca requests"
+                f"{len(found)} requests begin with {beginning!a}", "see: rossec ca requests"
             )
         return found[0]
 
@@ -112,14 +136,17 @@ class RequestTable:
             return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
     def collect(self, now: int) -> list[RequestRow]:
-        """Delete every expired request; returns the deleted ones."""
-        if not self._expired(now):  # without the lock of a transaction
+        """Delete what expired long ago and many came after; returns the deleted ones.
+
+        A clock that is ahead for one look would else delete what comes back when it is right: so
+        the newest `KEPT_EXPIRED` stay, whatever the clock says, and count nowhere.
+        """
+        if not self._collectable(now):  # without the lock of a transaction
             return []
         with self._database.transaction() as db:
-            over = self._expired(now)
+            over = self._collectable(now)
             for row in over:
-                db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
-                append_entry(db, now, COLLECTED, row.name, row.state, row.digest)
+                _delete(db, row, now)
         return over
 
     def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
@@ -135,14 +162,16 @@ class RequestTable:
             )
         _update(db, advance(stored, RequestState.ISSUED, now))
 
-    def _expired(self, now: int) -> list[RequestRow]:
-        return self._rows(f"WHERE changed + CASE state {_RETENTION} END < ?", now)
+    def _collectable(self, now: int) -> list[RequestRow]:
+        """All but the newest of those that expired, if they did so `COLLECTED_AFTER` ago."""
+        newest_first = f"WHERE {_EXPIRES} < ? ORDER BY changed DESC, rowid DESC LIMIT -1 OFFSET ?"
+        return self._rows(newest_first, now - COLLECTED_AFTER, KEPT_EXPIRED)
 
     def _check_name(
         self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
     ) -> None:
         """Return if the key of the request may have the name, as for `approve`."""
-        for other in self.open():
+        for other in self.open(now):
             if other.name == row.name and other.thumbprint != row.thumbprint:
                 raise NameContested(
                     f"two different keys request the name {row.name}",
@@ -153,13 +182,16 @@ class RequestTable:
         )
         self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
 
-    def _check_new(self, request: IdentityRequest) -> None:
+    def _check_new(self, request: IdentityRequest, source: str, now: int) -> None:
         if self._identities.issued_for(request.digest) is not None:
             raise RequestClosed(
                 f"this request of {request.name} has its certificate already",
                 f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
             )
-        if len(self.open()) >= MAX_OPEN:
+        waiting = self.open(now)
+        joining = sum(row.source.startswith(JOINING) for row in waiting)
+        full = source.startswith(JOINING) and joining >= MAX_JOINING
+        if full or len(waiting) >= MAX_OPEN:
             raise TooManyRequests(
                 f"{MAX_OPEN} requests are pending, the maximum",
                 "list them with: rossec ca requests, and deny unknown ones",
@@ -179,6 +211,11 @@ class RequestTable:
             )
             for row in rows
         ]
+
+
+def _delete(db: sqlite3.Connection, row: RequestRow, now: int) -> None:
+    db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
+    append_entry(db, now, COLLECTED, row.name, row.state, row.digest)
 
 
 def _update(db: sqlite3.Connection, row: RequestRow) -> None:

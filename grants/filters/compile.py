@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
+from grants.common_state import CommonState, FieldKey, HysteresisState
 from grants.errors import FilterRefused
 from grants.filters.codegen import LAYOUT_ERRORS, Buffer, layout_mismatch
 from grants.filters.hashing import Keys
@@ -28,7 +29,6 @@ from grants.filters.treatments import (
     TreatmentForType,
     has_hysteresis,
 )
-from grants.memory import FieldKey, HysteresisState, Memory
 from grants.model import FilterRule
 
 _SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
@@ -70,7 +70,7 @@ def compile_filter(
     """
     given = tuple(rules)
     last = [rule for rule in given if rule.operator in AFTER_OTHERS]
-    find = states or Memory().hysteresis
+    find = states or CommonState().hysteresis
     first = _rewriter(layout, [rule for rule in given if rule not in last], keys, find)
     if not last:
         return Filter(layout.type_name, first)
@@ -222,6 +222,6 @@ def _each(kind: Array, element: Node) -> Node:
             f"hysteresis cannot be used on {kind.name}",
             "array elements have no identity between messages",
         )
-    return (
-        Keep(kind) if isinstance(element, Keep) or kind.size == 0 else ArrayTreatment(kind, element)
-    )
+    if isinstance(element, Keep) or kind.size == 0 or kind.element.size == 0:
+        return Keep(kind)  # elements without bytes have nothing to treat
+    return ArrayTreatment(kind, element)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, TypeAlias, TypeVar
 
-from grants.errors import DefinitionRefused
+from grants.errors import DefinitionIncomplete, DefinitionRefused
 
 MAX_TEXT: Final = 256 * 1024  # characters; the largest definition in Debian has 13,000
 MAX_DEPTH: Final = 32
@@ -174,6 +174,11 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
     lines = iter(definition.split("\n"))
     current = sections[type_name]
     for line in lines:
+        if line == f"{SEPARATOR}\r":
+            raise DefinitionRefused(
+                "the lines of the definition end with CR LF, as those of a file from Windows",
+                "convert the .msg files of its package (dos2unix), and build it again",
+            )
         if line != SEPARATOR:
             current.append(line)
             continue
@@ -215,7 +220,10 @@ class _Builder:
 
     def _build(self, name: str, parents: tuple[str, ...]) -> _Built:
         if name not in self.sections:
-            raise DefinitionRefused(f"the definition of {name} is missing")
+            raise DefinitionIncomplete(
+                f"the definition of {name} is missing",
+                "a definition has those of all types it uses, each behind a line of 80 =",
+            )
         if name in parents or len(parents) >= MAX_DEPTH:
             raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
         constants, declared = _statements(name, self.sections[name])
@@ -293,8 +301,13 @@ def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]
 
 def _field(code: str) -> tuple[str, str]:
     match code.split():
-        case [kind, name] if _NAME.fullmatch(name) is not None:
+        case [kind, name] if _NAME.fullmatch(name) is not None and "\\" not in kind:
             return kind, name
+    if "\\n" in code:
+        raise DefinitionRefused(
+            f"a backslash and an n in the definition where a line should end: {code[:80]!r}",
+            "the program that publishes writes it so: update it, or report it there",
+        )
     raise DefinitionRefused(f"not a field: {code[:80]!r}", "expected: type name")
 
 

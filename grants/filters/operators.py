@@ -69,14 +69,16 @@ def _zero(parameters: Parameters) -> TreatmentForType:
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Struct) and kind.size == 0:
+            return Constant(b"")  # an element without bytes: the count of such an array stays
+        if isinstance(kind, Array) and kind.element.size == 0:
+            return DESCEND
         if not isinstance(kind, Array) or kind.element.size is None:
             raise FilterRefused(f"zero needs an array of fixed-size elements, not {kind.name}")
         if kind.size is not None:
             return Constant(bytes(kind.size))
         size = kind.element.size
-        return ContentTreatment(
-            lambda content: (bytes(len(content)), len(content) // size if size else 0)
-        )
+        return ContentTreatment(lambda content: (bytes(len(content)), len(content) // size))
 
     return treat
 
@@ -191,7 +193,10 @@ def _truncate(parameters: Parameters) -> TreatmentForType:
         if isinstance(kind, Array) and kind.length is None and kind.element.size:
             size = kind.element.size
             return ContentTreatment(lambda content: _first_elements(content, length, size))
-        raise FilterRefused(f"truncate needs a string or an array, not {kind.name}")
+        raise FilterRefused(
+            "truncate needs a string or an array of variable length whose elements have a fixed"
+            f" size above zero, not {kind.name}"
+        )
 
     return treat
 
@@ -233,18 +238,23 @@ def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
 
 
 _REGION: Final = ("x", "y", "width", "height")
+_SMALLEST: Final = 2  # pixels: a square of one is the picture
 
 
 def _pixelate(parameters: Parameters) -> TreatmentForType:
-    """Replace a picture, or a region of it, by squares of `block` pixels; see `pictures`."""
+    """Replace a picture, or a region of it, by squares of pixels; see `pictures`.
+
+    They are of `block` pixels, or at most `across` along the longer side; of both the coarser.
+    """
     names = _REGION if parameters.keys() & set(_REGION) else ()
-    block = integer(parameters, "block", MAX_SIDE)
+    across = integer(parameters, "across", MAX_SIDE) if "across" in parameters else None
+    sized = across is None or "block" in parameters
+    block = integer(parameters, "block", MAX_SIDE, minimum=_SMALLEST) if sized else _SMALLEST
     region = tuple(integer(parameters, name, MAX_SIDE, minimum=0) for name in names)
     levels = integer(parameters, "levels", 256, minimum=2) if "levels" in parameters else None
-    expect(parameters, "block", *names, *(parameters.keys() & {"levels"}))
-    if block < 2:
-        raise FilterRefused("pixelate needs a block of at least 2 pixels")
-    rewrite = pixelation(block, region or None, levels)
+    given = parameters.keys() & {"across", "levels"}
+    expect(parameters, *(["block"] if sized else []), *names, *sorted(given))
+    rewrite = pixelation(block, region or None, levels, across)
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Array) and kind.name == "uint8[]":
@@ -261,7 +271,9 @@ def _sort(parameters: Parameters) -> TreatmentForType:
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Array) and kind.length is None and kind.element.size != 0:
             return ContentTreatment(sorting(kind.element))
-        raise FilterRefused(f"sort needs an array of variable length, not {kind.name}")
+        raise FilterRefused(
+            f"sort needs an array of variable length whose elements have bytes, not {kind.name}"
+        )
 
     return treat
 

@@ -4,10 +4,15 @@ The first pixel of a square moves with what moves: ten pictures of a face gave t
 mean alone tells more than one pixel does; few levels of grey are what hides a face (measured:
 `python -m bench privacy`). So means come with `levels`, and only in bytes whose meaning is known.
 
+Squares of a fixed number of pixels hide a face in a small picture and show it in a large one, so
+they can be given by how many there are across. Whatever sizes a message then claims for its bytes,
+no more squares than that leave it in either direction.
+
 Squares are aligned with the picture's corner, also in a region, so a moving region reveals no more
-than its squares. Padding between the rows of pixels is zeroed. An encoding that is not in the table
-is refused: its pixel size is unknown, and a Bayer pattern or YUV 4:2:2 shares colours between
-pixels.
+than its squares, which are those of the whole picture: a grey is the mean of its whole square, also
+of what lies outside the region. Padding between the rows of pixels is zeroed. An encoding that is
+not in the table is refused: its pixel size is unknown, and a Bayer pattern or YUV 4:2:2 shares
+colours between pixels.
 """
 
 from collections.abc import Callable
@@ -20,6 +25,7 @@ Region: TypeAlias = tuple[int, ...]  # x, y, width, height
 _Pixels: TypeAlias = Vector
 
 MAX_SIDE: Final = 65535
+_IN_32_BITS: Final = ((1 << 32) - 1) // 255  # so many bytes can be summed
 
 # The fields of a sensor_msgs/Image that are read with its data.
 SIBLINGS: Final = (
@@ -46,13 +52,14 @@ _CHANNELS: Final = {
 
 
 def pixelation(
-    block: int, region: Region | None, levels: int | None = None
+    block: int, region: Region | None, levels: int | None = None, across: int | None = None
 ) -> Callable[[Buffer, int, int, str, int], tuple[Buffer, int]]:
     """The function from the data, height, width, encoding and step of a picture to its new data.
 
-    With `levels`, squares show their mean in so many levels of grey. It raises ValueError for an
-    unknown encoding (with `levels`: also for one of more than a byte a channel), or when the data
-    is not `height` rows.
+    Squares have a side of `block` pixels; with `across` a larger one if more than so many would fit
+    along the longer side of the picture. With `levels`, they show their mean in so many levels of
+    grey. The function raises ValueError for an unknown encoding (with `levels`: also for one of
+    more than a byte a channel), or when the data is not `height` rows.
     """
 
     def rewrite(
@@ -67,11 +74,12 @@ def pixelation(
         rows = np.frombuffer(content, np.uint8).reshape(height, step)
         pixels = np.ascontiguousarray(rows[:, : width * size]).view(f"V{size}")
         area = (slice(y, y + high), slice(x, x + wide))
+        side = block if across is None else max(block, -(-max(height, width) // across))
         if levels is None:
-            result = _squares(pixels[::block, ::block], block, pixels.shape)
+            result = _squares(pixels[::side, ::side], side, pixels.shape)
         else:
-            means = _means(pixels, block, levels, _CHANNELS[encoding])
-            result = _squares(means, block, pixels.shape)
+            means = _means(pixels, side, levels, _CHANNELS[encoding])
+            result = _squares(means, side, pixels.shape)
         if region is not None:
             whole = pixels.copy()
             whole[area] = result[area]
@@ -96,8 +104,9 @@ def _means(pixels: _Pixels, block: int, levels: int, channels: tuple[int, int]) 
     every, colours = channels
     height, width = pixels.shape
     values = pixels.view(np.uint8).reshape(height, width * every)
-    # Rows first, which lie one after the other: at most 65535 * 255. The rest is little.
-    rows = np.add.reduceat(values, np.arange(0, height, block), axis=0, dtype=np.uint32)
+    # Rows first, which lie one after the other. The rest is little.
+    wide = np.uint32 if block <= _IN_32_BITS else np.uint64
+    rows = np.add.reduceat(values, np.arange(0, height, block), axis=0, dtype=wide)
     sums = rows.reshape(-1, width, every)[..., :colours].sum(axis=2, dtype=np.uint64)
     sums = np.add.reduceat(sums, np.arange(0, width, block), axis=1)
     counts = np.outer(_lengths(height, block), _lengths(width, block)) * np.uint64(256 * colours)

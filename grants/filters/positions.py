@@ -7,6 +7,7 @@ it is in depends on all of them. Everything but x and y is cleared.
 from dataclasses import replace
 from typing import Final
 
+from grants.common_state import HysteresisState
 from grants.errors import FilterRefused
 from grants.filters.layout import PRIMITIVES, Array, Primitive, Struct, Type
 from grants.filters.parameters import Parameters, number
@@ -18,7 +19,6 @@ from grants.filters.treatments import (
     Treatment,
     TreatmentForType,
 )
-from grants.memory import HysteresisState
 
 _HYSTERESIS: Final = "hysteresis"  # so no room has this name
 _MAX_REACH: Final = 1000  # metres

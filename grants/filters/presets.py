@@ -16,6 +16,7 @@ from grants.model import Restriction, filter_rules
 
 _Rules: TypeAlias = dict[str, dict[str, object]]
 
+_OUTDOORS: Final = "sensor_msgs/NavSatFix"
 _CLEAR: Final[dict[str, object]] = {"clear": True}
 _DROP: Final[dict[str, object]] = {"drop": True}
 # 2 m with 0.5 m every 5 s left an attacker who knows the habits 1.05 m; this leaves 2.6 m.
@@ -33,6 +34,7 @@ class Preset:
         reveals: what an attacker who keeps all messages still learns.
         rate: messages a second, if limited.
         slot: seconds of a slot, if messages are limited to one in each.
+        outdoors: the same for a NavSatFix, whose cells are as much larger.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Preset:
     _rules: Callable[[Layout], _Rules]
     rate: float | None = None
     slot: int | None = None
+    outdoors: int | None = None
 
     def restriction(self, layout: Layout) -> Restriction:
         """The preset for messages of `layout`.
@@ -48,9 +51,10 @@ class Preset:
         Raises:
             FilterRefused: the preset does not support this type.
         """
+        large = layout.type_name == _OUTDOORS and self.outdoors is not None
         return Restriction(
             type=layout.type_name, filters=filter_rules(self._rules(layout)), rate=self.rate,
-            slot=self.slot,
+            slot=self.outdoors if large else self.slot,
         )  # fmt: skip
 
 
@@ -102,7 +106,8 @@ _COARSE: Final[Mapping[str, _Rules]] = {
         ("status", "altitude", "position_covariance", "position_covariance_type"), _CLEAR
     ),
     "sensor_msgs/JointState": _header(60)
-    | {"position": {"round": {"step": 0.5}}, "velocity": _DROP, "effort": _DROP},
+    # Of wheels, they are the way that was gone.
+    | {"position": _DROP, "velocity": _DROP, "effort": _DROP},
 }
 _DIAGNOSTICS: Final[Mapping[str, _Rules]] = {
     "diagnostic_msgs/DiagnosticArray": _header(60)
@@ -115,7 +120,9 @@ _DIAGNOSTICS: Final[Mapping[str, _Rules]] = {
     }
 }
 _CAMERA: Final[Mapping[str, _Rules]] = {
-    "sensor_msgs/Image": _header(10) | {"data": {"pixelate": {"block": 32, "levels": 8}}}
+    # Squares of 32 pixels hide a face at 320 x 240, and show everybody's at 1920 x 1080.
+    "sensor_msgs/Image": _header(10)
+    | {"data": {"pixelate": {"across": 16, "block": 32, "levels": 8}}}
 }
 
 PRESETS: Final[dict[str, Preset]] = {
@@ -123,17 +130,21 @@ PRESETS: Final[dict[str, Preset]] = {
     for preset in (
         Preset(
             "coarse-position",
-            "the place within cells of 4 m, heading, speed, uncertainty and the exact time",
+            "the place within cells of 4 m, of 2 km outdoors, joints, heading, speed, uncertainty"
+            " and the exact time",
             "the part of the home, and often the room to somebody who knows the habits; that it"
-            " moves, to within 30 s; the route of cells",
+            " moves, to within a minute; the route of cells; of one that sends seldom, little"
+            " arrives",
             _for(_COARSE),
-            rate=1 / 30,
+            slot=30,
+            outdoors=900,
         ),
         Preset(
             "presence-only",
             "all content, the moment at which something begins or ends, and what happens once",
             "in which minutes the publisher is at work, if it sends more than once in 2 s;"
-            " of one that sends less, next to nothing arrives",
+            " of one that sends less, next to nothing arrives; when it registers, connects and"
+            " ends, to the moment",
             _everything,
             slot=60,
         ),
@@ -147,7 +158,8 @@ PRESETS: Final[dict[str, Preset]] = {
         ),
         Preset(
             "blurred-camera",
-            "colours, and details smaller than 32 pixels, such as faces in a room",
+            "colours, and details smaller than a sixteenth of the picture or 32 pixels, such as the"
+            " face of somebody who is not close to the camera",
             "light, that something moves and where; whatever is larger than some squares, as a"
             " text; by many pictures of somebody who moves, which of a few known people it is",
             _for(_CAMERA),

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TypeAlias
 
+from grants.common_state import HysteresisState
 from grants.errors import FilterRefused
 from grants.filters.lazy_numpy import Vector, np
-from grants.memory import HysteresisState
 
 Point: TypeAlias = tuple[float, float]
 Place: TypeAlias = tuple[float, ...]  # the values of a message with a position

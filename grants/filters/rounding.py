@@ -10,10 +10,10 @@ import sys
 from collections.abc import Callable
 from typing import Any, Final, TypeAlias
 
+from grants.common_state import HysteresisState
 from grants.errors import FilterRefused
 from grants.filters.layout import Primitive
 from grants.filters.lazy_numpy import Vector, np
-from grants.memory import HysteresisState
 
 Rounding: TypeAlias = tuple[Callable[..., Any], Callable[[Vector], Vector]]
 

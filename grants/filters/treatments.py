@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
+from grants.common_state import HysteresisState
 from grants.filters.codegen import Buffer
 from grants.filters.layout import Array, Primitive, Struct, Type
 from grants.filters.lazy_numpy import Vector
-from grants.memory import HysteresisState
 
 DESCEND: Final = "descend"
 

@@ -14,7 +14,7 @@ from ca.patterns import covers
 from grants.conditions.compile import compile_condition
 from grants.errors import GrantError, PolicyRefused
 from grants.filters.layout import Layout
-from grants.model import Right
+from grants.model import TREE_RIGHTS, Right
 from grants.policy.assertions import EXACT, NOTHING, Assertion, Claim, Says, SeenField
 from grants.policy.basics import is_basics
 from grants.policy.decision import Decider, Verdict
@@ -95,12 +95,12 @@ class _Checker:
     def _variants(self, test: Assertion) -> list[Assertion]:
         """The test about all who may be its node: what must not be may be for none of them.
 
-        The node itself first; then with each key that a rule pins for it, with a wildcard tail, and
-        of a pattern each node of it that a rule names.
+        The node itself first; then with each key that a rule pins for it or for any node, with a
+        wildcard tail, and of a pattern each node of it that a rule names.
         """
         subject = test.subject
         rules = self._policy.rules
-        named = [who for rule in rules for who in (*rule.who, *rule.exceptions) if who.node]
+        named = [who for rule in rules for who in (*rule.who, *rule.exceptions)]
         exact = [who.node for who in named if who.node and "*" not in who.node]
         others = {*exact, *(each.subject.name for each in self._policy.tests)}
         names = [node for node in exact if test.pattern and covers(test.pattern, node)]
@@ -128,7 +128,8 @@ class _Checker:
         """Why the claim does not hold, and what would be needed; empty if it holds."""
         what = f"{claim.right.label} {claim.name}"
         wanted = {Says.MAY: Effect.ALLOW, Says.MAY_NOT: Effect.DENY, Says.ASKS: Effect.PROMPT}
-        if claim.says is Says.MAY_NOT and is_pattern(verdict.name):
+        is_whole = is_pattern(verdict.name) or (not verdict and claim.right & TREE_RIGHTS)
+        if claim.says is Says.MAY_NOT and is_whole:
             return self._some_allowed(test.subject, claim)
         if claim.says is Says.MAY_NOT and verdict and test.at:
             open_at = [now for now in test.at if not self._closed(verdict, test, now)]
@@ -146,7 +147,10 @@ class _Checker:
         return "", ""
 
     def _some_allowed(self, subject: Subject, claim: Claim) -> tuple[str, str]:
-        """The first rule that gives a name of the pattern: no part of it may be given."""
+        """The first rule that gives a name of the pattern, or a parameter below or above the name.
+
+        No part of it may be given: who sets /safety/max_speed has set a part of /safety.
+        """
         name = claim.name
         if is_own(name):
             own = resolve(name, subject.name, tail=subject.tail)
@@ -160,7 +164,7 @@ class _Checker:
             for clause in _clauses(rule, subject, claim.right)
         ]  # fmt: skip
         for rule in rules:
-            if rule.effect is Effect.DENY or is_basics(rule):
+            if rule.effect is Effect.DENY or (is_basics(rule) and is_pattern(name)):
                 continue
             for clause in _clauses(rule, subject, claim.right):
                 common = overlaps(clause.pattern, claim.right, name)
@@ -228,10 +232,10 @@ def _is_one_node(name: str, others: Iterable[str]) -> bool:
 
 
 def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> list[bytes]:
-    """The keys that rules pin for a node, unless the test is about one key."""
+    """The keys that rules pin for a node or for any, unless the test is about one key."""
     if subject.key != _ANY_KEY:
         return []
-    return [who.key for who in named if who.key and who.node and covers(who.node, name)]
+    return [who.key for who in named if who.key and (not who.node or covers(who.node, name))]
 
 
 _ANY_KEY = bytes(32)

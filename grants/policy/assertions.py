@@ -108,7 +108,7 @@ class _Reader:
             self._mistakes.add(mapping, "a test that tests nothing", "add may, may_not or sees")
         if message is not None and not at:
             self._mistakes.add(message, "message needs at: conditions may read the time", "add at")
-        values = dict(self._values(message, ""))
+        values = self._message(message)
         return [
             Assertion(subject, tuple(claims), tuple(seen), at, values, mapping.line, pattern)
             for subject, pattern in subjects
@@ -180,10 +180,19 @@ class _Reader:
                     self._mistakes.add(item, str(error), error.hint)
         return found
 
-    def _values(self, part: Part | None, path: str) -> list[tuple[str, Value]]:
-        """The values of a message, by path."""
+    def _message(self, part: Part | None) -> dict[str, Value]:
+        """The values of a message, by path: `{pose: {x: 1}}` and `{pose.x: 1}` are the same one."""
+        first: dict[str, YamlScalar] = {}
+        for path, value in self._values(part, ""):
+            if path in first:
+                readers.again(value, f"message: {path[:80]!r}", first[path], self._mistakes)
+            first.setdefault(path, value)
+        return {path: value.value for path, value in first.items()}
+
+    def _values(self, part: Part | None, path: str) -> list[tuple[str, YamlScalar]]:
+        """The values in a message, by path."""
         if isinstance(part, YamlScalar) and path:
-            return [(path, part.value)]
+            return [(path, part)]
         mapping = readers.mapping(part, path or "message", self._mistakes)
         entries = mapping.entries.items() if isinstance(mapping, YamlMapping) else ()
         return [

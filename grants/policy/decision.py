@@ -12,7 +12,8 @@ from typing import Final
 from ca.names import check_name
 from ca.patterns import check_tail_pattern, tail_base
 from grants.errors import PolicyRefused
-from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge, rate_text
+from grants.limits import rate_text
+from grants.model import KEEP_WHEN_STALE, TREE_RIGHTS, Restriction, Right, merge
 from grants.policy.index import Hit, Index, applied, hits, is_pattern
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.own_names import check_rule_pattern, is_own, resolve
@@ -148,12 +149,12 @@ class Decider:
         base = Verdict(Effect.DENY, subject, right, name)
         if tail_base(name) not in (None, subject.name if subject.tail else None):
             return base
-        partly: list[Hit] = []  # of a pattern: what restricts a part of it
+        partly: list[Hit] = []  # of a pattern or a tree: what restricts or shortens a part of it
         for effect in _STRENGTH:
             matching = sorted((hit for hit in found if hit[0].effect is effect), key=_order)
             if matching and (effect is Effect.DENY or _complete(matching, right, name)):
                 return _verdict(base, effect, sorted([*matching, *partly], key=_order))
-            partly += (hit for hit in matching if hit[1].lines())
+            partly += (hit for hit in matching if right & TREE_RIGHTS or hit[1].lines())
         default, lasting = self.policy.defaults, [rule for rule, _ in partly]
         if default.decision is Effect.DENY:
             return replace(base, lifetime=default.lifetime, renew_until=default.renew_until)
@@ -172,7 +173,7 @@ def _order(hit: Hit) -> tuple[str, str]:
 
 def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
     """Whether some rule gives the *whole* request; others only add their restrictions."""
-    return not is_pattern(name) or any(gives(clause.pattern, right, name) for _, clause in matching)
+    return any(gives(clause.pattern, right, name) for _, clause in matching)
 
 
 def _verdict(base: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:

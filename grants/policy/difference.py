@@ -8,21 +8,20 @@ Grants made by hand are left alone; what they give against a denial is a contrad
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from ca.patterns import tail_base
-from grants.errors import PolicyRefused
 from grants.model import Grant, Permission, Right
 from grants.policy.changes import Before, Change, change_of, kept, withdrawn
 from grants.policy.model import Effect, PolicyRule, Subject
+from grants.policy.signable import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
 
 # Below what a node presents: it has grants by hand too, and both of a renewal for a while.
 MAX_GRANTS: Final = 24  # with more, rules with the same validity share a grant
 MAX_PRESENTED: Final = 64
-MAX_ENTRIES: Final = 64  # of one grant
-_MAX_TEXT: Final = 8 * 1024  # of one grant as text, which is longer than its encoding
 
 
 class RecordedGrant(NamedTuple):
@@ -49,6 +48,8 @@ class NodeDifference:
         changes: each right on each pattern, also those that are kept.
         sign: the grants to sign, each as the rights in it.
         revoke: the grants that go.
+        replaced: of these, what the policy says exactly, and that only shares a grant from now on.
+        refused: why some of what the policy allows is in no grant, for people; all else is done.
         due: kept grants of which two thirds of the time are over, and that nothing replaces.
         ends: when the first of its rights from the policy ends, seconds; None without any.
     """
@@ -57,10 +58,29 @@ class NodeDifference:
     changes: tuple[Change, ...] = ()
     sign: tuple[tuple[WantedRight, ...], ...] = ()
     revoke: tuple[Grant, ...] = ()
+    replaced: tuple[Grant, ...] = ()
+    refused: tuple[str, ...] = ()
     due: tuple[Grant, ...] = ()
     ends: int | None = None
     withheld: tuple[Withheld, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
+
+    @property
+    def taken(self) -> tuple[Grant, ...]:
+        """The grants that go and of which nothing is signed anew: what is only taken away."""
+        new = {each.atom for group in self.sign for each in group}
+        return tuple(grant for grant in self.revoke if new.isdisjoint(atoms(grant)))
+
+    def without_signing(self, why: str) -> "NodeDifference":
+        """What is left of it where nothing can be signed: what is too much goes all the same."""
+        left = tuple(grant for grant in self.revoke if grant not in self.replaced)
+        refused = (*self.refused, f"{self.subject.name}: {why}")
+        return replace(self, sign=(), revoke=left, replaced=(), refused=refused)
+
+    def without_room(self, room: int, why: str) -> "NodeDifference":
+        """What is done where only so many grants can be revoked: what is only taken away, first."""
+        refused = (*self.refused, f"{self.subject.name}: {why}")
+        return replace(self, sign=(), revoke=self.taken[:room], replaced=(), refused=refused)
 
 
 @dataclass(frozen=True)
@@ -72,21 +92,28 @@ class Moment:
         skew: seconds by which grants are backdated.
         renews: whether the master can renew grants now: then they end with their cap.
         renew_due: sign anew what is due.
+        renewed_until: when that ends, if it is known; nothing is renewed beyond it.
     """
 
     now: int
     skew: int = 0
     renews: bool = False
     renew_due: bool = False
+    renewed_until: int | None = None
 
     def end(self, grant: Grant) -> int:
         """When `grant` ends, if nothing else is signed."""
-        return grant.cap if self.renews else grant.expires
+        return self._end(grant.expires, grant.cap)
 
     def end_of(self, wanted: WantedRight) -> int:
         """When a grant signed now for `wanted` ends."""
         longest = max(wanted.lifetime, wanted.renew_until)
-        return self.now + (longest if self.renews else wanted.lifetime)
+        return self._end(self.now + wanted.lifetime, self.now + longest)
+
+    def _end(self, expires: int, cap: int) -> int:
+        if not self.renews:
+            return expires
+        return cap if self.renewed_until is None else max(expires, min(cap, self.renewed_until))
 
     def is_due(self, grant: Grant) -> bool:
         """Whether two thirds of its time are over."""
@@ -111,6 +138,41 @@ def difference(
     wanted = state.of(subject) if gets else Wanted()
     grants = list(recorded)
     ours = [item.grant for item in grants if item.rules]
+    chosen = _choose(state, subject, wanted, ours, moment, gets=gets)
+    new = {each.atom for group in chosen.sign for each in group}
+    ending = [grant for grant in chosen.held if not new >= atoms(grant).keys()]
+    ends = [moment.end(grant) for grant in ending]
+    ends += [moment.end_of(group[0]) for group in chosen.sign]
+    changes = _changes(state, subject, chosen.rights, chosen.held, chosen.gone, moment.skew)
+    return NodeDifference(
+        subject,
+        tuple(changes),
+        tuple(chosen.sign),
+        tuple(chosen.gone),
+        tuple(chosen.replaced),
+        tuple(dict.fromkeys(chosen.refused)),
+        tuple(_due(ending, moment)),
+        min(ends, default=None),
+        wanted.withheld,
+        tuple(_contradictions(state, subject, grants)),
+    )
+
+
+class _Chosen(NamedTuple):
+    """What is signed and what goes; `rights` are those that are wanted, without what is refused."""
+
+    rights: dict[Atom, WantedRight]
+    sign: list[tuple[WantedRight, ...]]
+    gone: list[Grant]
+    held: list[Grant]
+    replaced: list[Grant]
+    refused: list[str]
+
+
+def _choose(
+    state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment,
+    *, gets: bool,
+) -> _Chosen:  # fmt: skip
     exact = [grant for grant in ours if _is_exact(state, subject, grant, moment.skew)]
     gone = [grant for grant in ours if grant not in exact]
     held = [grant for grant in exact if moment.now < moment.end(grant)]
@@ -119,23 +181,23 @@ def difference(
     if gets:
         rights |= _still_allowed(state, subject, gone, rights)
     satisfied = {atom for grant in lasting for atom in atoms(grant)}
+    refused = list(_drop_unsignable(subject, rights, satisfied))
     sign = _groups(each for atom, each in rights.items() if atom not in satisfied)
-    if sign and len(lasting) + len(sign) > MAX_GRANTS:
-        sign, gone, held, lasting = _groups(rights.values(), by_rules=False), ours, [], []
-    _check_number(subject, len(lasting) + len(sign))
-    new = {each.atom for group in sign for each in group}
-    ending = [grant for grant in held if not new >= atoms(grant).keys()]
-    ends = [moment.end(grant) for grant in ending] + [moment.end_of(group[0]) for group in sign]
-    return NodeDifference(
-        subject,
-        tuple(_changes(state, subject, rights, held, gone, moment.skew)),
-        tuple(sign),
-        tuple(gone),
-        tuple(_due(ending, moment)),
-        min(ends, default=None),
-        wanted.withheld,
-        tuple(_contradictions(state, subject, grants)),
-    )
+    number = len(lasting) + len(sign)
+    if gets and (number > MAX_PRESENTED or (sign and number > MAX_GRANTS)):
+        # From all that goes then: also what was given on request, which no rule gives outright.
+        every = rights | _still_allowed(state, subject, ours, rights)
+        impossible = list(_drop_unsignable(subject, every, frozenset()))
+        shared = _groups(every.values(), by_rules=False)
+        if not impossible and len(shared) <= min(MAX_PRESENTED, number):
+            return _Chosen(every, shared, ours, [], exact, refused)
+    room = max(MAX_PRESENTED - len(lasting), 0)
+    if len(sign) > room:
+        refused.append(_too_many(subject, number))
+        for each in (each for group in sign for each in group):
+            del rights[each.atom]
+        sign = []
+    return _Chosen(rights, sign, gone, held, [], refused)
 
 
 def atoms(grant: Grant) -> dict[Atom, frozenset[Permission]]:
@@ -192,12 +254,22 @@ def _due(ending: Iterable[Grant], moment: Moment) -> list[Grant]:
     ]
 
 
-def _check_number(subject: Subject, number: int) -> None:
-    if number > MAX_PRESENTED:
-        raise PolicyRefused(
-            f"{subject.name} would need {number} grants where at most {MAX_PRESENTED} are allowed",
-            "give patterns instead of names in the rules for it",
-        )
+def _drop_unsignable(
+    subject: Subject, rights: dict[Atom, WantedRight], satisfied: AbstractSet[Atom]
+) -> Iterator[str]:
+    """Take out of `rights` what is to be signed and cannot be; yields why, for each."""
+    for atom, each in [*rights.items()]:
+        if atom not in satisfied and (reason := why_unsignable(each.permissions)):
+            del rights[atom]
+            what = f"{each.right.label} {each.pattern} (rules {each.rule_ids})"
+            yield f"{subject.name}: {what}: {reason}"
+
+
+def _too_many(subject: Subject, number: int) -> str:
+    return (
+        f"{subject.name} would need {number} grants where at most {MAX_PRESENTED} are allowed:"
+        " give patterns instead of names in the rules for it"
+    )
 
 
 def _groups(
@@ -211,21 +283,11 @@ def _groups(
     for each in rights:
         rules, tail = each.rule_ids if by_rules else "", tail_base(each.pattern) is not None
         groups.setdefault((rules, each.lifetime, each.renew_until, tail), []).append(each)
-    return [part for group in groups.values() for part in _parts(group)]
+    return [part for group in groups.values() for part in divide(group, _entries)]
 
 
-def _parts(group: list[WantedRight]) -> Iterator[tuple[WantedRight, ...]]:
-    part: list[WantedRight] = []
-    size = entries = 0
-    for each in group:
-        text = sum(len(repr(item)) for item in each.permissions)
-        entries += len(each.permissions)
-        size += text
-        if part and (entries > MAX_ENTRIES or size > _MAX_TEXT):
-            yield tuple(part)
-            part, size, entries = [], text, len(each.permissions)
-        part.append(each)
-    yield tuple(part)
+def _entries(right: WantedRight) -> tuple[Permission, ...]:
+    return right.permissions
 
 
 def _changes(

@@ -12,6 +12,7 @@ from grants.errors import PolicyRefused
 from grants.model import Draft, Permission, Restriction, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect, Subject
+from grants.policy.signable import divide
 from grants.request import RequestedRight
 
 
@@ -87,7 +88,7 @@ def drafts(
     serial: Callable[[], bytes],
     skew: int = 0,
 ) -> list[Draft]:
-    """The drafts to sign for allowed verdicts: one for each subject and validity.
+    """The drafts to sign for allowed verdicts: for each subject and validity, as few as fit.
 
     Tail patterns have drafts of their own, as a verifier that does not know them refuses a grant.
 
@@ -107,9 +108,10 @@ def drafts(
         Draft(
             domain=domain, subject=subject.name, holder=subject.key, not_before=now - skew,
             expires=now + lifetime, cap=now + max(lifetime, renew), serial=serial(),
-            permissions=tuple(item for verdict in group for item in permissions(verdict)),
+            permissions=tuple(item for verdict in part for item in permissions(verdict)),
         )
         for (subject, lifetime, renew, _), group in groups.items()
+        for part in divide(group, permissions)
     ]  # fmt: skip
 
 

@@ -64,14 +64,16 @@ class Index:
         if root is None:
             return []
         branches: dict[int, tuple[_Branch, bool]] = {}
-        for branch, whole in _reach(root, name, tree=bool(right & TREE_RIGHTS)):
+        tree = bool(right & TREE_RIGHTS)
+        for branch, whole in _reach(root, name, tree=tree):
             _, before = branches.get(id(branch), (branch, False))
             branches[id(branch)] = (branch, whole or before)  # reached by `**` in several ways
         found: list[Hit] = []
         for branch, whole in branches.values():
             for key in (subject.name, _ANY_NODE):
                 for rule, clause in branch.hits.get(key, ()):
-                    if (whole or rule.effect is Effect.DENY) and rule.applies_to(subject):
+                    decides = whole or tree or rule.effect is Effect.DENY
+                    if decides and rule.applies_to(subject):
                         found.append((rule, clause))
         return found
 
@@ -104,8 +106,9 @@ def applied(
 ) -> Iterator[Hit]:
     """As `hits`, of rules that apply to `subject`.
 
-    Of a pattern every clause counts that overlaps with it: a denial denies it, an allowing one adds
-    its restrictions and its validity; whether all of it is allowed is checked in `decision`.
+    Of a pattern, and of a parameter with all below it, every clause counts that overlaps with it: a
+    denial denies it, an allowing one adds its restrictions and its validity; whether all of it is
+    allowed is checked in `decision`.
     """
     for rule in rules:
         for clause in rule.clauses:
@@ -120,7 +123,7 @@ def is_pattern(requested: str) -> bool:
 
 
 def _decides(rule: PolicyRule, clause: Clause, requested: str) -> bool:
-    if rule.effect is Effect.DENY or is_pattern(requested):
+    if rule.effect is Effect.DENY or is_pattern(requested) or clause.right & TREE_RIGHTS:
         return overlaps(clause.pattern, clause.right, requested)
     return gives(clause.pattern, clause.right, requested)
 

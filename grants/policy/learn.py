@@ -20,14 +20,16 @@ from grants.basics import is_basic, lasting_name, own_form
 from grants.errors import GrantError, PolicyRefused
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.editing import NewRule, add_rules
-from grants.policy.model import Subject
+from grants.policy.editing import NewRule, add_rules, free_id
+from grants.policy.model import Effect, PolicyRule, Subject, SubjectPattern
 from grants.policy.own_names import NODE
 from grants.policy.rules import RIGHTS
 
 MAX_LINE: Final = 4096
 MAX_OBSERVATIONS: Final = 100_000
 _FIELDS: Final = {"at", "node", "right", "name", "type"}
+_LEARNED: Final = "learned-"
+_MAX_ID: Final = 70  # of 80: a number follows where two names begin alike
 _NO_TYPE: Final = ("", "*")
 
 
@@ -97,7 +99,12 @@ def learn(
     kinds: dict[str, set[str]] = {name: {kind} for name, kind in decider.policy.types.items()}
     for item in lasting:
         kinds.setdefault(item.name, set()).update({item.type} - {*_NO_TYPE})
-    rules = [_rule(node, items, day, kinds) for node, items in by_node.items()]
+    taken = {rule.id for rule in decider.policy.rules}
+    rules = []
+    for node, items in by_node.items():
+        name = _id_for(decider.policy.rules, taken, node)
+        taken.add(name)
+        rules.append(_rule(name, node, items, day, kinds))
     return add_rules(text, rules) if rules else text, rules
 
 
@@ -119,8 +126,31 @@ def needs_basics(observed: Iterable[Observation]) -> bool:
     return any(is_basic(item.right, own_form(item.node, item.name)) for item in observed)
 
 
+def _id_for(rules: Iterable[PolicyRule], taken: Collection[str], node: str) -> str:
+    """The rule that was learned for `node` and for nobody else, or a new one's id."""
+    for rule in rules:
+        if rule.id.startswith(_LEARNED) and _is_learned(rule, node):
+            return rule.id
+    return free_id(taken, (_LEARNED + node[1:].replace("/", "-"))[:_MAX_ID])
+
+
+def _is_learned(rule: PolicyRule, node: str) -> bool:
+    """Whether it is as `learn` writes it: what is added to it is for `node` alone, as it is."""
+    plain = not any(clause.restriction or clause.rate for clause in rule.clauses)
+    return (
+        rule.effect is Effect.ALLOW
+        and rule.who == (SubjectPattern(node, node),)
+        and not (rule.exceptions or rule.has_lifetime or rule.keep_when_stale)
+        and plain
+    )
+
+
 def _rule(
-    node: str, observed: Sequence[Observation], day: str, kinds: Mapping[str, Collection[str]]
+    name: str,
+    node: str,
+    observed: Sequence[Observation],
+    day: str,
+    kinds: Mapping[str, Collection[str]],
 ) -> NewRule:
     """A rule for `node`. The own topics of nodes that differ in type have types by their names."""
     rights: dict[str, list[str]] = {}
@@ -131,8 +161,7 @@ def _rule(
         for item in observed
         if item.type not in _NO_TYPE
     }
-    name = "learned-" + node[1:].replace("/", "-")
-    return NewRule(name[:80], f"seen running {day}; review me", node, "allow", rights, types)
+    return NewRule(name, f"seen running {day}; review me", node, "allow", rights, types)
 
 
 def _decided(decider: Decider, observed: Observation) -> bool:

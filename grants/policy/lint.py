@@ -13,6 +13,7 @@ from grants.policy import (
     lint_conditions,
     lint_fields,
     lint_parameters,
+    lint_related,
     lint_relatives,
     lint_rules,
 )
@@ -40,6 +41,11 @@ CHECKS: Final[tuple[Callable[[Scene], Iterator[Finding]], ...]] = (
     lint_relatives.second_receivers,
     lint_relatives.versions,
     lint_relatives.pseudonyms,
+    lint_relatives.wheels,
+    lint_related.related,
+    lint_related.presence,
+    lint_related.services,
+    lint_related.graph,
 )
 
 

@@ -6,15 +6,7 @@ crossing to 0.13 s (docs/spec/policy.md, "Lint"), and `frame_id == "map"` tells 
 
 from collections.abc import Iterator
 
-from grants.conditions.syntax import (
-    Binary,
-    Expression,
-    FunctionCall,
-    Membership,
-    Path,
-    Unary,
-    parse_expression,
-)
+from grants.conditions.fields import fields_read
 from grants.policy.lint_findings import Finding, Suggestion
 from grants.policy.lint_views import Precision, Scene, View
 from grants.policy.model import PolicyRule
@@ -48,29 +40,3 @@ def _conditions(view: View) -> Iterator[tuple[PolicyRule, str]]:
     for rule, clause in zip(view.verdict.rules, view.verdict.clauses, strict=True):
         for text in clause.restriction.conditions if clause.restriction is not None else ():
             yield rule, text
-
-
-def fields_read(text: str) -> list[str]:
-    """The paths of the fields that the condition `text` names, each once."""
-    return list(dict.fromkeys(_paths(parse_expression(text))))
-
-
-def _paths(node: Expression) -> Iterator[str]:
-    if isinstance(node, Path):
-        yield ".".join(node.names)
-    for below in _below(node):
-        yield from _paths(below)
-
-
-def _below(node: Expression) -> tuple[Expression, ...]:
-    match node:
-        case Unary(_, operand):
-            return (operand,)
-        case Binary(_, left, right):
-            return (left, right)
-        case Membership(operand, items):
-            return (operand, *items)
-        case FunctionCall(target, _, arguments):
-            return arguments if target is None else (target, *arguments)
-        case _:
-            return ()

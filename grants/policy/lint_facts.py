@@ -28,6 +28,13 @@ class Aspect(StrEnum):
     NAME = "name"
     JOINT = "joints"
     JOINT_RATE = "movement of joints"
+    STATE = "state"  # of a battery, a goal, an air: it changes with where that is
+    WARMTH = "temperature"
+    HUMIDITY = "humidity"
+    LIGHT = "brightness"
+    PLAN = "map"
+    SOUND = "sound"
+    MARK = "mark"
     NOTHING = "nothing"
 
 
@@ -46,10 +53,34 @@ _OF: Final[Mapping[Content, Aspect]] = {
     Content.PICTURE: Aspect.IMAGE,
     Content.COMPRESSED_PICTURE: Aspect.IMAGE,
     Content.NAME: Aspect.NAME,
+    Content.REQUEST: Aspect.NAME,
+    Content.MARK: Aspect.MARK,
+    Content.WEAR: Aspect.MARK,
+    Content.FORCE: Aspect.MOVEMENT,
+    Content.SAMPLES: Aspect.SOUND,
+    Content.STATE: Aspect.STATE,
+    Content.CHARGE: Aspect.STATE,
+    Content.PRESSURE: Aspect.STATE,
+    Content.TEMPERATURE: Aspect.WARMTH,
+    Content.AMBIENT_TEMPERATURE: Aspect.WARMTH,
+    Content.HUMIDITY: Aspect.HUMIDITY,
+    Content.AMBIENT_HUMIDITY: Aspect.HUMIDITY,
+    Content.BRIGHTNESS: Aspect.LIGHT,
+    Content.AMBIENT_BRIGHTNESS: Aspect.LIGHT,
     Content.JOINT: Aspect.JOINT,
 }
 _NUMBERS_ONLY: Final = frozenset({Content.UNCERTAINTY, Content.DISTANCE, Content.MAP})
 """Beside the values these have sizes and states, which alone show little."""
+AMBIENT: Final = frozenset({
+    Content.AMBIENT_TEMPERATURE, Content.AMBIENT_HUMIDITY, Content.AMBIENT_BRIGHTNESS,
+})  # fmt: skip
+"""Of a sensor that may be carried about, so the room follows from it."""
+DEPTH: Final = frozenset({
+    "sensor_msgs/PointCloud", "sensor_msgs/PointCloud2", "stereo_msgs/DisparityImage",
+})  # fmt: skip
+"""Types in whose points a person is recognised as in a picture; the names of their topics."""
+CLOUDS: Final = ("points", "pointcloud")
+_STEADY: Final = ("diagnostic_msgs/", "tf2_msgs/")  # their states hardly tell where something is
 _RATES: Final = ("velocity", "velocities", "accelerations", "effort")
 _NAMED: Final[Mapping[str, Aspect]] = {
     **dict.fromkeys(("x", "y", "latitude", "longitude", "lat", "lon", "lng"), Aspect.POSITION),
@@ -61,8 +92,11 @@ _NAMED: Final[Mapping[str, Aspect]] = {
 _CONVENTIONS: Final[Mapping[str, Aspect]] = {
     **dict.fromkeys(("tf", "odom", "amcl_pose", "pose", "plan", "path", "fix"), Aspect.POSITION),
     **dict.fromkeys(("cmd_vel", "imu"), Aspect.MOVEMENT),
+    **dict.fromkeys(("mag", "compass", "magnetic_field"), Aspect.HEADING),
+    **dict.fromkeys(("battery", "battery_state", "barometer", "fluid_pressure"), Aspect.STATE),
+    **dict.fromkeys(("audio", "microphone", "mic"), Aspect.SOUND),
     "joint_states": Aspect.JOINT,
-    **dict.fromkeys(("scan", "points", "pointcloud"), Aspect.SURROUNDINGS),
+    **dict.fromkeys(("scan", *CLOUDS), Aspect.SURROUNDINGS),
     **dict.fromkeys(("camera", "image", "image_raw", "image_color", "compressed"), Aspect.IMAGE),
     **dict.fromkeys(
         ("clock", "rosout", "rosout_agg", "map", "camera_info", "tf_static"), Aspect.NOTHING
@@ -94,15 +128,20 @@ def conventional(topic: str) -> Aspect | None:
 def _aspect(field: FieldContent, described: Description, topic: str) -> Aspect:
     if field.content is Content.UNKNOWN:
         return _by_name(field)
-    if field.content in _NUMBERS_ONLY and not _is_value(field.kind):
+    if _shows_little(field, described):
         return Aspect.NOTHING
     if field.content is Content.MAP and "local" not in topic:
-        return Aspect.NOTHING
+        return Aspect.PLAN
     if field.content is Content.UNCERTAINTY:
         return _of_uncertainty(field, described)
     if field.content is Content.JOINT and _last(field.path) in _RATES:
         return Aspect.JOINT_RATE
     return _OF.get(field.content, Aspect.NOTHING)
+
+
+def _shows_little(field: FieldContent, described: Description) -> bool:
+    steady = field.content is Content.STATE and described.type_name.startswith(_STEADY)
+    return steady or (field.content in _NUMBERS_ONLY and not _is_value(field.kind))
 
 
 def _of_uncertainty(field: FieldContent, described: Description) -> Aspect:

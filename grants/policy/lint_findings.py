@@ -94,10 +94,23 @@ ADVICE: Final[dict[str, Advice]] = {
     "rate-does-nothing": Advice(
         "a rate as high as the topic's own: a robot is seen every half metre", "lower the rate"
     ),
-    "pixels-too-small": Advice("squares in which a face is recognised", "use at least 32 pixels"),
+    "pixels-too-small": Advice(
+        "squares in which a face is recognised", "at most 16 across, of at least 32 pixels"
+    ),
+    "pixels-fixed": Advice(
+        "squares of so many pixels, whatever the size of the picture: a large one shows a face",
+        "say how many there are `across`, at most",
+    ),
+    "region-open": Advice(
+        "only a region of a picture is in squares: what is beside it is as it is",
+        "treat the whole picture",
+    ),
     "no-grey-levels": Advice(
         "squares that show the colour of one pixel: ten moving pictures show a face",
         "add 8 levels of grey",
+    ),
+    "rooms-too-small": Advice(
+        "rooms below 1 m² or 0.8 m: a fine grid", "give real rooms, or round to 4 m"
     ),
     "clamp-keeps-values": Advice(
         "a clamped position is exact between the limits", "round it, or clear it"
@@ -105,6 +118,24 @@ ADVICE: Final[dict[str, Advice]] = {
     # other topics and receivers
     "exact-relative": Advice(
         "the receiver sees another topic exactly that shows the same", "filter that as well"
+    ),
+    "presence-open": Advice(
+        "one topic is seen in slots, another of the same place as its messages come: they tell the"
+        " moment",
+        "put it in slots as well",
+    ),
+    "service-tells": Advice(
+        "the position is filtered, and a service answers with it, the way or the map",
+        "take the right to call it out",
+    ),
+    "graph-tells": Advice(
+        "the right to the graph beside something hidden: it tells who publishes, when, and how many"
+        " messages",
+        "take it out, or limit it to other names",
+    ),
+    "wheels-open": Advice(
+        "the position is filtered, and joints are in steps: those of wheels give the path",
+        "clear the joints",
     ),
     "unknown-type": Advice(
         "beside something filtered, the receiver sees a topic of which lint knows nothing",
@@ -115,7 +146,7 @@ ADVICE: Final[dict[str, Advice]] = {
         "use the same step, or a multiple",
     ),
     "shared-pseudonym": Advice(
-        "two receivers get the same pseudonyms: together they know more than each",
+        "two receivers, or all of a pattern, get the same pseudonyms: together they know more",
         "add `per: receiver`",
     ),
     "second-receiver": Advice(

@@ -12,6 +12,7 @@ from grants.model import FilterRule, Scalar
 from grants.policy.lint_facts import Aspect
 from grants.policy.lint_findings import Finding
 from grants.policy.lint_suggest import (
+    ACROSS,
     BLOCK,
     COARSE_DEGREES,
     COARSE_JOINT,
@@ -25,11 +26,14 @@ from grants.policy.lint_suggest import (
 )
 from grants.policy.lint_views import Precision, Scene, View, too_fine, too_small
 from grants.policy.privacy import filters_of
+from grants.vocabulary.levels import Treatment
+from grants.vocabulary.rooms import NARROWEST, SMALLEST, narrowest, smallest
 
 _FASTEST: Final = 2.0  # a second: at a walk one message every half metre
 _SMALLEST_SHARE: Final = 10  # a hysteresis below this part of a step is noise
 _CELLS: Final = ("round", "rooms")
 _MOST_LEVELS: Final = 16
+_REGION: Final = ("x", "y", "width", "height")
 _DENSE: Final = (Aspect.POSITION, Aspect.SURROUNDINGS)
 
 
@@ -48,8 +52,9 @@ def rates(scene: Scene) -> Iterator[Finding]:
             rounded = any(
                 view.filter_on(path).operator in _CELLS for path in view.coarse(Aspect.POSITION)
             )
-            if (rounded or view.is_empty) and not view.has_slot:
-                yield from _rate(view, "coarse" if rounded else "empty")
+            squares = bool(view.coarse(Aspect.IMAGE))
+            if (rounded or squares or view.is_empty) and not view.has_slot:
+                yield from _rate(view, "coarse" if rounded or squares else "empty")
 
 
 def _rate(view: View, what: str) -> Iterator[Finding]:
@@ -148,7 +153,12 @@ def _clamp(view: View, rule: FilterRule, paths: list[str]) -> Iterator[Finding]:
 
 def _rooms(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
     parameters = dict(rule.parameters)
-    if "hysteresis" not in parameters:
+    plan = Treatment(rule.operator, rule.parameters)
+    if smallest(plan) < SMALLEST or narrowest(plan) < NARROWEST:
+        what = f"the rooms for {rule.path} of {view.topic} are smaller than rooms: a grid"
+        better = _with_hysteresis(FilterRule(rule.path, "round"), COARSE_STEP)
+        yield _finding(view, rule, "rooms-too-small", what, better)
+    elif "hysteresis" not in parameters:
         what = f"{rule.path} is snapped to rooms without hysteresis: a door tells the position"
         better = _with(rule, hysteresis=ROOM_REACH)
         yield _finding(view, rule, "no-hysteresis", what, better)
@@ -157,14 +167,33 @@ def _rooms(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]
 def _pixelate(view: View, rule: FilterRule, _paths: list[str]) -> Iterator[Finding]:
     parameters = dict(rule.parameters)
     levels = parameters.get("levels")
-    if too_small(rule):
-        what = f"squares of {parameters['block']} pixels of {view.topic} hide nobody"
-        yield _finding(
-            view, rule, "pixels-too-small", what, _with(rule, block=BLOCK, levels=LEVELS)
-        )
+    squares = _with(rule, across=ACROSS, block=max(_block(rule), BLOCK), levels=LEVELS)
+    whole = tuple(item for item in squares.parameters if item[0] not in _REGION)
+    if "width" in parameters and not _has_whole(view, rule):
+        what = f"only a region of {view.topic} is in squares: beside it everything is as it is"
+        better = FilterRule(rule.path, rule.operator, whole)
+        yield _finding(view, rule, "region-open", what, better)
+    elif too_small(rule):
+        size = f"of {_block(rule)} pixels" if "block" in parameters else "as small as these"
+        what = f"squares {size} of {view.topic} hide nobody"
+        yield _finding(view, rule, "pixels-too-small", what, squares)
+    elif "across" not in parameters:
+        size = f"of {_block(rule)} pixels"
+        what = f"squares {size} show a face where pictures of {view.topic} are large"
+        yield _finding(view, rule, "pixels-fixed", what, squares)
     elif levels is None or int(levels) > _MOST_LEVELS:
         what = f"squares of {view.topic} in full colours show a face in ten moving pictures"
         yield _finding(view, rule, "no-grey-levels", what, _with(rule, levels=LEVELS))
+
+
+def _block(rule: FilterRule) -> int:
+    return int(dict(rule.parameters).get("block", 0))
+
+
+def _has_whole(view: View, rule: FilterRule) -> bool:
+    """Whether another filter treats all of the picture."""
+    others = (each for each in filters_of(view.filters, rule.path) if each != rule)
+    return any("width" not in dict(each.parameters) for each in others)
 
 
 def _with(rule: FilterRule, **changed: float) -> FilterRule:

@@ -4,17 +4,19 @@ Two nodes are of one owner if they have one key, are of one foreign domain, or o
 other's name: what one of them sees, the other knows.
 """
 
+import re
 from collections.abc import Iterable, Iterator
 from itertools import permutations, product
 from typing import Final
 
 from ca.domains.aliases import is_alias
-from grants.model import FilterRule, Right
+from grants.model import FilterRule, Right, Scalar
 from grants.policy.lint_facts import Aspect
 from grants.policy.lint_findings import Finding
 from grants.policy.lint_suggest import coarsening, replacing
 from grants.policy.lint_views import Receiver, Scene, View
 
+_FRAME: Final = re.compile(r"""frame_id\s*==\s*(["'])([^"']*)\1""")
 SAVED_POSE: Final = "/amcl/initial_pose_x"
 _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
     Aspect.POSITION: (
@@ -23,6 +25,8 @@ _SHOWN_BY: Final[dict[Aspect, tuple[Aspect, ...]]] = {
         Aspect.IMAGE,
         Aspect.JOINT,
         Aspect.JOINT_RATE,
+        Aspect.HEADING,
+        Aspect.STATE,
     ),
     Aspect.IMAGE: (),
     Aspect.NAME: (),
@@ -76,13 +80,20 @@ def _exact(
     for view in views:
         if view is coarse or (aspect is Aspect.NAME and not _same_type(view, coarse)):
             continue
-        if view.shows(aspect, *others):
+        if view.shows(aspect, *others) or _shows_by_type(view, aspect):
             pattern = _pattern(view) if view.is_below_pattern else view.topic
             below.setdefault(pattern, []).append(view)
     for found in below.values():
         hint, suggestions = coarsening(found[0])
         message = f"{_begin(coarse)}, but {', '.join(view.topic for view in found)} exactly"
         yield Finding(coarse.rule.line, "exact-relative", message, hint, suggestions)
+
+
+def _shows_by_type(view: View, aspect: Aspect) -> bool:
+    """A cloud of points beside a picture, the climate beside a position."""
+    if aspect is Aspect.IMAGE:
+        return view.shows_depth
+    return aspect is Aspect.POSITION and view.shows_climate
 
 
 def _pattern(view: View) -> str:
@@ -146,7 +157,15 @@ def versions(scene: Scene) -> Iterator[Finding]:
         for (first, step), (second, other_step) in product(grids[one], grids[other]):
             here, there = (one.subject.name, first.topic), (other.subject.name, second.topic)
             small, large = sorted((step, other_step))
-            if here < there and not (large / small).is_integer():
+            if here < there and _differ(first, second):
+                message = (
+                    f"rule {first.rule.id}: {one.label} sees {first.topic}, {other.label}"
+                    f" {second.topic}, in cells that do not lie on each other: together they are"
+                    " finer"
+                )
+                hint = "use one frame and one plan of rooms for both"
+                yield Finding(first.rule.line, "two-versions", message, hint)
+            elif here < there and small > 0 and not (large / small).is_integer():
                 message = (
                     f"rule {first.rule.id}: {one.label} sees {first.topic} in steps of"
                     f" {step:g}, {other.label} {second.topic} in steps of {other_step:g}:"
@@ -157,10 +176,32 @@ def versions(scene: Scene) -> Iterator[Finding]:
 
 
 def _grids(views: Iterable[View]) -> Iterator[tuple[View, float]]:
-    """The views with a rounded position, and the step."""
+    """The views with a coarse position, and the step; of rooms 0."""
     for view in views:
-        if step := _step(view):
+        if (step := _step(view)) or _plan(view):
             yield view, step
+
+
+def _differ(one: View, other: View) -> bool:
+    """Whether the cells are of two plans of rooms, or of two frames by the conditions of each."""
+    plans = _plan(one), _plan(other)
+    frames = _frames(one), _frames(other)
+    return (all(plans) and plans[0] != plans[1]) or (all(frames) and not frames[0] & frames[1])
+
+
+def _plan(view: View) -> frozenset[tuple[str, Scalar]]:
+    """The rooms of a position; empty if it has none."""
+    for path in view.coarse(Aspect.POSITION):
+        rule = view.filter_on(path)
+        if rule.operator == "rooms":
+            return frozenset(item for item in rule.parameters if item[0] != "hysteresis")
+    return frozenset()
+
+
+def _frames(view: View) -> frozenset[str]:
+    """The frames that conditions let through; empty if they name none."""
+    texts = (text for item in view.verdict.restrictions for text in item.conditions)
+    return frozenset(name for text in texts for _, name in _FRAME.findall(text))
 
 
 def _step(view: View) -> float:
@@ -216,6 +257,8 @@ def pseudonyms(scene: Scene) -> Iterator[Finding]:
                 other = first.setdefault(key, view)
                 if other.receiver.subject.name != view.receiver.subject.name:
                     yield _shared(other, view, rule)
+                elif "*" in (view.receiver.who.node or "*"):
+                    yield _shared(view, view, rule)
 
 
 def _shared(one: View, other: View, rule: FilterRule) -> Finding:
@@ -225,5 +268,21 @@ def _shared(one: View, other: View, rule: FilterRule) -> Finding:
     hint, suggestions = replacing(other, rule, better)
     place, _ = other.place(rule)
     both = f"{one.receiver.label} and {other.receiver.label}"
+    if one is other:
+        both = f"all of {one.receiver.label}"
     message = f"rule {place.id}: {both} get the same pseudonyms for {rule.path} of {other.topic}"
     return Finding(place.line, "shared-pseudonym", message, f"write {hint}", suggestions)
+
+
+def wheels(scene: Scene) -> Iterator[Finding]:
+    """Joints in steps beside a coarse position: if they are wheels, their turns are the path."""
+    for views in scene.views.values():
+        coarse = _first_treated(views, Aspect.POSITION)
+        for view in views if coarse is not None else ():
+            found = view.coarse(Aspect.JOINT)
+            if coarse is not None and found:
+                message = f"{_begin(coarse)}, and joints of {view.topic} in steps: wheels tell it"
+                old = view.filter_on(found[0])
+                hint, suggestions = replacing(view, old, FilterRule(old.path, "clear"))
+                line = coarse.rule.line
+                yield Finding(line, "wheels-open", message, f"write {hint}", suggestions)

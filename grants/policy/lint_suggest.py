@@ -23,6 +23,7 @@ COARSE_DEGREES: Final = 0.02  # about two kilometres
 COARSE_JOINT: Final = 0.5  # radians
 COARSE_TIME: Final = 60  # seconds
 COARSE_RATE: Final = 0.03
+ACROSS: Final = 16
 BLOCK: Final = 32
 LEVELS: Final = 8
 ROOM_REACH: Final = 0.5  # metres
@@ -30,7 +31,8 @@ SHARE: Final = 2  # the hysteresis is this part of a step
 
 _TELLING: Final = (
     Aspect.POSITION, Aspect.HEADING, Aspect.MOVEMENT, Aspect.COVARIANCE, Aspect.SURROUNDINGS,
-    Aspect.IMAGE, Aspect.JOINT, Aspect.JOINT_RATE,
+    Aspect.IMAGE, Aspect.JOINT, Aspect.JOINT_RATE, Aspect.STATE, Aspect.WARMTH, Aspect.HUMIDITY,
+    Aspect.LIGHT, Aspect.SOUND,
 )  # fmt: skip
 
 Closed = tuple[str, str, tuple[Suggestion, ...]]
@@ -79,7 +81,8 @@ def _closed(view: View, path: str) -> FilterRule:
         case Aspect.TIME:
             return FilterRule(path, "round", (("step", COARSE_TIME),))
         case Aspect.IMAGE if view.layout is not None and view.layout.type_name.endswith("/Image"):
-            return FilterRule(path, "pixelate", (("block", BLOCK), ("levels", LEVELS)))
+            squares = (("across", ACROSS), ("block", BLOCK), ("levels", LEVELS))
+            return FilterRule(path, "pixelate", squares)
         case _:
             return FilterRule(path, "clear")
 
@@ -104,18 +107,24 @@ def coarsening(view: View) -> tuple[str, tuple[Suggestion, ...]]:
     try:
         found = preset("coarse-position").restriction(view.layout)
     except GrantError:
-        rules = _cleared(view)
-        if not fits(view, rules):
-            return begin, ()
-        return f"{begin}: {', '.join(map(written, rules))}", changes(view, rules)
+        return closing_all(view, view.exact(*_TELLING) or view.exact(Aspect.NAME))
     suggestions = [*changes(view, found.filters)] if fits(view, found.filters) else []
-    if suggestions and found.rate is not None:
-        suggestions.append(Suggestion(view.rule.id, rate=found.rate))
+    if suggestions and found.slot is not None:
+        suggestions.append(Suggestion(view.rule.id, rate=1 / found.slot))
     return f"{begin}: {{use: coarse-position}}", (*suggestions,)
 
 
-def _cleared(view: View) -> tuple[FilterRule, ...]:
-    telling = view.exact(*_TELLING) or view.exact(Aspect.NAME)
+def closing_all(view: View, telling: Sequence[str]) -> tuple[str, tuple[Suggestion, ...]]:
+    """Filters that close these leaves of a topic that is seen exactly."""
+    if view.is_below_pattern:
+        return f"name the topics it needs instead of {view.verdict.clauses[0].pattern}", ()
+    rules, begin = _cleared(view, telling), f"filter {view.topic} as well"
+    if not fits(view, rules):
+        return begin, ()
+    return f"{begin}: {', '.join(map(written, rules))}", changes(view, rules)
+
+
+def _cleared(view: View, telling: Sequence[str]) -> tuple[FilterRule, ...]:
     arrays = dict.fromkeys(path.partition("[*]")[0] for path in telling if "[*]" in path)
     alone = [path for path in telling if "[*]" not in path]
     wholes = next(iter(_wholes(view, alone)), []) if alone else []

@@ -15,7 +15,16 @@ from ca.patterns import covers
 from grants.filters.layout import Layout
 from grants.model import FilterRule, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.lint_facts import EVERYWHERE, Aspect, aspects, conventional, is_known
+from grants.policy.lint_facts import (
+    AMBIENT,
+    CLOUDS,
+    DEPTH,
+    EVERYWHERE,
+    Aspect,
+    aspects,
+    conventional,
+    is_known,
+)
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
 from grants.policy.own_names import is_own
 from grants.policy.patterns import includes
@@ -26,7 +35,9 @@ LayoutOf = Callable[[str], Layout]
 
 _HIDES: Final = frozenset({"clear", "set", "redact", "drop", "zero"})
 _DEGREES: Final = frozenset({"latitude", "longitude"})
-SMALLEST_BLOCK: Final = 16
+SMALLEST_BLOCK: Final = 32
+MOST_ACROSS: Final = 20
+"""Squares by which attackers' programs recognise few faces: 96 pixels in squares of 32 are 53 %."""
 _FLOORS: Final[dict[Aspect, float]] = {
     Aspect.POSITION: 0.1,  # metres; localisation indoors errs by half of it
     Aspect.SURROUNDINGS: 0.1,
@@ -119,6 +130,20 @@ class View:
         return bool(self.exact(first, *others)) and not self.treated(first)
 
     @property
+    def shows_climate(self) -> bool:
+        """Whether it shows exactly what a sensor measures that may be carried about."""
+        fields = self.described.fields if self.described is not None else ()
+        ambient = {field.path for field in fields if field.content in AMBIENT}
+        return any(self.left(path) is Precision.EXACT for path in ambient)
+
+    @property
+    def shows_depth(self) -> bool:
+        """Whether it shows exactly what a camera of depth sees: points in space, not one plane."""
+        if self.layout is None:
+            return self.topic.rpartition("/")[2] in CLOUDS
+        return self.layout.type_name in DEPTH and bool(self.exact(Aspect.SURROUNDINGS))
+
+    @property
     def is_slow(self) -> bool:
         """Whether something limits how often messages come, or tells only in which slot."""
         return self.verdict.rate is not None or self.has_slot
@@ -127,6 +152,11 @@ class View:
     def has_slot(self) -> bool:
         """Whether only one message in each slot comes."""
         return any(item.slot is not None for item in self.verdict.restrictions)
+
+    @property
+    def hides_presence(self) -> bool:
+        """Whether its slots are about when messages come, not what is left of their content."""
+        return self.has_slot and (self.is_empty or not self.filters)
 
     @cached_property
     def is_empty(self) -> bool:
@@ -175,9 +205,12 @@ def _left_by(rule: FilterRule, aspect: Aspect, path: str) -> Precision:
 
 
 def too_small(rule: FilterRule) -> bool:
-    """Whether squares of pixels hide nothing."""
-    block = dict(rule.parameters).get("block")
-    return isinstance(block, int) and block < SMALLEST_BLOCK
+    """Whether squares of pixels hide nothing: they are small, and many fit across a picture."""
+    given = dict(rule.parameters)
+    block, across = given.get("block"), given.get("across")
+    if isinstance(across, int) and across <= MOST_ACROSS:
+        return False
+    return not isinstance(block, int) or block < SMALLEST_BLOCK
 
 
 def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:

@@ -4,11 +4,11 @@ Reading continues after a mistake, so that all of them are reported at once; the
 refused as a whole. A `Policy` never has mistakes.
 """
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NoReturn, Protocol
 
+from ca.suggestions import closest
 from grants.errors import PolicyRefused
 
 MAX_MISTAKES = 200  # more are not useful, and a hostile file must not cause a long report
@@ -78,9 +78,8 @@ class Mistakes:
 def suggest(value: str, known: Iterable[str]) -> str:
     """A hint: the most similar known value, or a list of them."""
     values = sorted({str(each) for each in known})  # members of a StrEnum as what is written
-    close = difflib.get_close_matches(value, values, 1, 0.6)
-    if close:
-        return f"did you mean {close[0]!r}?"
+    if (close := closest(value, values)) is not None:
+        return f"did you mean {close!r}?"
     if not values:
         return "none is defined"
     more = ", ..." if len(values) > _MAX_SUGGESTIONS else ""

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from ca.domains.aliases import is_alias
 from ca.patterns import covers
-from grants.model import FilterRule, Restriction, Right, rate_text
+from grants.limits import rate_text
+from grants.model import FilterRule, Restriction, Right
 from grants.policy.own_names import any_node, is_own, resolve
 from grants.policy.patterns import includes
 from grants.policy.vocabulary import Vocabulary
@@ -173,7 +174,8 @@ class Defaults:
 class Policy:
     """A whole policy. `types` are message types by topic or pattern.
 
-    `groups` are their members by name; `unused_groups` are those that no rule is for.
+    `groups` are their members by name; `unused_groups` are those that no rule is for. `titles` are
+    names for people, by the name of a node, a topic or a pattern; they decide nothing.
     """
 
     robot: str
@@ -187,6 +189,7 @@ class Policy:
     unused_groups: tuple[str, ...] = ()
     vocabulary: Vocabulary = field(default_factory=Vocabulary)
     tests: "tuple[Assertion, ...]" = ()
+    titles: Mapping[str, str] = field(default_factory=dict)
 
     def type_of(self, name: str) -> str | None:
         """The message type of the topic or pattern `name`, if the policy has one."""

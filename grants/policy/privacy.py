@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from grants.filters.layout import Array, Layout, Struct, Type
-from grants.model import FilterRule, Restriction, Right, rate_text
+from grants.limits import rate_text
+from grants.model import FilterRule, Restriction, Right
 from grants.policy.decision import Decider, span
 from grants.policy.model import Effect, Subject, SubjectPattern
 from grants.policy.vocabulary import Vocabulary

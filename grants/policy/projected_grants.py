@@ -1,9 +1,13 @@
 """What a policy would grant to a name: shown before the name is certified for a key."""
 
 from collections.abc import Iterable, Iterator
+from typing import Final
 
+from grants.policy.basics import is_basics
 from grants.policy.model import Clause, Policy, PolicyRule, Subject
 from grants.policy.patterns import intersects
+
+_BASICS: Final = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"
 
 
 def projected_grants(policy: Policy, subject: Subject) -> list[str]:
@@ -12,7 +16,8 @@ def projected_grants(policy: Policy, subject: Subject) -> list[str]:
         line
         for rule in policy.rules
         if rule.applies_to(subject)
-        for line in _lines(rule, filter(None, (each.of(subject) for each in rule.clauses)))
+        for line in [_BASICS] * is_basics(rule)
+        or _lines(rule, filter(None, (each.of(subject) for each in rule.clauses)))
     ]
 
 
@@ -22,7 +27,7 @@ def projected_for_names(policy: Policy, pattern: str) -> list[str]:
         f"{rule.subjects_text}: {line}"
         for rule in policy.rules
         if any(who.node is not None and intersects(who.node, pattern) for who in rule.who)
-        for line in _lines(rule, rule.clauses)
+        for line in [_BASICS] * is_basics(rule) or _lines(rule, rule.clauses)
     ]
 
 

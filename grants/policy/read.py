@@ -8,13 +8,14 @@ from collections.abc import Callable, Collection
 from typing import Final
 
 from ca.errors import HintedError
+from ca.suggestions import closest
 from grants.filters.layout import Layout, parse
 from grants.policy import readers
 from grants.policy.assertions import read_tests
 from grants.policy.basics import ID as BASICS_ID
 from grants.policy.basics import basics_rule, read_basics
 from grants.policy.fields import FieldRule, read_fields
-from grants.policy.mistakes import Mistake, Mistakes, suggest
+from grants.policy.mistakes import Mistake, Mistakes
 from grants.policy.model import (
     EVERYONE,
     LIFETIME,
@@ -29,13 +30,19 @@ from grants.policy.own_names import NODE
 from grants.policy.rules import RuleReader
 from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
 from grants.policy.subjects import Subjects
+from grants.policy.titles import read_titles
 from grants.policy.vocabulary import Vocabulary, read_vocabulary
 
 VERSION: Final = 1
 _TOP: Final = (
     "rossec", "robot", "basics", "defaults", "identities", "groups", "types", "vocabulary",
-    "rooms", "filters", "rules", "tests",
+    "rooms", "filters", "rules", "tests", "title",
 )  # fmt: skip
+_REQUIRED: Final = {
+    "rossec": "rossec: 1",
+    "robot": "robot: NAME, what the policy is for: a robot, a home; reports are headed with it",
+    "rules": "rules: []",
+}
 _DEFAULTS: Final = ("decision", "lifetime", "renew_until", "prompt_timeout")
 
 Definition = Callable[[str], str]
@@ -86,7 +93,7 @@ class _PolicyReader:
             position = source or YamlScalar("", 1, 1)
             self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
             source = YamlMapping({}, 1, 1)
-        readers.check_keys(source, "the policy", _TOP, ("rossec", "robot", "rules"), self._mistakes)
+        readers.check_keys(source, "the policy", _TOP, _REQUIRED, self._mistakes)
         self._version(source.get("rossec"))
         defaults = self._defaults(source.get("defaults"))
         identities = self._identities(source.get("identities"))
@@ -103,6 +110,7 @@ class _PolicyReader:
         return Policy(
             robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules,
             subjects.groups, subjects.unused, vocabulary, tests,
+            read_titles(source.get("title"), subjects.groups, self._mistakes),
         )  # fmt: skip
 
     def _basics(
@@ -173,22 +181,29 @@ class _PolicyReader:
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
         mapping = readers.mapping(part, "types", self._mistakes)
+        kinds: dict[YamlScalar, str] = {}
         for key, value in mapping.entries.values() if mapping is not None else ():
-            topic = readers.pattern(key, "topic", self._mistakes)
-            if topic == NODE:
-                self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
             name = readers.text(value, f"the type of {key.value}", self._mistakes)
-            if name is not None and topic is not None:
-                types[topic] = name
             if name is not None and name not in layouts:
                 self._layout(name, value, layouts)
+            if name is not None:
+                kinds[key] = name
+        for topic, key, _ in readers.by_name(
+            mapping, "types", lambda key: readers.pattern(key, "topic", self._mistakes),
+            self._mistakes,
+        ):  # fmt: skip
+            if topic == NODE:
+                self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
+            if key in kinds:
+                types[topic] = kinds[key]
         return layouts, types
 
     def _layout(self, name: str, position: Part, layouts: dict[str, Layout]) -> None:
         try:
             layouts[name] = parse(name, self._definition(name))
         except HintedError as error:
-            hint = suggest(name, self._known_types) if self._known_types else error.hint
+            near = closest(name, self._known_types)
+            hint = error.hint if near is None else f"did you mean {near!r}?"
             self._mistakes.add(position, str(error), hint)
 
     def _vocabulary(
@@ -213,15 +228,16 @@ class _PolicyReader:
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
-        seen: dict[str, int] = {}
+        first: dict[str, Part] = {}
         rules: list[PolicyRule] = []
         for item in readers.items(part):
             rule = reader.read(item)
             if rule is None:
                 continue
-            if rule.id in seen:
-                message = f"duplicate rule {rule.id!r}; the first is in line {seen[rule.id]}"
+            if rule.id in first:
+                at = f"{first[rule.id].line}:{first[rule.id].column}"
+                message = f"duplicate rule {rule.id!r}; the first is in {at}"
                 self._mistakes.add(item, message, "use a unique id")
-            seen.setdefault(rule.id, rule.line)
+            first.setdefault(rule.id, item)
             rules.append(rule)
         return tuple(rules)

@@ -5,7 +5,7 @@ and reading continues with the rest of the file.
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Final, Literal, TypeAlias
 
 from ca.domains.aliases import is_alias, local_pattern
@@ -43,13 +43,46 @@ def check_keys(
     required: Collection[str],
     mistakes: Mistakes,
 ) -> None:
-    """Record every unknown key, and every required one that is missing."""
+    """Record every unknown key, and every required one that is missing.
+
+    `required` may be a mapping: to what is to be added for each.
+    """
     for name, (key, _) in part.entries.items():
         if name not in known:
             mistakes.add(key, f"unknown key {name[:60]!r} in {what}", suggest(name, known))
     for name in required:
         if name not in part.entries:
-            mistakes.add(part, f"{what} has no {name!r}", f"add {name}: ...")
+            example = required[name] if isinstance(required, Mapping) else f"{name}: ..."
+            mistakes.add(part, f"{what} has no {name!r}", f"add {example}")
+
+
+def by_name(
+    part: YamlMapping | None,
+    what: str,
+    read: Callable[[YamlScalar], str | None],
+    mistakes: Mistakes,
+) -> Iterator[tuple[str, YamlScalar, Part]]:
+    """The entries of a mapping by what `read` makes of their keys: None if a key is a mistake.
+
+    Keys of several spellings (`~/pose` and `"{node}/pose"`) are equal only then; the second of two
+    would win without a word, so it is a mistake.
+    """
+    first: dict[str, YamlScalar] = {}
+    for key, value in part.entries.values() if part is not None else ():
+        name = read(key)
+        if name is None:
+            continue
+        if name in first:
+            again(key, f"{what}: {name[:80]!r}", first[name], mistakes)
+            continue
+        first[name] = key
+        yield name, key, value
+
+
+def again(key: Part, what: str, first: Part, mistakes: Mistakes) -> None:
+    """Record that a key says what another has said before, whatever its spelling."""
+    message = f"{what} a second time, first in {first.line}:{first.column}"
+    mistakes.add(key, message, "keep one of them")
 
 
 def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:

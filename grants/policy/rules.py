@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+from grants.errors import GrantError, GrantMalformed
+from grants.filters.hashing import key_names
 from grants.filters.layout import Layout
 from grants.filters.presets import PRESETS, preset
-from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Restriction, Right
+from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Permission, Restriction, Right
 from grants.policy import readers
 from grants.policy.fields import (
     ConditionRule,
@@ -22,10 +24,12 @@ from grants.policy.fields import (
     read_condition,
     read_fields,
 )
+from grants.policy.limiting import Limit, read_limit
 from grants.policy.mistakes import Mistakes, SourcePosition, suggest
 from grants.policy.model import Clause, Defaults, Effect, PolicyRule, type_of
-from grants.policy.own_names import BEGINS_TOPIC, NODE
+from grants.policy.own_names import BEGINS_TOPIC, NODE, any_node
 from grants.policy.seeing import TopicLevels, read_see, resolve_levels
+from grants.policy.signable import why_unsignable
 from grants.policy.source import Part, YamlMapping
 from grants.policy.subjects import Subjects
 from grants.policy.vocabulary import Vocabulary
@@ -124,15 +128,22 @@ class RuleReader:
         named = self._named_rights(rights, name)
         read = [read_condition(item, self._mistakes) for item in readers.items(mapping.get("when"))]
         conditions = [when for when in read if when is not None]
-        topics = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
-        filters = self._filters_of(mapping.get("filter"), topics, name)
-        for topic, see in read_see(mapping.get("see"), topics, name, self._mistakes).items():
+        seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
+        filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
+        topics = [pattern for right, pattern, _ in named if right is filtered]
+        filters = self._filters_of(mapping.get("filter"), topics, name, filtered)
+        for topic, see in read_see(mapping.get("see"), seen, name, self._mistakes).items():
             filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
-        rate = self._rate(mapping.get("limit"), topics, name)
+        limit = read_limit(mapping.get("limit"), topics, name, self._mistakes, seen=bool(seen))
+        if not seen:
+            self._check_written(filters)
         clauses: list[Clause] = []
         for right, pattern, position in named:
-            clauses += self._clause(right, pattern, position, conditions, filters, rate)
-        restricting = conditions or filters or rate or mapping.get("on_stale") is not None
+            if right is filtered:
+                clauses += self._clause(right, pattern, position, conditions, filters, limit)
+            else:
+                clauses += self._clause(right, pattern, position, conditions, {}, Limit())
+        restricting = conditions or filters or any(limit) or mapping.get("on_stale") is not None
         if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
             self._mistakes.add(
                 rights,
@@ -140,6 +151,16 @@ class RuleReader:
                 "put these rights into a separate rule",
             )
         return tuple(clauses)
+
+    def _check_written(self, filters: Mapping[str, _TopicFilter]) -> None:
+        """Filters of what is published: its receivers apply them, and have no keys for it."""
+        for each in filters.values():
+            if each.preset is not None or key_names(item.rule for item in each.fields):
+                self._mistakes.add(
+                    each.position,
+                    "a preset or a pseudonym is for what is subscribed to, not published",
+                    "name the fields and their treatment, or add a subscribe right",
+                )
 
     def _named_rights(
         self, rights: YamlMapping, name: str
@@ -169,12 +190,9 @@ class RuleReader:
         position: SourcePosition,
         conditions: list[ConditionRule],
         filters: Mapping[str, _TopicFilter],
-        rate: float | None,
+        limit: Limit,
     ) -> list[Clause]:
-        subscribes = right is Right.SUBSCRIBE
-        topic_filter = (
-            filters.get(pattern, _TopicFilter(position)) if subscribes else _TopicFilter(position)
-        )
+        topic_filter = filters.get(pattern, _TopicFilter(position))
         kind = type_of(self._types, pattern)
         reads_message = (
             topic_filter.fields
@@ -189,13 +207,28 @@ class RuleReader:
         levels = self._levels(topic_filter, pattern, kind)
         if levels is None:
             return []
-        own = Resolved(rate=rate if subscribes else None)
+        own = Resolved((), limit.rate, limit.slot)
         given = self._treatment(topic_filter, kind, own, levels)
-        if not conditions and not given.rules and given.slot is None:
+        limits = (given.slot, limit.body, limit.pad)
+        if not conditions and not given.rules and limits == (None, None, None):
             return [Clause(right, pattern, None, given.rate, kind)]
-        texts = tuple(dict.fromkeys(when.text for when in conditions))
-        type_name = kind if reads_message else None
-        restriction = Restriction(type_name, texts, given.rules, slot=given.slot)
+        try:
+            if limit.body is not None and given.slot is None:
+                raise GrantMalformed(
+                    f"without a slot the body {limit.body} cannot be told in common",
+                    "for example limit: {slot: 30}",
+                )
+            texts = tuple(dict.fromkeys(when.text for when in conditions))
+            restriction = Restriction(
+                kind if reads_message else None, texts, given.rules, slot=given.slot,
+                body=limit.body, pad=limit.pad,
+            )  # fmt: skip
+            entry = Permission(any_node(pattern), right, replace(restriction, rate=given.rate))
+            if reason := why_unsignable((entry,)):
+                raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
+        except GrantError as error:
+            self._mistakes.add(position, f"{right.label} {pattern}: {error}", error.hint)
+            return []
         return [Clause(right, pattern, restriction, given.rate, kind)]
 
     def _levels(
@@ -248,25 +281,25 @@ class RuleReader:
         return all(checked)
 
     def _filters_of(
-        self, part: Part | None, topics: list[str], name: str
+        self, part: Part | None, topics: list[str], name: str, right: Right
     ) -> dict[str, _TopicFilter]:
         """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
         mapping = readers.mapping(part, f"filter of rule {name}", self._mistakes)
         if mapping is None:
             return {}
         if not topics or not mapping.entries:
-            hint = "add a subscribe right, or remove the filter"
+            hint = "add a subscribe or publish right, or remove the filter"
             self._mistakes.add(mapping, f"rule {name}: nothing to filter", hint)
             return {}
         if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
         found: dict[str, _TopicFilter] = {}
-        for key, value in mapping.entries.values():
-            topic = readers.pattern(key, f"filter of rule {name}", self._mistakes)
-            if topic is None:
-                continue
+        what = f"filter of rule {name}"
+        for topic, key, value in readers.by_name(
+            mapping, what, lambda key: readers.pattern(key, what, self._mistakes), self._mistakes
+        ):
             if topic not in topics:
-                message = f"rule {name} has no subscribe right on {topic[:80]!r}"
+                message = f"rule {name} has no {right.label} right on {topic[:80]!r}"
                 self._mistakes.add(key, message, suggest(topic, topics))
                 continue
             inner = readers.mapping(value, f"filter of {topic}", self._mistakes)
@@ -284,12 +317,3 @@ class RuleReader:
         if name is None or name in self._filters:
             return _TopicFilter(position, self._filters.get(name or "", ()))
         return _TopicFilter(position, preset=name)
-
-    def _rate(self, part: Part | None, topics: list[str], name: str) -> float | None:
-        mapping = readers.mapping(part, f"limit of rule {name}", self._mistakes)
-        if mapping is None:
-            return None
-        readers.check_keys(mapping, f"limit of rule {name}", ("rate",), ("rate",), self._mistakes)
-        if not topics:
-            self._mistakes.add(mapping, f"rule {name}: nothing to limit", "add a subscribe right")
-        return readers.number(mapping.get("rate"), "rate", self._mistakes)

@@ -8,9 +8,11 @@ import json
 from typing import Any, Final
 
 from grants.filters.operators import OPERATORS
+from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT
 from grants.policy.assertions import NOTHING, Says
 from grants.policy.basics import EXTRAS
 from grants.policy.rules import RIGHTS
+from grants.policy.titles import MAX_TITLE
 from grants.policy.vocabulary import SAYABLE
 from grants.vocabulary.words import LEVELS
 
@@ -23,6 +25,18 @@ _TOPIC: Final = r"^(?:/|~/|\{node\})"
 _DURATION: Final = {"type": "string", "pattern": "^[1-9][0-9]{0,5}[smhdw]$"}
 _RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
 _TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
+
+_LIMIT: Final = {
+    "type": "object",
+    "properties": {
+        "rate": {"type": "number", "exclusiveMinimum": 0},
+        "slot": {"type": "integer", "minimum": MIN_SLOT, "maximum": MAX_SLOT},
+        "body": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_-]{0,63}$"},
+        "pad": {"type": "integer", "minimum": MIN_PAD, "maximum": MAX_PAD},
+    },
+    "minProperties": 1,
+    "additionalProperties": False,
+}
 
 
 def _object(properties: dict[str, Any], *required: str) -> dict[str, Any]:
@@ -90,7 +104,7 @@ def _rule() -> dict[str, Any]:
             "when": _one_or_many(_TEXT),
             "filter": {"anyOf": [plain, _by_topic(plain)]},
             "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by_topic({"$ref": "#/$defs/see"})]},
-            "limit": _object({"rate": {"type": "number", "exclusiveMinimum": 0}}, "rate"),
+            "limit": _LIMIT,
             "on_stale": {"enum": ["cut", "keep"]},
             "lifetime": _DURATION,
             "renew_until": _RENEW,
@@ -127,6 +141,11 @@ def _test() -> dict[str, Any]:
         },
         "who",
     )
+
+
+def _titles() -> dict[str, Any]:
+    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
+    return {"type": "object", "additionalProperties": title}
 
 
 def schema() -> dict[str, Any]:
@@ -176,6 +195,7 @@ def schema() -> dict[str, Any]:
             "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
             "rules": {"type": "array", "items": {"$ref": "#/$defs/rule"}},
             "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
+            "title": _titles(),
         },
         "rossec", "robot", "rules",
     )  # fmt: skip

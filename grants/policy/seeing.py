@@ -42,10 +42,10 @@ def read_see(
     if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
         return dict.fromkeys(topics, _levels(mapping, mistakes))
     found: dict[str, TopicLevels] = {}
-    for key, value in mapping.entries.values():
-        topic = readers.pattern(key, f"see of rule {name}", mistakes)
-        if topic is None:
-            continue
+    what = f"see of rule {name}"
+    for topic, key, value in readers.by_name(
+        mapping, what, lambda key: readers.pattern(key, what, mistakes), mistakes
+    ):
         inner = readers.mapping(value, f"see of {topic}", mistakes)
         if topic not in topics:
             message = f"rule {name} has no subscribe right on {topic[:80]!r}"

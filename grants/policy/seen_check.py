@@ -1,6 +1,6 @@
 """Whether a field, or a word of the vocabulary, is seen as a test of a policy says. Pure.
 
-A field is tried on the compiled filters (`sight`), of a word all fields count that tell it
+A field is judged by what its filters let through (`sight`), of a word all fields count that tell it
 (`grants.vocabulary.assess`). A name that is both, such as `position`, is the word where the type
 tells it; a part of the field is written `position.x`.
 """
@@ -17,6 +17,7 @@ from grants.policy.model import Policy
 from grants.policy.sample_messages import below, leaves
 from grants.policy.sight import Sight
 from grants.vocabulary.assess import assess
+from grants.vocabulary.contents import FRAMES
 from grants.vocabulary.describe import Description
 from grants.vocabulary.words import LEVELS, DataWord
 
@@ -37,15 +38,15 @@ def seen_too_well(
         hint = f"add it to types: {{{seen.topic}: package/Type}}"
         raise PolicyRefused(f"the message type of {seen.topic} is unknown", hint)
     layout = layout_of(kind)
-    if seen.path in _WORDS:
-        description = policy.vocabulary.describe(layout, seen.topic)
-        if description.tells(DataWord(seen.path)):
-            return _word(description, verdict, seen)
+    description = policy.vocabulary.describe(layout, seen.topic)
+    if seen.path in _WORDS and description.tells(DataWord(seen.path)):
+        return _word(description, verdict, seen)
     fields = leaves(layout)
     paths = below(fields, seen.path)
     if not paths:
         raise PolicyRefused(f"no field {seen.path!r} in {kind}")
-    sight = Sight(layout, verdict)
+    frames = {each.path for each in description.fields if each.content in FRAMES}
+    sight = Sight(layout, verdict, frames)
     return next((path for path in paths if not _holds(sight, path, fields[path], seen)), "")
 
 

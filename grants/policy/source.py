@@ -127,9 +127,9 @@ class _Builder:
                 continue
             name = str(key.value)
             if name in entries:
-                first = entries[name][0].line
+                first = f"{entries[name][0].line}:{entries[name][0].column}"
                 hint = "keep one of them"
-                self._mistakes.add(key, f"duplicate key {name!r}, first in line {first}", hint)
+                self._mistakes.add(key, f"duplicate key {name!r}, first in {first}", hint)
                 continue
             entries[name] = (key, value)
         return entries

@@ -1,14 +1,18 @@
-"""Conversion of SROS2 policies (XML). What cannot be converted is reported, never guessed.
+"""Conversion of SROS2 policies (XML): kept exactly, or narrower and said, or refused.
 
 Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions`
 (design article "ROS 2 access control policies"). DTDs are refused before anything in them is
-read. SROS2 matches with fnmatch; only whole segments of `*` are supported here.
+read. SROS2 matches with fnmatch, whose `*` stands for any characters, `/` too: a last segment `*`
+is `**` here, and a `*` before it is so as well. What is allowed may become narrower or be left out,
+and is reported; what is denied is kept as wide as it is, or the policy is refused, as is one with
+parts that are not read: they may deny.
 """
 
 import io
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import ParseError
 
 from defusedxml.common import DefusedXmlException
@@ -19,6 +23,7 @@ from grants.errors import PolicyRefused
 from grants.policy.editing import NewRule, add_rules, empty, free_id
 from grants.policy.own_names import NODE, check_rule_pattern
 
+VERSION: Final = "0.2.0"
 MAX_SIZE: Final = 4 * 1024 * 1024
 MAX_PARTS: Final = 20_000
 MAX_DEPTH: Final = 16
@@ -26,6 +31,27 @@ _KINDS: Final[dict[str, tuple[str, dict[str, tuple[str, ...]]]]] = {
     "topics": ("topic", {"publish": ("publish",), "subscribe": ("subscribe",)}),
     "services": ("service", {"reply": ("provide",), "request": ("call",)}),
     "actions": ("action", {"execute": (), "call": ()}),
+}
+_READ: Final = "read: "  # begins a note about what is in the policy, unlike what is left out
+_DEFAULT: Final = "default"
+_ITEMS: Final = {child: frozenset[str]() for child, _ in _KINDS.values()}
+_ATTRIBUTES: Final[dict[str, frozenset[str]]] = {
+    "policy": frozenset({"version"}),
+    "enclaves": frozenset(),
+    "enclave": frozenset({"path"}),
+    "profiles": frozenset(),
+    "profile": frozenset({"ns", "node"}),
+    **{tag: frozenset(labels) for tag, (_, labels) in _KINDS.items()},
+    **_ITEMS,
+}
+_BELOW: Final[dict[str, frozenset[str]]] = {
+    "policy": frozenset({"enclaves"}),
+    "enclaves": frozenset({"enclave"}),
+    "enclave": frozenset({"profiles"}),
+    "profiles": frozenset({"profile"}),
+    "profile": frozenset(_KINDS),
+    **{tag: frozenset({child}) for tag, (child, _) in _KINDS.items()},
+    **_ITEMS,
 }
 # An action of ROS 1 is five topics: what the client publishes, and what the server does.
 _GOALS: Final = ("goal", "cancel")
@@ -36,27 +62,75 @@ _ROS2_ONLY: Final = ("parameter_events", "describe_parameters", "get_parameter_t
 
 
 def import_sros2(xml: str) -> tuple[str, list[str]]:
-    """A policy text, and the parts of the XML that are not in it, one line each.
+    """A policy text, and what is not as in the XML, one line each: it allows less.
 
     Raises:
-        PolicyRefused: not XML, XML with a DTD, or not an SROS2 policy.
+        PolicyRefused: not XML, XML with a DTD, not an SROS2 policy, or one that denies more than
+            can be written here.
     """
     root = _parse(xml)
-    notes: list[str] = []
+    found = _Found()
+    if root.get("version") != VERSION:
+        found.notes.append(
+            f"{_READ}the policy is of version {root.get('version', '(none)')[:20]!a}, as {VERSION}"
+        )
     rules: list[NewRule] = []
     taken: set[str] = set()
     repeated: Counter[str] = Counter()
+    _check_structure(root, xml, found)
     for profile in root.iter("profile"):
-        for rule in _profile(profile, notes):
+        for rule in _profile(profile, found):
             repeated[rule.id] += 1
             duplicate = repeated[rule.id] > 1
             name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if duplicate else rule.id)
             taken.add(name)
             rules.append(NewRule(name, rule.why, rule.who, rule.effect, rule.rights))
-    notes += [f"{item.tag} is not followed" for item in root.iter() if "include" in str(item.tag)]
+    if found.lost:
+        raise PolicyRefused(
+            f"{len(found.lost)} parts of this policy cannot be kept as they are: {found.lost[0]}",
+            "it would allow what the original denies: write these parts by hand, and remove them",
+            (*found.lost, *map(described, found.notes)),
+        )
     if not rules:
         raise PolicyRefused("no profile in this policy has rules", "is it an SROS2 policy?")
-    return add_rules(empty("imported"), rules), notes
+    return add_rules(empty("imported"), rules), found.notes
+
+
+@dataclass
+class _Found:
+    """What is not as in the XML: `notes` allow less, for `lost` the policy is refused."""
+
+    notes: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+
+def _check_structure(root: Any, xml: str, found: _Found) -> None:
+    """Note every element and attribute that is not read: it may deny something."""
+    for item in root.iter():
+        tag = str(item.tag)
+        if tag.endswith("}include"):
+            href = str(item.get("href", ""))
+            line = xml[: max(0, xml.find(href))].count("\n") + 1
+            found.lost.append(f"line {line}: the include of {href[:200]!a} is not followed")
+            continue
+        known = _ATTRIBUTES.get(tag)
+        if known is None:
+            found.lost.append(f"<{tag[:60]}> is not an element of an SROS2 policy")
+            continue
+        strange = [name for name in item.attrib if name not in known]
+        found.lost += [f"<{tag}> has an attribute {name[:60]!a}" for name in strange]
+        for child in item:
+            if (
+                isinstance(child.tag, str)
+                and child.tag in _ATTRIBUTES
+                and child.tag not in _BELOW[tag]
+            ):
+                found.lost.append(f"<{child.tag}> is not expected in <{tag}>")
+
+
+def described(line: str) -> str:
+    """A note for people."""
+    return line if line.startswith(_READ) else f"left out: {line}"
 
 
 def _parse(xml: str) -> Any:
@@ -89,42 +163,80 @@ def _bounded(xml: str) -> Any:
     return root
 
 
-def _profile(profile: Any, notes: list[str]) -> Iterator[NewRule]:
+def _profile(profile: Any, found: _Found) -> Iterator[NewRule]:
     """The rules of one node: allowed and denied rights."""
     namespace = "/" + profile.get("ns", "/").strip("/")
     node = f"{namespace.rstrip('/')}/{profile.get('node', '').strip('/')}"
+    if profile.get("node") == _DEFAULT:
+        found.lost.append(f"profile {node}: {_DEFAULT!r} is every node of its enclave")
+        return
     if not _is_pattern(node):
-        notes.append(f"profile {node}: not a node name or pattern")
+        denies = any("DENY" in group.attrib.values() for group in profile)
+        where = found.lost if denies else found.notes
+        where.append(f"profile {node}: not a node name or pattern")
         return
     rights: dict[str, dict[str, dict[str, None]]] = {"allow": {}, "deny": {}}
     for tag, (child, labels) in _KINDS.items():
         for group in profile.findall(tag):
             for attribute, names in labels.items():
-                effect = {"ALLOW": "allow", "DENY": "deny"}.get(group.get(attribute, ""))
-                if effect is None:
-                    continue
-                for item in group.findall(child):
-                    pattern = _resolve((item.text or "").strip(), namespace)
-                    _add(rights[effect], attribute, names, pattern, node, notes)
-    for effect, found in rights.items():
-        if found:
+                if attribute in group.attrib:
+                    read = _Group(node, namespace, child, attribute, names)
+                    _read_group(group, read, rights, found)
+    for effect, given in rights.items():
+        if given:
             name = f"{'sros2' if effect == 'allow' else 'sros2-deny'}{node.replace('/', '-')}"
             clean = name.replace("*", "any")[:70]
-            yield NewRule(clean, "imported from SROS2; review me", node, effect, found)
+            who = _deep(node) if effect == "deny" else node
+            yield NewRule(clean, "imported from SROS2; review me", who, effect, given)
 
 
-def _add(
-    rights: dict[str, dict[str, None]], attribute: str, labels: tuple[str, ...],
-    pattern: str, node: str, notes: list[str],
-) -> None:  # fmt: skip
-    if pattern.rsplit("/", 1)[-1] in _ROS2_ONLY:
-        notes.append(f"{node}: {pattern} exists in ROS 2 only")
+class _Group(NamedTuple):
+    """One effect of one element: of which node, about what."""
+
+    node: str
+    namespace: str
+    child: str
+    attribute: str
+    labels: tuple[str, ...]
+
+
+def _read_group(
+    group: Any, read: _Group, rights: dict[str, dict[str, dict[str, None]]], found: _Found
+) -> None:
+    where = f"{read.node}: {read.attribute}"
+    effect = {"ALLOW": "allow", "DENY": "deny"}.get(group.get(read.attribute))
+    if effect is None:
+        found.lost.append(f"{where} is {group.get(read.attribute)[:40]!a}, not ALLOW or DENY")
         return
-    if not _is_pattern(pattern):
-        notes.append(f"{node}: {attribute} {pattern} is not a pattern of whole segments")
-        return
-    for label, name in _rights(attribute, labels, pattern):
-        rights.setdefault(label, {})[name] = None
+    items = group.findall(read.child)
+    if not items:
+        found.notes.append(f"{_READ}{where} {effect.upper()} as nothing, its list is empty")
+    for item in items:
+        asked = _resolve((item.text or "").strip(), read.namespace)
+        pattern = _deep(asked)
+        if effect == "allow" and pattern.rsplit("/", 1)[-1] in _ROS2_ONLY:
+            found.notes.append(f"{read.node}: {pattern} exists in ROS 2 only")
+        elif not _is_pattern(pattern) or (effect == "deny" and not _is_kept(asked)):
+            lost = found.lost if effect == "deny" else found.notes
+            lost.append(f"{where} {asked} is not a pattern of whole segments")
+        else:
+            if pattern != asked:
+                found.notes.append(f"{_READ}{where} {asked} as {pattern}, its * crosses / in SROS2")
+            for label, name in _rights(read.attribute, read.labels, pattern):
+                rights[effect].setdefault(label, {})[name] = None
+
+
+def _deep(pattern: str) -> str:
+    """As fnmatch reads it: a segment `*` stands for one or more segments."""
+    return "/".join("**" if part == "*" else part for part in pattern.split("/"))
+
+
+def _is_kept(pattern: str) -> bool:
+    """Whether `_deep` denies all that fnmatch does: no other character of its language is there.
+
+    `/a/*` is also `/a/` for fnmatch, which is no name.
+    """
+    return not any(mark in pattern for mark in "?[]")
 
 
 def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[str, str]]:

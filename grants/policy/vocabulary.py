@@ -133,11 +133,13 @@ def read_vocabulary(
     """Read `{TYPE or TOPIC: {FIELD: WORD or CONTENT}}` and `rooms`; `types` are those of topics."""
     mapping = readers.mapping(part, "vocabulary", mistakes)
     found: dict[bool, dict[str, Fields]] = {True: {}, False: {}}
-    for key, value in mapping.entries.values() if mapping is not None else ():
+
+    def read_key(key: YamlScalar) -> str | None:
         is_topic = str(key.value).startswith(BEGINS_TOPIC)
-        name = readers.pattern(key, "topic", mistakes) if is_topic else str(key.value)
-        if name is None:
-            continue
+        return readers.pattern(key, "topic", mistakes) if is_topic else str(key.value)
+
+    for name, key, value in readers.by_name(mapping, "vocabulary", read_key, mistakes):
+        is_topic = name.startswith(BEGINS_TOPIC)
         type_name = _type_of_topic(name, key, types, mistakes) if is_topic else name
         fields = readers.mapping(value, f"vocabulary of {name}", mistakes)
         if type_name is None or fields is None or not _is_type(type_name, key, mistakes):
@@ -172,8 +174,9 @@ def _is_type(name: str, key: YamlScalar, mistakes: Mistakes) -> bool:
 def _fields(layout: Layout, mapping: YamlMapping, mistakes: Mistakes) -> Fields:
     known = describe(layout)
     fields: dict[str, Content] = {}
-    for written, (key, value) in mapping.entries.items():
-        path = written.replace("[*]", "")
+    for path, key, value in readers.by_name(
+        mapping, known.type_name, lambda key: str(key.value).replace("[*]", ""), mistakes
+    ):
         said = readers.choice(value, "word or content", SAYABLE, mistakes)
         if said is not None and _may_be_said(known, path, key, mistakes):
             fields[path] = SAYABLE[said]

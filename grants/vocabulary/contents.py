@@ -33,13 +33,20 @@ class Content(StrEnum):
     COMPRESSED_PICTURE = "compressed-picture"
     PICTURE_PART = "picture-part"  # the region of a picture that is of interest
     SAMPLES = "samples"  # of sound
-    NAME = "name"  # a text that names a device, a person, a part, a request
+    NAME = "name"  # a text that names a device, a person, a part
+    REQUEST = "request"  # a name that is made for each request, of its sender, time and number
     MARK = "mark"  # numbers that belong to one device: calibration, body
     TEMPERATURE = "temperature"  # degrees Celsius
     HUMIDITY = "humidity"  # 0 to 1
     BRIGHTNESS = "brightness"  # lux
+    # The same of a sensor that may be carried about, as on a robot.
+    AMBIENT_TEMPERATURE = "ambient-temperature"
+    AMBIENT_HUMIDITY = "ambient-humidity"
+    AMBIENT_BRIGHTNESS = "ambient-brightness"
     PRESSURE = "pressure"  # pascal
     CHARGE = "charge"  # 0 to 1
+    WEAR = "wear"  # what differs from device to device, and changes with age: cells, capacity
+    STATE = "state"  # of a device or a task: it changes with where that is and what it does
     READING = "reading"  # any other measured value or state
     TEXT = "text"  # for people: it may say anything
     TIME = "time"
@@ -92,23 +99,32 @@ MEANINGS: Final[Mapping[Content, Meaning]] = {
     Content.PICTURE_PART: Meaning(_I, frozenset({_I}), frozenset({_P, _M, _N, _H})),
     Content.SAMPLES: Meaning(_S, frozenset({_S}), frozenset({_P, _M, _N, _H})),
     Content.NAME: Meaning.of(_N),
+    Content.REQUEST: Meaning.of(_N, *_ALL),
     Content.MARK: Meaning.of(_N),
     Content.TEMPERATURE: Meaning.of(_H),
     Content.HUMIDITY: Meaning.of(_H),
     Content.BRIGHTNESS: Meaning.of(_H),
-    Content.PRESSURE: Meaning.of(_H, _P),  # 12 Pa for each metre of height
-    Content.CHARGE: Meaning.of(_H),
+    # A sensor that is carried through a home tells its rooms by their climate and lamps.
+    Content.AMBIENT_TEMPERATURE: Meaning.of(_H, _P, _M),
+    Content.AMBIENT_HUMIDITY: Meaning.of(_H, _P, _M),
+    Content.AMBIENT_BRIGHTNESS: Meaning.of(_H, _P, _M),
+    Content.PRESSURE: Meaning.of(_H, _P, _M),  # 12 Pa for each metre of height
+    Content.CHARGE: Meaning.of(_H, _P, _M),  # it rises at the dock, and falls by driving
+    Content.WEAR: Meaning.of(_H, _P, _M, _N),
+    # A current is that of the wheels, a state that of a goal, a colour that of what is where.
+    Content.STATE: Meaning.of(_H, _P, _M),
     Content.READING: Meaning.of(_H),
-    Content.TEXT: Meaning(None, _ALL - {_W}),
+    Content.TEXT: Meaning(None, _ALL),  # and since when
     Content.TIME: Meaning.of(_W, *(_ALL - {_N})),
     Content.COUNT: Meaning.of(_W, *(_ALL - {_N})),
     Content.FORMAT: Meaning(None, frozenset()),
-    Content.BARE: Meaning(None, _ALL - {_W}),
+    Content.BARE: Meaning(None, _ALL),
     Content.UNKNOWN: Meaning(None, _ALL),
 }
 
 NOT_KNOWN: Final = frozenset({Content.BARE, Content.UNKNOWN})
 TIMES: Final = frozenset({Content.TIME, Content.COUNT})
+NAMES: Final = frozenset({Content.NAME, Content.REQUEST})
 FRAMES: Final = frozenset({Content.FRAME, Content.CHILD_FRAME})
 
 

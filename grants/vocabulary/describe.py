@@ -14,6 +14,7 @@ from grants.filters.layout import Array, Layout, Struct, Type
 from grants.vocabulary.contents import (
     FRAMES,
     MEANINGS,
+    NAMES,
     NOT_KNOWN,
     TIMES,
     Content,
@@ -67,6 +68,16 @@ class Description:
         """The words that its fields have as their own, in order; `presence` is left out."""
         own = {field.meaning.own for field in self.fields if field.content not in TIMES}
         return tuple(word for word in DataWord if word in own)
+
+    @cached_property
+    def has_names(self) -> bool:
+        """Whether it has names that can become pseudonyms, those of frames apart."""
+        return any(field.content in NAMES for field in self.fields)
+
+    @cached_property
+    def is_outdoors(self) -> bool:
+        """Whether a field is in degrees on the earth, so that cells are of kilometres."""
+        return any(field.content is Content.DEGREES for field in self.fields)
 
     def carrying(self, word: DataWord) -> tuple[FieldContent, ...]:
         """The fields whose own word it is: `pose.position.x` for position."""

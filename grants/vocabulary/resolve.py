@@ -13,9 +13,9 @@ from grants.errors import FilterRefused
 from grants.filters.layout import Array, Layout, Struct, Type
 from grants.filters.operators import treatment_for
 from grants.model import FilterRule
-from grants.vocabulary.contents import FRAMES, TIMES, Content
+from grants.vocabulary.contents import FRAMES, NAMES, TIMES, Content
 from grants.vocabulary.describe import Description, FieldContent
-from grants.vocabulary.levels import CLEAR, Treatment, hiding, level_of
+from grants.vocabulary.levels import CLEAR, Level, Treatment, hiding, level_of
 from grants.vocabulary.rooms import in_rooms
 from grants.vocabulary.words import EXACT, DataWord
 
@@ -23,6 +23,7 @@ Levels = Mapping[DataWord, str]
 
 # In an array these are hidden one by one: how many there are tells nothing of the word.
 _IN_PLACE: Final = frozenset({Content.NAME, Content.MARK, Content.TEXT}) | FRAMES | TIMES
+_OF_NAMES: Final = frozenset({DataWord.IDENTITY, DataWord.PRESENCE})
 # The operators in the order of what they hide; they can be used on a message as a whole.
 _STRICTNESS: Final = ("hash", "round", "pixelate", "zero", "clear")
 _FOR_MESSAGES: Final = frozenset({"round", "clear"})
@@ -65,16 +66,23 @@ def resolve(
     }
     if not concerned:
         return Resolved()
-    treated = {field.path: _treatment(field, concerned, levels) for field in description.fields}
-    _empty_arrays(description, treated)
+    treated = {
+        field.path: _treatment(field, concerned, levels, description)
+        for field in description.fields
+    }
+    _empty_arrays(description, treated, concerned)
     _check_exact(description, treated, levels)
     rules = [rule for name, kind in layout.root.fields for rule in _fold(kind, name, treated)[1]]
     rules += _sorted_arrays(description, treated)
     if rooms is not None:
         rules = [in_rooms(layout, rule, rooms) for rule in rules]
     limits = [level_of(word, level) for word, level in concerned.items()]
+    outdoors = description.is_outdoors
     return together(
-        [Resolved(tuple(rules)), *(Resolved((), each.rate, each.slot) for each in limits)]
+        [
+            Resolved(tuple(rules)),
+            *(Resolved((), each.rate, each.slot_for(outdoors=outdoors)) for each in limits),
+        ]
     )
 
 
@@ -95,15 +103,20 @@ def _check_known(description: Description, coarse: Levels) -> None:
         )
 
 
-def _treatment(field: FieldContent, coarse: Levels, levels: Levels) -> Treatment | None:
-    """The strictest treatment of a field, or None: it is kept."""
+def _treatment(
+    field: FieldContent, coarse: Levels, levels: Levels, description: Description
+) -> Treatment | None:
+    """The strictest treatment of a field, or None: it is kept.
+
+    A time is told of identity beside names: it is the same for every receiver, so two would know
+    by it which pseudonyms are one.
+    """
+    matches = field.content in TIMES and description.has_names
     found: list[Treatment] = []
     for word, level in coarse.items():
-        if _is_told(field, word, levels):
-            hidden = hiding(field.content)
-            wanted = level_of(word, level).treatments.get(field.content, hidden)
-            if wanted is not None:
-                found.append(wanted if _fits(field, wanted) else hidden)
+        if _is_told(field, word, levels) or (matches and word is DataWord.IDENTITY):
+            wanted = treatment_at(level_of(word, level), field)
+            found += [] if wanted is None else [wanted]
     return max(found, key=_strictness, default=None)
 
 
@@ -127,9 +140,22 @@ def _strictness(treatment: Treatment) -> tuple[int, float]:
     return _STRICTNESS.index(treatment.operator), float(step)
 
 
+def treatment_at(level: Level, field: FieldContent) -> Treatment | None:
+    """What a level does to a field that tells its word; None keeps it."""
+    hidden = hiding(field.content)
+    wanted = level.treatments.get(field.content, hidden)
+    return wanted if wanted is None or _fits(field, wanted) else hidden
+
+
 def _fits(field: FieldContent, wanted: Treatment) -> bool:
-    """Whether the operator can be used here: elements of an array have no hysteresis."""
+    """Whether the operator can be used here.
+
+    Elements of an array have no hysteresis, and the place of a pseudonym in an array of names, as
+    of joints, says whose it is.
+    """
     if "hysteresis" in dict(wanted.parameters) and (field.array or isinstance(field.kind, Array)):
+        return False
+    if wanted.operator == "hash" and isinstance(field.kind, Array):
         return False
     try:
         treatment_for(FilterRule(field.path, *wanted))(field.kind)
@@ -138,12 +164,15 @@ def _fits(field: FieldContent, wanted: Treatment) -> bool:
     return True
 
 
-def _empty_arrays(description: Description, treated: dict[str, Treatment | None]) -> None:
+def _empty_arrays(
+    description: Description, treated: dict[str, Treatment | None], concerned: Levels
+) -> None:
     """An array of messages is emptied if what is hidden in it would show by its number."""
+    in_place = _IN_PLACE if concerned.keys() - _OF_NAMES else _IN_PLACE | NAMES
     emptied = {
         field.array
         for field in description.fields
-        if field.array and treated[field.path] == CLEAR and field.content not in _IN_PLACE
+        if field.array and treated[field.path] == CLEAR and field.content not in in_place
     }
     for field in description.fields:
         if field.array in emptied:
@@ -176,7 +205,7 @@ def _sorted_arrays(
     nameless = {
         field.array
         for field in description.fields
-        if field.array in kept and field.content is Content.NAME and treated[field.path]
+        if field.array in kept and field.content in NAMES and treated[field.path]
     }
     for path in sorted(nameless - {""} - description.fixed_arrays):
         yield FilterRule(path, "sort")

@@ -71,8 +71,8 @@ _GEOMETRY: Final[dict[str, Fields]] = {
 _SENSOR: Final[dict[str, Fields]] = {
     "sensor_msgs/BatteryState": fields_by(
         charge="percentage",
-        reading="voltage temperature current charge capacity power_supply_status"
-        " power_supply_health present cell_voltage cell_temperature",
+        state="voltage temperature current charge power_supply_status present",
+        wear="capacity power_supply_health cell_voltage cell_temperature",
         mark="design_capacity power_supply_technology",
         name="location serial_number",
     ),
@@ -82,8 +82,8 @@ _SENSOR: Final[dict[str, Fields]] = {
     ),
     "sensor_msgs/ChannelFloat32": fields_by(format="name", distance="values"),
     "sensor_msgs/CompressedImage": fields_by(format="format", compressed_picture="data"),
-    "sensor_msgs/FluidPressure": fields_by(pressure="fluid_pressure", reading="variance"),
-    "sensor_msgs/Illuminance": fields_by(brightness="illuminance", reading="variance"),
+    "sensor_msgs/FluidPressure": fields_by(pressure="fluid_pressure", state="variance"),
+    "sensor_msgs/Illuminance": fields_by(ambient_brightness="illuminance", state="variance"),
     "sensor_msgs/Image": fields_by(
         format="height width encoding is_bigendian step", picture="data"
     ),
@@ -122,8 +122,10 @@ _SENSOR: Final[dict[str, Fields]] = {
     "sensor_msgs/RegionOfInterest": fields_by(
         picture_part="x_offset y_offset height width do_rectify"
     ),
-    "sensor_msgs/RelativeHumidity": fields_by(humidity="relative_humidity", reading="variance"),
-    "sensor_msgs/Temperature": fields_by(temperature="temperature", reading="variance"),
+    "sensor_msgs/RelativeHumidity": fields_by(
+        ambient_humidity="relative_humidity", state="variance"
+    ),
+    "sensor_msgs/Temperature": fields_by(ambient_temperature="temperature", state="variance"),
     "sensor_msgs/TimeReference": fields_by(time="time_ref", name="source"),
 }  # fmt: skip
 _NAV: Final[dict[str, Fields]] = {
@@ -142,19 +144,19 @@ _NAV: Final[dict[str, Fields]] = {
 }
 _FURTHER: Final[dict[str, Fields]] = {
     "tf2_msgs/TFMessage": {},
-    "tf2_msgs/TF2Error": fields_by(format="error", text="error_string"),
+    "tf2_msgs/TF2Error": fields_by(state="error", text="error_string"),
     "tf/tfMessage": {},
     "stereo_msgs/DisparityImage": fields_by(
-        distance="image min_disparity max_disparity", mark="f T", format="delta_d",
+        distance="image.data min_disparity max_disparity", mark="f T", format="delta_d",
         picture_part="valid_window",
     ),
     "diagnostic_msgs/DiagnosticArray": {},
     "diagnostic_msgs/DiagnosticStatus": fields_by(
-        reading="level", name="name hardware_id", text="message values"
+        state="level", name="name hardware_id", text="message values"
     ),
     "diagnostic_msgs/KeyValue": fields_by(text="key value"),
-    "actionlib_msgs/GoalID": fields_by(time="stamp", name="id"),
-    "actionlib_msgs/GoalStatus": fields_by(reading="status", text="text"),
+    "actionlib_msgs/GoalID": fields_by(time="stamp", request="id"),
+    "actionlib_msgs/GoalStatus": fields_by(state="status", text="text"),
     "actionlib_msgs/GoalStatusArray": {},
     "trajectory_msgs/JointTrajectory": fields_by(name="joint_names"),
     "trajectory_msgs/JointTrajectoryPoint": fields_by(
@@ -167,8 +169,9 @@ _FURTHER: Final[dict[str, Fields]] = {
     "shape_msgs/Plane": fields_by(map="coef"),
     "shape_msgs/SolidPrimitive": fields_by(mark="type dimensions"),
     "visualization_msgs/Marker": fields_by(
-        name="ns id", format="type action lifetime frame_locked mesh_use_embedded_materials",
-        coordinate="points scale", reading="color colors", text="text mesh_resource",
+        name="ns id", format="frame_locked mesh_use_embedded_materials",
+        coordinate="points scale", state="type action lifetime color colors",
+        text="text mesh_resource",
     ),
     "visualization_msgs/MarkerArray": {},
     "audio_common_msgs/AudioData": fields_by(samples="data"),

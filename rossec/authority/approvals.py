@@ -1,19 +1,22 @@
 """The approval queue: grant requests are decided by the policy, or by a person.
 
-Only `sign` needs the authority's key. A request that nobody answers in time is denied, as are those
-of a node that has too many pending. Two people may use the queue at the same time: an answer is
-recorded together with the grants it gives, or not at all.
+Only `sign` needs the authority's key. A request that nobody answers in time is not shown any more,
+and denied for good only when its node has sent many after it: a clock may be ahead for one look.
+Those of a node that has too many pending are denied. Two people may use the queue at the same time:
+an answer is recorded together with the grants it gives, or not at all.
 """
 
+import contextlib
 import secrets
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.errors import HintedError, RecordUnusable
+from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.filters.compile import compile_filter
 from grants.filters.presets import PRESETS, preset
 from grants.model import Draft, Restriction
@@ -23,6 +26,7 @@ from grants.policy.model import Effect, Policy, Subject
 from grants.policy.wanted import rule_ids
 from grants.request import GrantRequest, open_request, peek_request
 from rossec.authority import requests
+from rossec.authority.grantable import OF_ALL
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
@@ -31,6 +35,7 @@ from rossec.clock import seconds_left_today
 from rossec.errors import ConfigurationError
 
 MAX_PENDING: Final = 16  # prompts that one node may have pending
+MAX_LATE: Final = 64  # of one node that are kept although nobody answered in time
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
 
 VerdictChange = Callable[[Verdict], Verdict]
@@ -49,10 +54,17 @@ class PendingApproval:
         return self.verdict.effect is Effect.ALLOW
 
 
+class Denial(NamedTuple):
+    """A requested right that was denied without a person, and why."""
+
+    stored: StoredRequest
+    reason: str
+
+
 class ApprovalQueue:
     """The pending grant requests at `now`, decided by `policy`.
 
-    `denied_automatically` counts the denials of the last call of `pending`.
+    `denied` are those that the last call of `pending` left out, each with the reason.
     """
 
     def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
@@ -62,7 +74,7 @@ class ApprovalQueue:
         self._now = now
         self._store = home.store()
         self._requests = GrantRequestStore(self._store.database)
-        self.denied_automatically = 0
+        self.denied = list[Denial]()
 
     def close(self) -> None:
         """Close the record."""
@@ -109,22 +121,29 @@ class ApprovalQueue:
 
     def _pending(self) -> list[PendingApproval]:
         approvals: list[PendingApproval] = []
+        self.denied = []
         waiting: dict[str, int] = {}
         unanswered = self._requests.unanswered()
+        counts = Counter(stored.request.node for stored in unanswered)
         for stored in unanswered:
             try:
                 verdict = self._verdict(stored)
-            except HintedError as error:  # its identity has expired since
-                self._requests.answer(stored, DENIED, str(error), self._now)
+            except HintedError as error:
+                # Its identity may only have expired, by a clock that is ahead.
+                if not self._had_identity(stored) or self._is_for_good(stored, counts):
+                    self._requests.answer(stored, DENIED, str(error), self._now)
+                self.denied.append(Denial(stored, str(error)))
                 continue
             if verdict.effect is Effect.DENY:
                 self._requests.answer(stored, DENIED, _denial_reason(verdict), self._now)
+                self.denied.append(Denial(stored, _why(verdict)))
                 continue
             if verdict.effect is Effect.PROMPT and (why := self._automatic_denial(stored, waiting)):
-                self._requests.answer(stored, DENIED, why, self._now)
+                if why != LATE or self._is_for_good(stored, counts):
+                    self._requests.answer(stored, DENIED, why, self._now)
+                self.denied.append(Denial(stored, why))
                 continue
             approvals.append(PendingApproval(stored, verdict))
-        self.denied_automatically = len(unanswered) - len(approvals)
         return approvals
 
     def chosen(self, beginning: str) -> list[PendingApproval]:
@@ -172,6 +191,40 @@ class ApprovalQueue:
             signed = authority.issue_grants(made, self._now)
         return [(draft, data) for (draft, _), data in zip(made, signed, strict=True)]
 
+    def sign_each(
+        self, authority: SigningAuthority, approvals: Iterable[PendingApproval], reason: str
+    ) -> tuple[list[tuple[Draft, bytes]], list[Denial]]:
+        """Sign what the policy allows; what cannot be in a grant is denied alone, and returned.
+
+        All together if that is possible, else each request alone, and of one each right.
+
+        Raises:
+            ConfigurationError: the policy was changed meanwhile.
+            HintedError: nothing can be signed at all.
+        """
+        chosen = list(approvals)
+        try:
+            return self.sign(authority, chosen, lambda verdict: verdict, reason), []
+        except OF_ALL:
+            raise
+        except HintedError as error:
+            self._policy.check_unchanged()
+            if len(chosen) == 1:
+                return [], [self._refuse(chosen[0], error)]
+        signed, refused = list[tuple[Draft, bytes]](), list[Denial]()
+        for part in _parts(chosen):
+            found, left = self.sign_each(authority, part, reason)
+            signed += found
+            refused += left
+        return signed, refused
+
+    def _refuse(self, approval: PendingApproval, why: HintedError) -> Denial:
+        """Deny what cannot be granted; it may have been answered meanwhile."""
+        denial = Denial(approval.stored, f"it cannot be granted: {why}")
+        with contextlib.suppress(StoreError):
+            self.deny(approval, denial.reason)
+        return denial
+
     def drafts(
         self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
     ) -> list[tuple[Draft, str]]:
@@ -201,12 +254,32 @@ class ApprovalQueue:
         subject = Subject(row.name, row.thumbprint, row.wildcard)
         return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
+    def _had_identity(self, stored: StoredRequest) -> bool:
+        """Whether its node has a key that is not revoked, and was valid when it asked."""
+        return bool(self._store.identities.valid(stored.request.node, stored.at))
+
+    def _is_for_good(self, stored: StoredRequest, counts: Counter[str]) -> bool:
+        """Whether to record what only the clock says; else it comes back when that is set right.
+
+        `counts`: what has no answer yet, by node; oldest first, so the newest stay.
+        """
+        counts[stored.request.node] -= 1
+        return counts[stored.request.node] >= MAX_LATE
+
     def _automatic_denial(self, stored: StoredRequest, waiting: dict[str, int]) -> str:
         if self._now > stored.at + self._decider.policy.defaults.prompt_timeout:
             return LATE
         node = stored.request.node
         waiting[node] = waiting.get(node, 0) + 1
         return TOO_MANY if waiting[node] > MAX_PENDING else ""
+
+
+def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
+    """The rights of several requests by request, those of one request one by one."""
+    by_request: dict[bytes, list[PendingApproval]] = {}
+    for item in approvals:
+        by_request.setdefault(item.stored.request.id, []).append(item)
+    return [*by_request.values()] if len(by_request) > 1 else [[item] for item in approvals]
 
 
 def verdict_change(
@@ -244,3 +317,10 @@ def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
 
 def _denial_reason(verdict: Verdict) -> str:
     return f"rule {verdict.rules[0].id}" if verdict.rules else "by default"
+
+
+def _why(verdict: Verdict) -> str:
+    """As `_denial_reason`, for who reads it now."""
+    if verdict.rules:
+        return f"by {verdict.rules[0].reason}"
+    return "no rule gives it, and where none does the policy denies (defaults: decision)"

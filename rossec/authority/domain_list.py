@@ -45,8 +45,10 @@ def is_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
         return now - held.issued > REFRESH or said != (domains, required_masters(store, now))
 
 
-def sign(authority: Authority, store: Store, now: int, *, new_epoch: bool = False) -> DomainList:
-    """Sign and record a list with the next number; `new_epoch`: as for a revocation list.
+def sign(
+    authority: Authority, store: Store, now: int, *, new_epoch: bool = False, above: int = 0
+) -> DomainList:
+    """Sign and record a list with the next number; `new_epoch`, `above`: as for a revocation list.
 
     Raises:
         DomainsRefused: there are too many domains or masters, or their terms are too long.
@@ -54,7 +56,7 @@ def sign(authority: Authority, store: Store, now: int, *, new_epoch: bool = Fals
     with store.transaction():
         epoch, seq = store.domains.next_number()
         if new_epoch:
-            epoch, seq = max(epoch + 1, now), 1
+            epoch, seq = max(epoch + 1, above + 1, now), 1
         listed = DomainList(
             epoch, seq, now, now + LIFETIME,
             required_domains(store, now), required_masters(store, now),

@@ -1,11 +1,25 @@
 """What an authority grants at all: rights on names of its own domain, and tails to who has them."""
 
 from collections.abc import Iterable
+from typing import Final
 
 from ca.domains.aliases import is_alias, shown
+from ca.errors import PassphraseRefused, RecordUnusable, TokenRefused
 from ca.store.rows import CertificateRow
 from grants.model import Draft, Permission, Right
-from rossec.errors import ConfigurationError
+from rossec.errors import (
+    AuthorityLocked,
+    ConfigurationError,
+    KeyServiceFailed,
+    KeyServiceRefused,
+    SigningRefused,
+)
+
+OF_ALL: Final = (
+    AuthorityLocked, KeyServiceFailed, KeyServiceRefused, PassphraseRefused, RecordUnusable,
+    SigningRefused, TokenRefused,
+)  # fmt: skip
+"""Refusals that are about the key or the record, and so of every grant."""
 
 
 def check_own_names(permissions: Iterable[Permission]) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import secrets
 import shutil
+from collections.abc import Collection
 from pathlib import Path
 from typing import Final, Self
 
@@ -18,16 +19,27 @@ from ca.keys.signer import KeySigner, Signer
 from ca.names import check_domain
 from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
 from ca.store.record import Store
-from rossec import files
-from rossec.authority import list_contents
+from rossec import files, home_hints
+from rossec.authority import list_contents, token_modules
 from rossec.authority.signing import OWN_NODE, SigningAuthority, delegations
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
+NODE: Final = "node"  # the identity `/ca`
+RECORD: Final = "ca.db"
 ENTRIES: Final = "revocations.entries"  # of a tree, next to the statement in a master's home
 AUDIT_FILE: Final = "audit.log"  # of its service
 KEY_URI: Final = "ca.uri"  # names the key, if it is in a token
+OWNED: Final = (
+    files.Owned(r"ca\.(?:key|uri)"),
+    files.Owned(r"ca\.pem", public=True),
+    files.Owned(r"ca\.db"),  # as a snapshot
+    files.Owned(r"ca\.db-(?:wal|shm|journal)", kept=False),
+    files.Owned(r"revocations\.entries"),  # an older version had those of a tree outside the record
+    files.Owned(r"audit\.log[^/]{0,120}", kept=False),  # of one host, and larger than a backup
+)
 _MAX_URI: Final = 4096
+DELIVERED: Final = "delivered"  # in the log: a delegation that its master has
 _SIZE_LIMIT: Final = 256 * 1024
 OWN_LIFETIME: Final = 366 * 86400
 
@@ -48,7 +60,7 @@ class AuthorityHome:
         path = home / "ca"
         if not (path / "ca.pem").exists():
             raise ConfigurationError(
-                f"there is no authority in {home}", "next: rossec ca init DOMAIN"
+                f"there is no authority in {home}", home_hints.missing_authority(home)
             )
         return cls(path)
 
@@ -82,6 +94,8 @@ class AuthorityHome:
         path = cls.check_new(home)
         check_domain(domain)
         key = key_files.generate()
+        if uri is not None:
+            token_modules.check_absolute(uri.module)
         signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
         root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
         # In a temporary directory: an interrupted creation leaves nothing at `path`.
@@ -92,6 +106,7 @@ class AuthorityHome:
                 key_files.write_private(staging / "ca.key", key, passphrase)
             else:
                 files.create(staging / KEY_URI, f"{uri}\n".encode())
+                token_modules.trust(home, uri.module)
             files.commit_directory(staging, path)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
@@ -111,11 +126,11 @@ class AuthorityHome:
 
     def store(self) -> Store:
         """Its record."""
-        return Store.open(self.path / "ca.db")
+        return Store.open(self.path / RECORD)
 
     def node(self) -> NodeHome:
         """The node whose identity its tools use to call the master."""
-        return NodeHome(self.path / "node", OWN_NODE)
+        return NodeHome(self.path / NODE, OWN_NODE)
 
     def unlock(self, passphrase: str) -> SigningAuthority:
         """Load the key.
@@ -134,17 +149,42 @@ class AuthorityHome:
         authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
-    def load_key(self, secret: str) -> Signer:
+    def load_key(self, secret: str, modules: Collection[str] | None = None) -> Signer:
         """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
 
+        `modules`: those of PKCS#11 that the operator named; by default those named for the home.
+
         Raises:
-            PassphraseRefused, TokenRefused: it is wrong, or there is no such token.
+            PassphraseRefused, TokenRefused: it is wrong, there is no such token, or the operator
+                did not name its module (`token_modules`).
+        """
+        uri = self.key_uri()
+        if uri is None:
+            return KeySigner(key_files.load_private(self.path / "ca.key", secret))
+        home = self.path.parent
+        known = self._modules(uri) if modules is None else modules
+        return TokenSigner.open(token_modules.require(uri, known, home), secret)
+
+    def key_uri(self) -> KeyUri | None:
+        """Where the key is, if it is in a token.
+
+        Raises:
+            TokenRefused: the file names none.
         """
         path = self.path / KEY_URI
         if not path.exists():
-            return KeySigner(key_files.load_private(self.path / "ca.key", secret))
+            return None
         data = files.read_own(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}"))
-        return TokenSigner.open(KeyUri.parse(data.decode(errors="replace").strip()), secret)
+        return KeyUri.parse(data.decode(errors="replace").strip())
+
+    def _modules(self, uri: KeyUri) -> Collection[str]:
+        home = self.path.parent
+        if not token_modules.exists(home):
+            with contextlib.closing(self.store()) as store:
+                is_restored = store.log.last_restore() >= 0
+            if not is_restored:  # an older version made it here
+                token_modules.trust(home, uri.module)
+        return token_modules.trusted(home)
 
     @property
     def is_intermediate(self) -> bool:
@@ -204,14 +244,28 @@ class AuthorityHome:
             data = store.domains.newest_list()
         return (data, open_domains(data, self.anchor())) if data else None
 
-    def has_delegated(self, now: int) -> bool:
-        """Whether the master can renew grants at `now`, by a delegation of this authority."""
+    def renewed_until(self, now: int) -> int:
+        """Until when grants are renewed whichever master their nodes ask, seconds; 0: they are not.
+
+        Each valid master needs a delegation to its present key that it has confirmed to have: what
+        was only signed, or is another master's, renews nothing.
+        """
         given = [item for item in delegations(self.path, self.own_key()) if now < item.expires]
         if not given:
-            return False
+            return 0
         with contextlib.closing(self.store()) as store:
-            revoked = store.revoked_entries()
-        return any(revoked.isdisjoint((item.id, item.holder)) for item in given)
+            revoked, confirmed = store.revoked_entries(), store.log.subjects(DELIVERED)
+            keys = {row.name: row.thumbprint for row in store.identities.valid_masters(now)}
+        until: dict[bytes, int] = {}
+        for item in given:
+            if item.id not in revoked and item.id.hex() in confirmed:
+                until[item.holder] = max(until.get(item.holder, 0), item.expires)
+        return min((until.get(key, 0) for key in keys.values()), default=0)
+
+    def confirm_delegation(self, delegation: bytes, now: int) -> None:
+        """Record that the master has the delegation with this id: it answered so."""
+        with contextlib.closing(self.store()) as store:
+            store.log_event(DELIVERED, delegation.hex(), "the master has the delegation", now)
 
     def count_unlisted(self, now: int) -> int:
         """The number of recorded revocations that are not in the signed list."""
@@ -223,10 +277,10 @@ class AuthorityHome:
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
     """Create everything of a new authority except its key."""
     files.make_private_directory(path)
-    with contextlib.closing(Store.create(path / "ca.db")) as store:
+    with contextlib.closing(Store.create(path / RECORD)) as store:
         unlocked = SigningAuthority(Authority(signer, root), store, path)
         unlocked.sign_list(now)
-        own = NodeHome(path / "node", OWN_NODE)
+        own = NodeHome(path / NODE, OWN_NODE)
         own.create_request(unlocked.domain)
         own.install(unlocked.issue(own.request(), now, OWN_LIFETIME), now)
     files.create(path / "ca.pem", to_pem(root), 0o644)

@@ -18,6 +18,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.errors import ConfigurationError
 
 REQUEST: Final = "intermediate.csr"
+OWNED: Final = (files.Owned(r"intermediate\.csr"), files.Owned(r"intermediate\.pem", public=True))
 
 
 def begin(home: Path, domain: str, passphrase: str) -> Path:
@@ -30,7 +31,9 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
     path = home / "ca"
     if (path / "ca.pem").exists():
         raise ConfigurationError(
-            f"there is an authority in {path}", "an intermediate needs a ROSSEC_HOME of its own"
+            f"there is an authority in {path}, whose service renews identities: rossec ca serve",
+            "for an intermediate on another host, there: ROSSEC_HOME=~/intermediate rossec ca"
+            f" intermediate request {domain}",
         )
     files.make_private_directory(path)
     key = key_files.generate()

@@ -137,7 +137,7 @@ def end(store: Store, invitation: InvitationStatus, reason: str, now: int) -> in
     """
     with store.transaction():
         store.invitations.end(invitation.row.id, reason, now)
-        waiting = [row for row in store.requests.open() if row.source == source(invitation.row)]
+        waiting = [row for row in store.requests.open(now) if row.source == source(invitation.row)]
         for row in waiting:
             store.requests.deny(row.digest, now, f"its invitation was ended: {reason}")
     return len(waiting)

@@ -3,7 +3,9 @@
 The proof is verified first, over hashes: a stranger's request is not parsed. Then one transaction
 decides by the record and changes it: a use is taken, the request approved and its identity recorded
 together, or nothing is. The same request gets the same answer. A name that was certified for
-another key before is not new: it waits for a person, like every request of `rossec ca requests`.
+another key before is not new: it waits for a person, like every request of `rossec ca requests`; so
+does one that shares names with such a one through a wildcard tail, and at an intermediate every
+name that it has not certified itself, as the root's record is elsewhere.
 """
 
 from typing import Final
@@ -30,13 +32,13 @@ from ca.errors import (
     StoreError,
     TooManyRequests,
 )
+from ca.names import covers as names_cover
 from ca.names import is_reserved
 from ca.patterns import covers
 from ca.requests import IdentityRequest, check_request
 from ca.store.invitations import InvitationRow, InvitationUse
 from ca.store.lifecycle import RequestRow, RequestState
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
 from rossec.authority.signing import SigningAuthority
 
 MAX_WAITING: Final = 16  # requests of one invitation that wait for a person
@@ -108,6 +110,15 @@ def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> s
     return invitation.pattern
 
 
+def is_proved(store: Store, asked: JoinClaim | JoinRequest) -> bool:
+    """Whether it was made with the secret of an invitation: what is cheap to know of a stranger.
+
+    Raises:
+        RecordUnusable: the record cannot be used now.
+    """
+    return _proved(store, asked) is not None
+
+
 def source(invitation: InvitationRow) -> str:
     """Where the requests of an invitation come from, for the approver."""
     return f"invitation {invitation.id.hex()[:8]}"
@@ -153,9 +164,9 @@ def _decide(
     if store.identities.issued_for(asked.digest) is None:
         if row is not None and row.state is not RequestState.APPROVED:
             return _repeated(row)
-        if row is None and _needs_person(store, asked):
+        if row is None and _needs_person(authority, asked, now):
             store.invitations.check_open(invitation.id, now)
-            if sum(each.source == origin for each in store.requests.open()) >= MAX_WAITING:
+            if sum(each.source == origin for each in store.requests.open(now)) >= MAX_WAITING:
                 return Refused(RefuseReason.BUSY)
             return _repeated(store.requests.add(asked, csr, origin, now))
         if row is None:
@@ -173,11 +184,28 @@ def _repeated(row: RequestRow) -> JoinAnswer:
     return Refused(RefuseReason.DENIED)
 
 
-def _needs_person(store: Store, asked: IdentityRequest) -> bool:
-    """Whether another key had the name, also if that has expired or was revoked, or asks for it."""
-    rows: list[CertificateRow | RequestRow] = [*store.identities.by_name(asked.name)]
-    rows += store.requests.open()
-    return any(row.name == asked.name and row.thumbprint != asked.thumbprint for row in rows)
+def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int) -> bool:
+    """Whether another key had one of the names, or may have had it, or asks for it.
+
+    Raises:
+        NameCovered: another key has one of the names now, through a wildcard tail.
+    """
+    store, name, key = authority.store, asked.name, asked.thumbprint
+
+    def shared(other: str) -> bool:
+        return names_cover(name, other, wildcard=asked.wildcard)
+
+    store.identities.check_names(name, key, now, shared)
+    if not authority.authority.is_root:  # the root's record is elsewhere
+        known = store.identities.by_name(name)
+        if all(row.thumbprint != key for row in known):
+            return True
+    waiting = (
+        shared(row.name) or names_cover(row.name, name, wildcard=row.wildcard)
+        for row in store.requests.open(now)
+        if row.thumbprint != key
+    )
+    return any(waiting) or bool(store.identities.ever_shared(name, key, shared))
 
 
 def _reason(error: CAError) -> RefuseReason:

@@ -11,15 +11,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from ca.errors import HintedError
+from grants.basics import lasting_name
 from grants.model import Draft, Grant
+from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
 from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SKEW, SigningAuthority
-from rossec.errors import NotDelivered
+from rossec.errors import NotDelivered, PolicyIncomplete
 from rossec.home import NodeHome
 
 if TYPE_CHECKING:
-    from rossec.authority.approvals import ApprovalQueue, PendingApproval, VerdictChange
-    from rossec.authority.grant_delivery import RefusedDeposit
+    from rossec.authority.approvals import (
+        ApprovalQueue,
+        Denial,
+        PendingApproval,
+        VerdictChange,
+    )
     from rossec.authority.opt_out import OptOut
     from rossec.authority.policy_plan import PolicyPlan
     from rossec.authority.policyfile import PolicyFile
@@ -28,12 +34,12 @@ SignedGrant = tuple[Draft, bytes]
 
 
 class Decided(NamedTuple):
-    """The grants signed, and how many rights are allowed, wait for a person, and are denied."""
+    """The grants signed, how many rights are allowed and wait for a person, and what is denied."""
 
     grants: list[SignedGrant]
     allowed: int
     waiting: int
-    denied: int
+    denied: "list[Denial]"
 
 
 class PolicyOperations(ABC):
@@ -59,8 +65,12 @@ class PolicyOperations(ABC):
         """Deliver the newest list to the master."""
 
     @abstractmethod
-    def deposit(self, grants: Iterable[bytes]) -> "list[RefusedDeposit]":
+    def deposit(self, grants: Iterable[bytes]) -> list[RefusedDeposit]:
         """Deliver grants to their nodes, by the master."""
+
+    @abstractmethod
+    def try_to_store(self, data: bytes) -> "RefusedDeposit | None":
+        """Store a grant where its node is in this home."""
 
     @abstractmethod
     def deposit_missing(self) -> "tuple[int, list[RefusedDeposit]]":
@@ -83,17 +93,20 @@ class PolicyOperations(ABC):
     def decide_grants(self, policy: "PolicyFile") -> Decided:
         """Sign the collected requests that the policy allows; without any, no key is needed.
 
+        One that no grant can have is denied, and keeps no other from its answer.
+
         Raises:
             PolicyRefused: it allows one, and a test of the policy does not hold.
         """
         with self._queue(policy) as queue:
-            pending, grants = queue.pending(), []
+            pending, grants, refused = queue.pending(), list[SignedGrant](), list["Denial"]()
             allowed = [item for item in pending if item.is_allowed]
             if allowed:
                 policy.require_tests()
-                grants = queue.sign(self.unlock(), allowed, lambda verdict: verdict, "policy")
+                grants, refused = queue.sign_each(self.unlock(), allowed, "policy")
             waiting = len(pending) - len(allowed)
-            return Decided(grants, len(allowed), waiting, queue.denied_automatically)
+            denied = [*queue.denied, *refused]
+            return Decided(grants, len(allowed) - len(refused), waiting, denied)
 
     def approve_grants(
         self, policy: "PolicyFile", beginning: str, change: "VerdictChange"
@@ -112,11 +125,17 @@ class PolicyOperations(ABC):
             return chosen
 
     def opt_out(self, policy: "PolicyFile", name: str, *, is_node: bool = False) -> "OptOut":
-        """Deny the topic `name` in the policy, or all topics to the node of that name."""
+        """Deny the topic `name` in the policy, or all topics to the node of that name.
+
+        An anonymous node is denied with all others of its identity: a rule tells them not apart.
+        """
         from rossec.authority.opt_out import add_denial  # noqa: PLC0415 - see above
 
         with contextlib.closing(self.home.store()) as store:
             known = name in {row.name for row in store.identities.all()}
+            certified = store.identities.certified_name(name, self._now())
+        if certified != name and (is_node or lasting_name(name) != name):
+            name, is_node = certified, True
         self.unlock()
         return add_denial(policy, name, self._now(), is_node=is_node or known)
 
@@ -142,8 +161,8 @@ class PolicyOperations(ABC):
         """What applying `policy` would change, for the nodes `names` or for all; needs no key.
 
         Raises:
-            RevocationRefused, PolicyRefused: as `policy_plan.make_plan`; a test of the policy does
-                not hold.
+            RevocationRefused: as `policy_plan.make_plan`.
+            PolicyRefused: a test of the policy does not hold.
         """
         from grants.policy.difference import Moment  # noqa: PLC0415 - see above
         from rossec.authority.policy_plan import PlanOptions, make_plan  # noqa: PLC0415 - see above
@@ -151,7 +170,10 @@ class PolicyOperations(ABC):
         policy.require_tests()
         with contextlib.closing(self.home.store()) as store:
             at = self._now()
-            moment = Moment(at, SKEW, renews=self.home.has_delegated(at), renew_due=renew_due)
+            until = self.home.renewed_until(at)
+            moment = Moment(
+                at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None
+            )
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
     def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
@@ -171,8 +193,10 @@ class PolicyOperations(ABC):
         policy = policyfile.read_policy(self.rossec_home, place, signs=True)
         policy.require_tests()
         at = self._now()
-        renews = self.home.has_delegated(at)
-        return policy_apply.grant_outright(self.unlock(), policy, names, at, renews=renews)
+        until = self.home.renewed_until(at)
+        return policy_apply.grant_outright(
+            self.unlock(), policy, names, at, renewed_until=until or None
+        )
 
     def apply_policy(
         self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None
@@ -184,43 +208,63 @@ class PolicyOperations(ABC):
         Raises:
             ConfigurationError, StoreError: as `policy_apply.sign_planned`; nothing was done.
             NotDelivered: all is signed and recorded, but the master did not take all of it.
+            PolicyIncomplete: all is done but what is refused for some nodes, each reported.
         """
         from rossec.authority import policy_apply  # noqa: PLC0415 - see above
 
-        signed = policy_apply.sign_planned(self.unlock(), plan, self._now())
+        authority, failed = self.unlock(), list[HintedError | OSError]()
+        listed, left = policy_apply.take_away(authority, plan, self._now())
+        if listed is not None:
+            report(f"revoked: {len(plan.taken)} (list {listed.seq})")
+            self._publish_new(report, failed)
+        signed, left = policy_apply.sign_each(authority, left, self._now())
         if signed:
             report(f"signed: {len(signed)}")
-        failed, refused = self._deliver_new(signed, plan)
-        listed = policy_apply.revoke_planned(self.unlock(), plan, self._now())
+        refused = self._deliver_new(signed, left, failed)
+        listed = policy_apply.revoke_planned(authority, left, self._now())
         if listed is not None:
-            report(f"revoked: {len(plan.revoke)} (list {listed.seq})")
-            self.publish()
-            report("the master has the new list")
-            if refused:  # there may be room for them now
-                refused = self.deposit_missing()[1]
+            report(f"revoked: {len(left.revoke)} (list {listed.seq})")
+            self._publish_new(report, failed)
+        if refused and plan.revoke and not failed:  # there may be room for them now
+            refused = self.deposit_missing()[1]
         for each in refused:
-            report(f"the master refuses a grant of {each.node}: {each.reason}")
-        if failed is not None:
-            raise failed
+            report(each.say("a grant"))
+        for reason in left.refused:
+            report(f"not granted: {reason}")
+        if failed:
+            raise failed[-1]
+        require_delivered(refused)
+        require_complete(left)
         return signed
+
+    def _publish_new(
+        self, report: Callable[[str], None], failed: list[HintedError | OSError]
+    ) -> None:
+        """Deliver the list; a failure is kept, since what comes after it does not need it."""
+        try:
+            self.publish()
+        except (HintedError, OSError) as error:
+            failed.append(error)
+        else:
+            report("the master has the new list")
 
     def complete_policy(self) -> None:
         """Deliver what an interrupted `apply_policy` may have left: grants, and revocations.
 
         Raises:
-            NotDelivered: the master is out of reach.
+            NotDelivered: the master is out of reach, or refuses some of them.
         """
         with contextlib.closing(self.home.store()) as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
-        if ours:
-            self._deposit_all()
+        refused = self._deposit_all() if ours else []
         if not revoked.isdisjoint(ours):
             self.publish()
+        require_delivered(refused)
 
     def _deliver_new(
-        self, signed: list[SignedGrant], plan: "PolicyPlan"
-    ) -> "tuple[HintedError | OSError | None, list[RefusedDeposit]]":
-        """Deliver new grants; returns the failure, and those that the master refuses.
+        self, signed: list[SignedGrant], plan: "PolicyPlan", failed: list[HintedError | OSError]
+    ) -> list[RefusedDeposit]:
+        """Deliver new grants; returns those that the master refuses, and keeps a failure.
 
         What is not allowed is revoked all the same.
 
@@ -229,21 +273,39 @@ class PolicyOperations(ABC):
         """
         try:
             if plan.revoke:
-                return None, self._deposit_all()
-            return None, self.deposit(data for _, data in signed)
+                return self._deposit_all()
+            return self.deposit(data for _, data in signed)
         except NotDelivered as error:
             homes = (NodeHome.of(self.rossec_home, draft.subject) for draft, _ in signed)
-            return None if all(home.path.is_dir() for home in homes) else error, []
+            if not all(home.path.is_dir() for home in homes):
+                failed.append(error)
         except (HintedError, OSError) as error:  # a full disk, or an expired identity of /ca
-            return error, []
+            failed.append(error)
+        return []
 
-    def _deposit_all(self) -> "list[RefusedDeposit]":
+    def _deposit_all(self) -> list[RefusedDeposit]:
         """Deliver every grant that its node or the master lacks; returns the refused ones."""
         with contextlib.closing(self.home.store()) as store:
             rules, rows = store.policy_grants(), store.unrevoked_grants()
+        refused = []
         for row in rows:
             home = NodeHome.of(self.rossec_home, row.name)
             lacks = home.path.is_dir() and not home.grant_file(row.id).exists()
             if lacks and row.id in rules and self._now() < row.expires:
-                home.add_grant(row.id, row.data)
-        return self.deposit_missing()[1]
+                refused.append(self.try_to_store(row.data))
+        return [each for each in refused if each is not None] + self.deposit_missing()[1]
+
+
+def require_complete(plan: "PolicyPlan") -> None:
+    """Return if all that the policy allows can be in grants.
+
+    Raises:
+        PolicyIncomplete: some of it cannot.
+    """
+    if plan.refused:
+        more = len(plan.refused) - 1
+        rest = f" (and {more} more)" if more else ""
+        raise PolicyIncomplete(
+            f"in force, except: {plan.refused[0]}{rest}",
+            "write fewer or narrower rules for this node; all others have what the policy says",
+        )

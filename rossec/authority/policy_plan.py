@@ -5,7 +5,7 @@ The wanted state is that of the nodes with a valid identity; `/ca` and `/master`
 identity and get none. The grants of other keys only lose what the policy no longer allows.
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import Final
@@ -88,6 +88,25 @@ class PolicyPlan:
         return (*gone, *(grant for grant, _ in self.pruned))
 
     @property
+    def refused(self) -> tuple[str, ...]:
+        """Why some of what the policy allows is in no grant: of these nodes, and of no other."""
+        return tuple(reason for node in self.nodes for reason in node.refused)
+
+    @property
+    def taken(self) -> tuple[Grant, ...]:
+        """Of the grants to revoke those of which nothing is signed anew."""
+        return tuple(grant for node in self.nodes for grant in node.taken)
+
+    def without(self, taken: Iterable[Grant], entries: int) -> "PolicyPlan":
+        """What is left to do when `taken` are revoked, and the log of the record has `entries`."""
+        gone = {grant.id for grant in taken}
+        nodes = tuple(
+            replace(node, revoke=tuple(each for each in node.revoke if each.id not in gone))
+            for node in self.nodes
+        )
+        return replace(self, nodes=nodes, entries=entries)
+
+    @property
     def contradictions(self) -> tuple[Contradiction, ...]:
         """What grants made by hand allow against a denial, and will allow afterwards."""
         if self.options.prune:
@@ -136,9 +155,11 @@ class PolicyPlan:
 def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
     """Compare what `policy` allows outright with the grants in the record.
 
+    A node that cannot get all of it, or has more to lose than a list has room for, is among its
+    `refused`, and changes nothing for the others.
+
     Raises:
-        RevocationRefused: more would be revoked than a list can hold.
-        PolicyRefused: a node would need more grants than it can present.
+        RevocationRefused: more would be pruned than a list can hold.
     """
     state = WantedState(policy.decider)
     with store.database.read_transaction():
@@ -208,13 +229,23 @@ def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
     if not gone:
         return plan
     listed = len(list_contents.required_entries(store, plan.moment.now) | gone)
-    if listed > MAX_LEAVES:
-        raise RevocationRefused(
-            f"revoking {len(gone)} grants would make a list of {listed} entries"
-            f" where at most {MAX_LEAVES} are allowed",
-            _OVER,
-        )
-    return replace(plan, listed=listed)
+    if listed <= MAX_LEAVES:
+        return replace(plan, listed=listed)
+    why = f"a list has room for {MAX_LEAVES} revocations, this would make {listed}"
+    if plan.pruned:
+        raise RevocationRefused(why, _OVER)
+    return _within(plan, MAX_LEAVES - (listed - len(gone)), why)
+
+
+def _within(plan: PolicyPlan, room: int, why: str) -> PolicyPlan:
+    """What of a plan can be revoked: of each node all, of those with fewest first."""
+    room, nodes = max(0, room), list(plan.nodes)
+    left = room
+    for at in sorted(range(len(nodes)), key=lambda at: len(nodes[at].revoke)):
+        if len(nodes[at].revoke) > left:
+            nodes[at] = nodes[at].without_room(left, why)
+        left -= len(nodes[at].revoke)
+    return replace(plan, nodes=tuple(nodes), listed=MAX_LEAVES - left)
 
 
 def _draft(

@@ -8,16 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from grants.filters.layout import Layout, parse
 from grants.policy.decision import Decider
 from grants.policy.model import Policy
 from grants.policy.read import load
 from grants.policy.source import MAX_SIZE
 from rossec import files
+from rossec.authority.home import AuthorityHome
 from rossec.errors import ConfigurationError
-from rossec.participant.message_types import message_type, type_names
+from rossec.participant.host_types import definition_of, layout_of
+from rossec.participant.message_types import type_names
+
+__all__ = ["NAME", "PolicyFile", "layout_of", "parse_policy", "place", "read_policy"]
 
 NAME: Final = "policy.yaml"
+OWNED: Final = (files.Owned(r"policy\.yaml", stays=True),)
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,8 @@ class PolicyFile:
         with files.locked_directory(self.path.parent):
             if self.path.exists():  # otherwise it is a new file
                 self.check_unchanged()
-            files.replace(self.path.resolve(), text.encode(), 0o644)  # the target of a link
+            # the target of a link
+            files.replace(self.path.resolve(), text.encode(), 0o644, keep=True)
         return PolicyFile(self.path, text, policy)
 
     def check_unchanged(self) -> None:
@@ -98,19 +103,11 @@ def place(home: Path, given: Path | None) -> Path:
 
 def read_policy(home: Path, given: Path | None, *, signs: bool = False) -> PolicyFile:
     """The policy at its place; if it is in force or `signs`, no other user may have written it."""
+    if given is None and not place(home, None).exists():
+        AuthorityHome.at(home)  # where there is none, that is the mistake
     return PolicyFile.read(place(home, given), own=signs or given is None)
 
 
 def parse_policy(text: str, file: str) -> Policy:
     """Read a policy with the message types known here."""
-    return load(text, definition, file=file, known_types=type_names())
-
-
-def definition(type_name: str) -> str:
-    """The definition text of a message type."""
-    return message_type(type_name).definition
-
-
-def layout_of(type_name: str) -> Layout:
-    """The layout of a message type."""
-    return parse(type_name, definition(type_name))
+    return load(text, definition_of, file=file, known_types=type_names())

@@ -1,20 +1,21 @@
 """Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
 
-A node signs the request with its old key (`ca.renewal`) and gets one answer per request; an
-operator renews by name, for the current key of the name. The old identity is looked up in the
-transaction that records the successor: a key that is revoked meanwhile gets none.
+A node signs the request with its old key (`ca.renewal`) and gets one answer per request, and no
+further certificate while the newest one is not due; an operator renews by name, for the current key
+of the name. The old identity is looked up in the transaction that records the successor: a key that
+is revoked meanwhile gets none.
 """
 
 import secrets
 from collections.abc import Callable, Collection
 from typing import Final
 
-from ca.authority import DAY, LIFETIME
+from ca.authority import DAY, LIFETIME, MAX_LIFETIME
 from ca.certificates import Identity, from_pem
-from ca.errors import Revoked, StoreError
+from ca.errors import RenewalRefused, Revoked, StoreError
 from ca.keys import key_files
 from ca.keys.signer import KeySigner
-from ca.renewal import open_renewal, renew_at
+from ca.renewal import Renewal, open_renewal, renew_at
 from ca.requests import build_request
 from ca.store.record import CertificateRow, Store
 from ca.store.rows import INTERMEDIATE
@@ -47,6 +48,34 @@ def renew(
         return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
 
 
+def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
+    """As `renew`, at the authority itself: only what its record knows, for as long as before.
+
+    Raises:
+        RenewalRefused: besides, the identity is not in the record, or not the newest of its name.
+    """
+    with authority.store.transaction():
+        check = _check_in_record(authority)
+        renewal = open_renewal(data, authority.authority.anchor, now, check)
+        _check_recorded(authority.store, renewal.identity)
+        return _renew(authority, data, now, check, MAX_LIFETIME)
+
+
+def _check_recorded(store: Store, identity: Identity) -> None:
+    rows = store.identities.by_name(identity.name)
+    if not rows:
+        raise RenewalRefused(
+            f"{identity.name} is not in the authority's record",
+            "was it enrolled by an intermediate? where the authority is: rossec ca import NODE.pem",
+        )
+    newest = rows[-1]
+    if (newest.thumbprint, newest.wildcard) != (identity.thumbprint, identity.wildcard):
+        raise RenewalRefused(
+            f"{identity.name} has a newer identity, with another key or for other names",
+            f"see, where the authority is: rossec ca show {identity.name}",
+        )
+
+
 def _renew(
     authority: SigningAuthority,
     data: bytes,
@@ -58,6 +87,9 @@ def _renew(
     answered = authority.store.identities.issued_for(renewal.request.digest)
     if answered is not None:
         return authority.issued_bundle(answered, now, wildcard=renewal.identity.wildcard)
+    held = _already_renewed(authority, renewal, now)
+    if held is not None:
+        return authority.bundle(held.der)
     der = authority.authority.renew(renewal, now=now, serial=_serial(), lifetime=lifetime)
     authority.store.add_certificate(
         certificate_row(authority.verify(der, now)),
@@ -69,20 +101,44 @@ def _renew(
     return authority.bundle(der)
 
 
+def _already_renewed(
+    authority: SigningAuthority, renewal: Renewal, now: int
+) -> CertificateRow | None:
+    """A newer identity for the same key that is not due itself: the answer to other requests.
+
+    Otherwise a node could have any number signed and recorded, as long as its old one is valid.
+    """
+    identities, wanted = authority.store.identities, renewal.request.thumbprint
+    for row in reversed(identities.valid(renewal.identity.name, now)):
+        is_newer = row.thumbprint == wanted and row.not_after > renewal.identity.not_after
+        is_due = now >= renew_at(row.not_before, row.not_after)
+        is_own = identities.issuer(row) is None
+        if is_newer and not is_due and is_own and row.wildcard is renewal.identity.wildcard:
+            return row
+    return None
+
+
 def renew_by_name(
-    authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME
+    authority: SigningAuthority,
+    name: str,
+    now: int,
+    lifetime: int = LIFETIME,
+    *,
+    expired: bool = False,
 ) -> bytes:
     """Certify the current key of `name` again; returns the node's new bundle (PEM).
 
     A node enrolled by an intermediate is then certified by this authority, for the same key.
+    With `expired`, the newest identity may have ended: its key, and so its grants, are kept.
 
     Raises:
-        StoreError: the name has no valid identity.
+        StoreError: the name has no valid identity, its key or its intermediate's is revoked.
+        NameCovered: another identity covers the name by now.
     """
     authority.refresh_list(now)
     with authority.store.transaction():
-        held = authority.store.valid_certificate(name, now)
-        identity = _identity(authority, held, now)
+        held = authority.store.renewable_certificate(name, now, expired=expired)
+        identity = _identity(authority, held, min(now, held.not_after))
         der = authority.authority.reissue(
             identity, identity.public_key, now=now, serial=_serial(), lifetime=lifetime
         )

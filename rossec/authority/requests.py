@@ -14,10 +14,12 @@ from ca.errors import RecordUnusable, StoreError
 from ca.store.database import Database
 from ca.store.log_entries import digest_of
 from ca.store.schema import append_entry
+from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
 
 MAX_FILE: Final = 16 * 1024
+OWNED: Final = (files.Owned(r"inbox/[^/]{1,120}\.request"),)
 MAX_INBOX: Final = 256  # files read at once
 
 
@@ -32,6 +34,15 @@ class StoredRequest(NamedTuple):
     def short_id(self) -> str:
         """The first 8 hexadecimal digits of the request's id, for people."""
         return self.request.id.hex()[:8]
+
+
+class StoredAnswer(NamedTuple):
+    """One requested right in the record, and its answer."""
+
+    stored: StoredRequest
+    answer: str
+    reason: str
+    at: int
 
 
 class GrantRequestStore:
@@ -75,6 +86,32 @@ class GrantRequestStore:
             for request, at in requests
             for requested in request.rights
             if (request.id, int(requested.right), requested.pattern) not in answered
+        ]
+
+    def answers(self) -> list[StoredAnswer]:
+        """Every answer, oldest first."""
+        rows = self._database.rows("SELECT data, at FROM grant_request")
+        requests = {found.id: (found, at) for found, at in
+                    ((peek_request(data), at) for data, at in rows)}  # fmt: skip
+        return [
+            StoredAnswer(
+                StoredRequest(*requests[number], RequestedRight(Right(right), pattern)),
+                answer, reason, at,
+            )
+            for number, right, pattern, answer, reason, at in self._database.rows(
+                "SELECT request, right, pattern, answer, reason, at FROM decision ORDER BY rowid"
+            )
+            if number in requests
+        ]  # fmt: skip
+
+    def find(self, number: bytes) -> list[StoredRequest]:
+        """Every right of the request with this id, answered or not; none: there is no such one."""
+        rows = self._database.rows("SELECT data, at FROM grant_request")
+        return [
+            StoredRequest(request, at, requested)
+            for request, at in ((peek_request(data), at) for data, at in rows)
+            if request.id == number
+            for requested in request.rights
         ]
 
     @contextmanager

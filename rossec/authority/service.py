@@ -11,6 +11,7 @@ import contextlib
 import secrets
 from collections.abc import Callable, Collection
 from pathlib import Path
+from string import hexdigits
 from typing import Final, NamedTuple
 
 from ca.certificates import Identity, IdentityRequest
@@ -23,7 +24,7 @@ from ca.store.rows import INTERMEDIATE
 from grants.model import Draft, Permission
 from grants.renewal import OpenDelegation, open_delegation
 from rossec import clock
-from rossec.authority import foreign_nodes, renewals
+from rossec.authority import foreign_nodes, renewals, restored_lists
 from rossec.authority.domain_operations import DomainOperations
 from rossec.authority.grant_delivery import GrantDelivery
 from rossec.authority.home import AuthorityHome
@@ -46,16 +47,16 @@ _DELEGATE: Final = "it is signed and stored in {}; start the master and run this
 
 
 class _Signed(NamedTuple):
-    """What was revoked, and the numbers of the next lists, at some moment."""
+    """How much was revoked, and the numbers of the next lists, at some moment."""
 
-    revoked: frozenset[bytes]
+    revoked: int
     revocations: tuple[int, int]
     domains: tuple[int, int]
 
 
 def _signed(authority: SigningAuthority) -> _Signed:
     store = authority.store
-    return _Signed(store.revoked_entries(), store.next_number(), store.domains.next_number())
+    return _Signed(store.count_revoked(), store.next_number(), store.domains.next_number())
 
 
 __all__ = ["AuthorityService", "Decided", "MasterCall", "SignedGrant"]
@@ -86,7 +87,7 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         self._now = now
         self._find_signer = find_signer
         self._unlocked: SigningAuthority | None = None
-        self._before = _Signed(frozenset(), (0, 0), (0, 0))
+        self._before = _Signed(0, (0, 0), (0, 0))
 
     @property
     def home(self) -> AuthorityHome:
@@ -130,15 +131,18 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         )  # fmt: skip
 
     def request(self, beginning: str) -> RequestRow:
-        """The one request for an identity whose id begins so; an odd last digit is ignored."""
-        try:
-            digest = bytes.fromhex(beginning[: len(beginning) // 2 * 2])
-        except ValueError:
+        """The one request for an identity whose id begins so, every digit of it.
+
+        Raises:
+            ConfigurationError: not hexadecimal digits.
+            StoreError: there is none, or more than one.
+        """
+        if not set(beginning) <= set(hexdigits):
             raise ConfigurationError(
                 f"{beginning!a} is not a request id", "see: rossec ca requests"
-            ) from None
+            )
         with contextlib.closing(self.home.store()) as store:
-            return store.requests.get(digest)
+            return store.requests.begun(beginning)
 
     def deny_request(self, row: RequestRow, reason: str) -> None:
         """Deny a request for an identity."""
@@ -157,14 +161,14 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         """Renew the authority's own node in place; returns when its identity expires."""
         return renewals.renew_own_node(self.unlock(), self._now())
 
-    def renew(self, name: str, lifetime: int) -> bytes:
+    def renew(self, name: str, lifetime: int, *, expired: bool = False) -> bytes:
         """Certify the current key of another node again; returns its new bundle (PEM)."""
         if name.startswith(INTERMEDIATE):
             raise ConfigurationError(
                 f"{name} is an intermediate",
                 "sign its request again: `rossec ca intermediate sign`",
             )
-        return renewals.renew_by_name(self.unlock(), name, self._now(), lifetime)
+        return renewals.renew_by_name(self.unlock(), name, self._now(), lifetime, expired=expired)
 
     def import_identity(
         self, bundle: bytes, replaced: Collection[str] = ()
@@ -184,6 +188,12 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         """Revoke every key of `name`; returns the list to publish, and the number of keys."""
         return self.unlock().revoke_identity(name, reason, self._now())
 
+    def intermediates(self) -> list[str]:
+        """The intermediates of this root that are valid now."""
+        with contextlib.closing(self.home.store()) as store:
+            rows = store.identities.all_valid(self._now())
+        return sorted({row.name for row in rows if row.name.startswith(INTERMEDIATE)})
+
     def refresh(self) -> tuple[RevocationList, int | None]:
         """Sign the list anew; returns it, and the end of the own node's identity if renewed.
 
@@ -195,6 +205,14 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         if authority.store.domains.newest_list():
             authority.sign_domains(at)
         return authority.sign_list(at), renewed
+
+    def take_over_revocations(self, data: bytes, entries: bytes | None) -> int:
+        """Revoke what a signed list revokes that this record lacks; returns how many.
+
+        Raises:
+            RevocationRefused, BackupRefused: it is not the authority's, or a tree without entries.
+        """
+        return restored_lists.take_over(self.unlock(), data, entries, self._now())[1]
 
     def complete_list(self) -> None:
         """Sign the list anew if it lacks a revocation (`AuthorityHome.count_unlisted`)."""
@@ -277,6 +295,15 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
         call = MasterCall(self.home.node(), "rossec.updateDelegation", (data,), "it", hint)
         return open_delegation(data, authority.signer.public_key), call
 
+    def deliver_delegation(self, delegation: OpenDelegation, call: MasterCall) -> None:
+        """Deliver what `delegate` returned; from then on grants count as renewed.
+
+        Raises:
+            NotDelivered: as `deliver`; nothing counts as renewed by it.
+        """
+        self.deliver(call)
+        self.home.confirm_delegation(delegation.id, self._now())
+
     def revoke_delegations(self, reason: str) -> tuple[RevocationList, int]:
         """Revoke every delegation in force; returns the list to publish, and their number."""
         return self.unlock().revoke_delegations(reason, self._now())
@@ -314,7 +341,8 @@ class AuthorityService(GrantDelivery, PolicyOperations, DomainOperations, ThingO
             call.node.identity(self._now())
         except CertificateExpired as error:
             raise ConfigurationError(
-                f"the identity of {call.node.name} has expired, no master accepts it",
+                f"the identity of {call.node.name} has expired by this host's clock, which says"
+                f" {format_time(self._now())}: no master accepts it",
                 f"renew it: rossec ca renew {call.node.name}",
             ) from error
         return self._deliver(call)

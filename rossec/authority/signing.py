@@ -35,6 +35,7 @@ from rossec.errors import ConfigurationError
 
 SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
 DELEGATIONS: Final = "delegations"
+OWNED: Final = (files.Owned(rf"{DELEGATIONS}/[0-9a-f]{{1,128}}\.cose"),)
 OWN_NODE: Final = "/ca"  # the identity of the authority's tools
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
@@ -122,7 +123,12 @@ class SigningAuthority:
 
     def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """The bundle issued for a request before, as the first answer may be lost."""
-        if row not in self.store.identities.valid(row.name, now) or row.wildcard is not wildcard:
+        is_valid = row in self.store.identities.valid(row.name, now)
+        if not is_valid and row.wildcard is wildcard and now > row.not_after:
+            self.store.valid_certificate(
+                row.name, now
+            )  # says how an identity that is over comes back
+        if not is_valid or row.wildcard is not wildcard:
             raise RequestClosed(
                 f"this request of {row.name} was answered, but that identity is invalid or differs",
                 "make a new request on the node",
@@ -272,8 +278,8 @@ class SigningAuthority:
             if domain_list.is_due(self.store, self.authority.anchor, now):
                 self.sign_domains(now)
 
-    def sign_domains(self, now: int, *, new_epoch: bool = False) -> DomainList:
-        """Sign the list of domains with the next number; see `domain_list`.
+    def sign_domains(self, now: int, *, new_epoch: bool = False, above: int = 0) -> DomainList:
+        """Sign the list of domains with the next number; see `domain_list` and `sign_list`.
 
         Raises:
             ConfigurationError: this is an intermediate.
@@ -281,15 +287,18 @@ class SigningAuthority:
         """
         self._check_root("say which domains are trusted")
         with self.store.transaction():
-            listed = domain_list.sign(self.authority, self.store, now, new_epoch=new_epoch)
+            listed = domain_list.sign(
+                self.authority, self.store, now, new_epoch=new_epoch, above=above
+            )
             self.sign_head(now)
         return listed
 
-    def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
+    def sign_list(self, now: int, *, new_epoch: bool = False, above: int = 0) -> RevocationList:
         """Sign the list of all revocations that still matter, with the next number.
 
         With `new_epoch` it is newer than every list before, also those this record lacks: the epoch
-        is the time, so that a backup restored twice does not use the same number twice.
+        is the time, so that a backup restored twice does not use the same number twice. `above` is
+        an epoch that was used since, perhaps with a clock that was ahead.
 
         Raises:
             ConfigurationError: this is an intermediate.
@@ -298,7 +307,7 @@ class SigningAuthority:
         with self.store.transaction():
             epoch, seq = self.store.next_number()
             if new_epoch:
-                epoch, seq = max(epoch + 1, now), 1
+                epoch, seq = max(epoch + 1, above + 1, now), 1
             entries = list_contents.required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
             self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)

@@ -42,7 +42,9 @@ class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityConte
         DatagramRefused: both sides have the same ID, or one of them is too long.
     """
 
-    echo_recovery = None
+    echo_recovery = b"unused"
+    """Not None: then what is repeated is decrypted before it is refused, as what is forged is. The
+    window is always initialized, so nothing is compared with it."""
 
     def __init__(
         self,

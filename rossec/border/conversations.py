@@ -20,14 +20,19 @@ REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they a
 class Conversation:
     """One thing: its context, where it is, what it may send.
 
+    Args:
+        mid: the message ID before the first; random, or whoever sees no datagram of this thing
+            could still end its requests by forged resets (RFC 7252 section 11.4).
+
     Attributes:
         name: of the thing.
         tokens: of requests that it has not answered, and of observations.
     """
 
-    __slots__ = ("_answers", "address", "context", "name", "quota", "seen", "tokens")
+    __slots__ = ("_answers", "_mid", "address", "context", "name", "quota", "seen", "tokens")
 
-    def __init__(self, name: str, context: OscoreContext, address: Address) -> None:
+    def __init__(self, name: str, context: OscoreContext, address: Address, mid: int = 0) -> None:
+        self._mid = mid
         self.name: Final = name
         self.context: Final = context
         self.address = address
@@ -41,6 +46,11 @@ class Conversation:
         """How it names its context."""
         kid: bytes = self.context.recipient_id
         return kid
+
+    def new_mid(self) -> int:
+        """A message ID that this thing was not sent for long (RFC 7252 section 4.4)."""
+        self._mid = (self._mid + 1) & 0xFFFF
+        return self._mid
 
     def remember(self, address: Address, mid: int, answer: bytes) -> None:
         """Keep an answer: a request that is repeated is not carried out again."""
@@ -67,6 +77,7 @@ class Conversations:
         self._ended = ended
         self._by_name: OrderedDict[str, Conversation] = OrderedDict()
         self._by_kid: dict[bytes, Conversation] = {}
+        self._by_address: dict[Address, Conversation] = {}
 
     def __len__(self) -> int:
         return len(self._by_name)
@@ -83,6 +94,10 @@ class Conversations:
         """That of a thing."""
         return self._by_name.get(name)
 
+    def at(self, address: Address) -> Conversation | None:
+        """That of the authenticated thing that was there last."""
+        return self._by_address.get(address)
+
     def add(self, conversation: Conversation) -> None:
         """Begin one, and end what it replaces: of this thing, or of what it was called before."""
         self.drop(conversation.name)
@@ -92,14 +107,24 @@ class Conversations:
             self.drop(next(iter(self._by_name)))
         self._by_name[conversation.name] = conversation
         self._by_kid[conversation.kid] = conversation
+        self._by_address[conversation.address] = conversation
 
-    def used(self, conversation: Conversation) -> None:
-        """It is the most recent now."""
+    def used(self, conversation: Conversation, address: Address) -> None:
+        """It is the most recent now, and there."""
         self._by_name.move_to_end(conversation.name)
+        if conversation.address != address:
+            self._leave(conversation)
+            conversation.address = address
+            self._by_address[address] = conversation
+
+    def _leave(self, conversation: Conversation) -> None:
+        if self._by_address.get(conversation.address) is conversation:
+            del self._by_address[conversation.address]
 
     def drop(self, name: str) -> None:
         """End that of a thing, if there is one."""
         found = self._by_name.pop(name, None)
         if found is not None:
             del self._by_kid[found.kid]
+            self._leave(found)
             self._ended(found)

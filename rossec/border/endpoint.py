@@ -120,8 +120,8 @@ class Endpoint:
     def _take(self, message: Message, address: Address, now: float) -> None:
         mid = wire.number_of(message)
         if message.mtype == wire.RST:
-            self._transmissions.reset(address, mid)
-        elif wire.is_empty(message):
+            return  # as if it was lost: see `transmissions`
+        if wire.is_empty(message):
             if message.mtype == wire.ACK:
                 self._transmissions.acknowledge(address, mid)
             elif message.mtype == wire.CON:  # a ping
@@ -183,7 +183,7 @@ class Endpoint:
             raise ThingUnauthenticated("a thing that is not served any more")
         self._count(message_3=len(message_3))
         self.counts.handshakes += 1
-        conversation = Conversation(served[0], found.context, address)
+        conversation = Conversation(served[0], found.context, address, self._number())
         conversation.seen = now
         self.conversations.add(conversation)
         return found
@@ -208,10 +208,11 @@ class Endpoint:
             return
         if conversation is not None and conversation.address == address:
             self._check_rate(conversation, now)
-        context = self._decoy if conversation is None else conversation.context
-        opened, identifier = context.open(message)
         if conversation is None:
+            self._decoy.recipient_id = kid  # else it is refused before it is decrypted
+            self._decoy.open(message)
             raise DatagramRefused("no context with this kid")
+        opened, identifier = conversation.context.open(message)
         self._serve(conversation, message, opened, identifier, address, now)
 
     def _take_derived(
@@ -237,7 +238,7 @@ class Endpoint:
             self._challenge(message, value, secret, kid, identifier, address, now)
             return
         self.counts.derivations += 1
-        conversation = Conversation(name, context, address)
+        conversation = Conversation(name, context, address, self._number())
         self.conversations.add(conversation)
         self._serve(conversation, message, opened, identifier, address, now)
 
@@ -262,8 +263,8 @@ class Endpoint:
         now: float,
     ) -> None:
         """Carry out a request of a thing, and answer it."""
-        conversation.address, conversation.seen = address, now
-        self.conversations.used(conversation)
+        conversation.seen = now
+        self.conversations.used(conversation, address)
         is_registration = opened.opt.uri_path == REGISTRATION_PATH
         if not conversation.quota.take(now):
             response = Message(code=codes.TOO_MANY_REQUESTS)
@@ -275,7 +276,7 @@ class Endpoint:
             response = Message(code=codes.NOT_FOUND)
         code = response.code
         sealed, _ = conversation.context.seal(response, identifier)
-        answer = self._answer(message, sealed, address)
+        answer = self._answer(message, sealed, address, conversation.new_mid())
         conversation.remember(address, wire.number_of(message), answer)
         if code == codes.CHANGED:
             self._events.registered(conversation)
@@ -288,8 +289,14 @@ class Endpoint:
         if conversation.quota.is_spent(now):
             raise DatagramRefused("a thing that sends far more than its rate")
 
-    def _answer(self, request: Message, response: Message, address: Address) -> bytes:
-        data = wire.write(wire.answer(request, response, self._transmissions.new_mid()))
+    def _number(self) -> int:
+        return int.from_bytes(self._random(2))
+
+    def _answer(
+        self, request: Message, response: Message, address: Address, mid: int | None = None
+    ) -> bytes:
+        mid = self._number() if mid is None else mid  # a stranger learns nothing of others
+        data = wire.write(wire.answer(request, response, mid))
         self._send(data, address)
         return data
 

@@ -221,7 +221,7 @@ class Requests:
                 _put_block(message, request, exchange.sent)
         sealed, exchange.identifier = conversation.context.seal(message)
         exchange.token = sealed.token = self._new_token()
-        exchange.mid = sealed.mid = self._transmissions.new_mid()
+        exchange.mid = sealed.mid = conversation.new_mid()
         sealed.mtype = wire.CON
         self._exchanges[exchange.token] = exchange
         conversation.tokens.add(exchange.token)

@@ -28,7 +28,7 @@ def describe(router: BorderRouter, now: int) -> dict[str, Any]:
         "counts": {
             "datagrams": counts.datagrams, "refused": counts.refused,
             "over_budget": counts.over_budget, "handshakes": counts.handshakes,
-            "derivations": counts.derivations,
+            "derivations": counts.derivations, "lost": router.server.lost,
         },
         "things": {name: _thing(router, name) for name in router.roster.names},
     }  # fmt: skip

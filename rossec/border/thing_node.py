@@ -39,6 +39,7 @@ from rossec.ros.names import REVOCATION_UPDATE
 
 _log = logging.getLogger("rossec.border")
 _RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
+_RETRY: Final = 600  # seconds
 
 
 class ThingNode:
@@ -56,8 +57,8 @@ class ThingNode:
 
     __slots__ = (
         "_connections", "_context", "_credentials", "_directory", "_failed", "_grace", "_grants_at",
-        "_home", "_host", "_listener", "_not_after", "_renew_at", "_shared", "_topics", "_visits",
-        "closed", "name", "services",
+        "_home", "_host", "_listener", "_not_after", "_renew_at", "_retry_at", "_shared", "_topics",
+        "_visits", "closed", "name", "services",
     )  # fmt: skip
 
     def __init__(self, home: NodeHome, shared: SharedIdentity, host: str) -> None:
@@ -105,6 +106,7 @@ class ThingNode:
         self._not_after = identity.not_after
         lifetime = identity.not_after - identity.not_before
         self._renew_at = identity.not_before + int(lifetime * _RENEWED_AFTER)
+        self._retry_at = 0
         return identity
 
     @property
@@ -166,7 +168,7 @@ class ThingNode:
             await self._visits.close()
             self._failed = not await quietly(self._visits.update(), what)
         if not self._failed:
-            if clock.now() >= self._renew_at:
+            if self._is_old(clock.now()):
                 await quietly(self._renew(), f"{self.name}: identity")
             await quietly(self.restore(), f"{self.name}: registrations")
 
@@ -178,7 +180,7 @@ class ThingNode:
     def is_due(self, now: int) -> bool:
         """Whether something must be renewed, or grants are new: `update` is to be called."""
         new = bool(self.take_grants())
-        return new or self._failed or now >= self._renew_at or self._visits.renewal_is_due(now)
+        return new or self._failed or self._is_old(now) or self._visits.renewal_is_due(now)
 
     def maintain(self, now: int) -> None:
         """Cut connections that must end; called every second, and when something is revoked."""
@@ -196,9 +198,13 @@ class ThingNode:
         await self._topics.unregister()
         await self._visits.close()
 
+    def _is_old(self, now: int) -> bool:
+        """Whether its identity is to be renewed now, whatever a clock that was ahead has set."""
+        return now >= self._renew_at and not now < self._retry_at <= now + _RETRY
+
     async def _renew(self) -> None:
         now = clock.now()
-        self._renew_at = now + 600  # not again before, if it is refused
+        self._retry_at = now + _RETRY  # not again before, if it is refused
         renewal = IdentityRenewal(self._home, self._credentials, now)
         if await renew_identity(self._visits.call, renewal, now):
             self._load(now)

@@ -1,4 +1,8 @@
-"""Confirmable messages until they are acknowledged (RFC 7252 section 4.2). Pure."""
+"""Confirmable messages until they are acknowledged (RFC 7252 section 4.2). Pure.
+
+A reset has four octets and nobody's signature, so it counts as not delivered: the message is sent
+again, and fails when nobody has acknowledged it after the last time.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,15 +40,9 @@ class Transmissions:
         self._timers = timers
         self._rand = rand
         self._open: dict[tuple[Address, int], _Transmission] = {}
-        self._mid = int(rand() * 0xFFFF)
 
     def __len__(self) -> int:
         return len(self._open)
-
-    def new_mid(self) -> int:
-        """A message ID that was not used for long."""
-        self._mid = (self._mid + 1) & 0xFFFF
-        return self._mid
 
     def send(
         self, data: bytes, mid: int, address: Address, now: float, failed: Callable[[], None]
@@ -62,13 +60,6 @@ class Transmissions:
         found = self._open.pop((address, mid), None)
         if found is not None:
             self._timers.cancel(found.timer)
-
-    def reset(self, address: Address, mid: int) -> None:
-        """The other side cannot use it."""
-        found = self._open.get((address, mid))
-        self.acknowledge(address, mid)
-        if found is not None:
-            found.failed()
 
     def _again(self, key: tuple[Address, int], now: float) -> None:
         found = self._open[key]

@@ -9,10 +9,18 @@ all bytes it is given, in order and at once, or drops the connection.
 from collections.abc import Collection
 from typing import Final, Self
 
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from ca.errors import HintedError
+from rossec.channel.buffers import FIRST, SMALL
+from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Renews, Verify
 from rossec.channel.edhoc.handshake import Responder
 from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
+from rossec.channel.edhoc.messages import (
+    MAX_MESSAGE_1,
+    RENEWALS_EAD,
+    UNKNOWN_CREDENTIAL,
+    UNSPECIFIED,
+    encode_error,
+)
 from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.edhoc.suites import PRODUCTION, Random
@@ -29,6 +37,7 @@ from rossec.channel.records import (
     check_header,
     frame,
 )
+from rossec.channel.renewals import Renewals
 from rossec.channel.states import (
     ENDED,
     FRAMED,
@@ -40,6 +49,9 @@ from rossec.channel.states import (
     Closed,
     ConnectionState,
     Event,
+    GrantsPresented,
+    IdentityRenewed,
+    RenewalRefused,
     Row,
     UnitReceived,
 )
@@ -57,6 +69,7 @@ _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refuse
 _UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True))
 _DEFAULTS: Final = ChannelLimits()
 _BOTH: Final = frozenset(WireProtocol)
+_RENEWING: Final = frozenset((Frame.IDENTITY.value, Frame.GRANTS.value))
 
 
 class Connection(Outbound[PeerT]):
@@ -76,6 +89,7 @@ class Connection(Outbound[PeerT]):
         known: KnownCertificates | None = None,
         request_x5t: bool = False,
         own_dials: OwnDials | None = None,
+        renews: Renews[PeerT] | None = None,
     ) -> Self:
         """The side that connected; its first flight is ready to send.
 
@@ -83,17 +97,13 @@ class Connection(Outbound[PeerT]):
         its own: for an address where a known peer was reached before. `OwnCredentialUnknown` and
         `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`.
         With `own_dials`, which this node's listeners share, it means to reach itself, and no other
-        peer is accepted.
+        peer is accepted. With `renews` the peer is told that renewed certificates and grants are
+        taken on the open connection.
         """
         config = EdhocConfig(
-            credentials,
-            verify,
-            random,
-            suites,
-            known=known,
-            request_x5t=request_x5t,
-            own_dials=own_dials,
-        )
+            credentials, verify, random, suites, known=known, request_x5t=request_x5t,
+            own_dials=own_dials, renews=renews, ead=b"" if renews is None else RENEWALS_EAD,
+        )  # fmt: skip
         negotiation, message_1 = Negotiation.begin(config)
         preamble = Preamble(opening, None)
         connection = cls(preamble, negotiation, now, limits)
@@ -113,14 +123,19 @@ class Connection(Outbound[PeerT]):
         limits: ChannelLimits = _DEFAULTS,
         known: KnownCertificates | None = None,
         own_dials: OwnDials | None = None,
+        renews: Renews[PeerT] | None = None,
     ) -> Self:
         """The side that was connected to; `accept` says which openings are accepted.
 
-        With `own_dials` this node may connect to itself, for dials noted there.
+        With `own_dials` this node may connect to itself, for dials noted there. `renews`: as for
+        the initiator.
         """
-        config = EdhocConfig(credentials, verify, random, suites, known=known, own_dials=own_dials)
+        config = EdhocConfig(
+            credentials, verify, random, suites, known=known, own_dials=own_dials,
+            renews=renews, ead=b"" if renews is None else RENEWALS_EAD,
+        )  # fmt: skip
         preamble = Preamble(WireProtocol.TCPROS, accept)
-        return cls(preamble, Negotiation(Responder(config)), now, limits)
+        return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
 
     # -- receiving
 
@@ -197,25 +212,38 @@ class Connection(Outbound[PeerT]):
             row, length = self._parse_header(head)
             size = HEADER + length
             if len(view) < size:
-                buffer.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
+                self._expect(length, in_unit=head[0] >> 4 not in _RENEWING)
                 return
             self._handle_frame(row, head, view[HEADER:size])
             buffer.consume(size)
         if self.state in ENDED:
             buffer.consume(len(buffer))
 
+    def _expect(self, length: int, *, in_unit: bool) -> None:
+        """A frame has begun whose header was checked; a stranger's gets room as it arrives."""
+        if self._session is not None:
+            if in_unit:
+                self._session.check_room(length)
+            size = HEADER + length
+            self._buffer.expect(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
+
     def _feed_preamble(self) -> None:
         try:
             self.state = self._preamble.feed(self._buffer, self.state)
         finally:
             self._out.append(self._preamble.take())
+        if self.state is ConnectionState.DRAINING:
+            self._buffer.enlarge(SMALL)
 
     def _parse_header(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
-        if row is None:
+        if row is None or (head[0] >> 4 in _RENEWING and self._renewals is None):
             raise ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
         epoch = 0 if self._session is None else self._session.receive_epoch
-        return row, check_header(head, epoch)
+        length = check_header(head, epoch)
+        if self.state is ConnectionState.WAIT_1 and length > MAX_MESSAGE_1:
+            raise ProtocolViolation("a frame of a forbidden length")
+        return row, length
 
     def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
         name, following = row
@@ -233,10 +261,15 @@ class Connection(Outbound[PeerT]):
             self._buffer.enlarge()
             self._session = self._negotiation.session(self._limits, self._now)
             self._events.append(Authenticated(step.peer))
+        elif step.state is ConnectionState.WAIT_3:
+            self._buffer.enlarge(SMALL)
         if step.reply:
             self._out.append(step.reply)
         if step.state is ConnectionState.OPEN:
+            self._renewals = self._negotiation.renewals(self._now)
             self._negotiation.forget()
+            self.state = step.state
+            self.present_identity(self._own_chain)
         return step.state
 
     # -- records: the rows of the table for an open connection
@@ -249,9 +282,37 @@ class Connection(Outbound[PeerT]):
         self._events.append(UnitReceived(self._open_session().data_end(head, body)))
         return ConnectionState.OPEN
 
+    def _on_padded_end(self, head: bytes, body: memoryview) -> ConnectionState:
+        self._events.append(UnitReceived(self._open_session().padded_end(head, body)))
+        return ConnectionState.OPEN
+
     def _on_rekey(self, head: bytes, body: memoryview) -> ConnectionState:
         self._out.append(self._open_session().rekey(head, body))
         return ConnectionState.OPEN
+
+    def _on_identity(self, head: bytes, body: memoryview) -> ConnectionState:
+        renewals, data = self._renewal(head, body)
+        if self._peer is not None:
+            try:
+                self._peer = renewals.identity(data, self._peer, self._now)
+                self._events.append(IdentityRenewed(self._peer))
+            except HintedError as error:
+                self._events.append(RenewalRefused(error.bare()))
+        return ConnectionState.OPEN
+
+    def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
+        _, data = self._renewal(head, body)
+        if not self._carries_grants:
+            raise ProtocolViolation("grants on a connection for calls")
+        self._events.append(GrantsPresented(data))
+        return ConnectionState.OPEN
+
+    def _renewal(self, head: bytes, body: memoryview) -> tuple[Renewals[PeerT], bytes]:
+        data = self._open_session().open_renewal(head, body)
+        if self._renewals is None:
+            raise ProtocolViolation("a renewal where none is taken")
+        self._renewals.charge(self._now)
+        return self._renewals, data
 
     def _on_close(self, head: bytes, body: memoryview) -> ConnectionState:
         session = self._open_session()

@@ -30,6 +30,7 @@ from rossec.channel.opening import (
     refusal,
 )
 from rossec.channel.records import ChannelLimits, Epochs, Frame, frame
+from rossec.channel.renewals import Renewals
 from rossec.channel.session import Session
 from rossec.channel.states import ConnectionState
 from rossec.errors import OwnCredentialUnknown, PeerRefused, PlainPeer
@@ -127,6 +128,13 @@ class Negotiation(Generic[PeerT]):
         edhoc = self._edhoc
         epochs = Epochs(edhoc.suite, edhoc.exporter, initiator=isinstance(edhoc, Initiator))
         return Session(epochs, limits, now)
+
+    def renewals(self, now: int) -> Renewals[PeerT] | None:
+        """What is renewed on the open connection; None: one of the sides takes nothing."""
+        config, edhoc = self._edhoc.config, self._edhoc
+        if config.renews is None or not edhoc.peer_renews:
+            return None
+        return Renewals(config.verify, config.renews, edhoc.sent, now)
 
     def forget(self) -> None:
         """Drop the secrets."""

@@ -5,13 +5,14 @@ its counter is used: records queued meanwhile go first.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Final, Generic
+from typing import Final, Generic, Protocol
 
 from rossec.channel.buffers import SMALL, ReceiveBuffer
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.negotiation import Negotiation, Preamble
 from rossec.channel.opening import WireProtocol
-from rossec.channel.records import Bytes, ChannelLimits
+from rossec.channel.records import MAX_GRANTS, Bytes, ChannelLimits, Frame
+from rossec.channel.renewals import Renewals
 from rossec.channel.session import Session
 from rossec.channel.states import ENDED, SENDING, ConnectionState, Event
 from rossec.errors import (
@@ -27,23 +28,49 @@ _ONE_RECORD: Final = 64 * 1024
 HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 
 
+class OpenStreams(Protocol):
+    """Keeps the open connections of an identity, to present its renewed certificate on them."""
+
+    def add(self, stream: "PresentsIdentity") -> None:
+        """A connection has begun."""
+
+
+class PresentsIdentity(Protocol):
+    """What moves the bytes of a connection."""
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        """As `Outbound.present_identity`, from any thread, without waiting."""
+
+
 class Outbound(Generic[PeerT]):
-    """The state of a connection, and everything that does not depend on what arrives."""
+    """The state of a connection, and everything that does not depend on what arrives.
+
+    Attributes:
+        streams: where what moves its bytes belongs, if its certificate may be renewed.
+    """
 
     def __init__(
-        self, preamble: Preamble, negotiation: Negotiation[PeerT], now: int, limits: ChannelLimits
+        self,
+        preamble: Preamble,
+        negotiation: Negotiation[PeerT],
+        now: int,
+        limits: ChannelLimits,
+        buffer: int = SMALL,
     ) -> None:
         self._preamble = preamble
         self._negotiation = negotiation
         self._limits = limits
         self._now = now
         self._handshake_deadline = now + limits.handshake_seconds
-        self._buffer = ReceiveBuffer(SMALL)
+        self._buffer = ReceiveBuffer(buffer)
         self._out: list[Bytes] = []
         self._events: list[Event[PeerT]] = []
         self._peer: PeerT | None = None
         self._session: Session | None = None
         self._sealing = False
+        self._renewals: Renewals[PeerT] | None = None
+        self._own_chain: Sequence[bytes] = ()
+        self.streams: OpenStreams | None = None
         self.state = ConnectionState.OPENING
 
     @property
@@ -68,6 +95,11 @@ class Outbound(Generic[PeerT]):
             ChannelClosed: there is no open connection.
         """
         self._open_session().raise_unit_limit(limit)
+
+    def pad_units(self, multiple: int) -> None:
+        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        if self._session is not None:  # else nothing is sent any more
+            self._session.pad = multiple
 
     def _open_session(self) -> Session:
         if self._session is None:
@@ -141,6 +173,42 @@ class Outbound(Generic[PeerT]):
         """
         records = list(self.seal_unit(*pieces))  # takes what was queued before
         self._out += records
+
+    # -- what is renewed
+
+    @property
+    def takes_renewals(self) -> bool:
+        """Whether both sides take renewed certificates and grants."""
+        return self._renewals is not None and self.state is ConnectionState.OPEN
+
+    @property
+    def _carries_grants(self) -> bool:
+        return self.protocol is WireProtocol.TCPROS
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        """Queue this side's certificates, unless the peer has them; before the end of the handshake
+        they are queued then. Nothing for a peer that takes none."""
+        self._own_chain = chain
+        renewals = self._renewals
+        if chain and renewals is not None and self.takes_renewals:
+            data = renewals.own(chain)
+            if data is not None:
+                self._out.append(self._open_session().seal_renewal(Frame.IDENTITY, data))
+
+    def present_grants(self, data: bytes) -> bool:
+        """Queue grants that take the place of those presented before; false: the peer takes none.
+
+        On a connection for calls they are presented by a call.
+
+        Raises:
+            LimitExceeded: they are too long; nothing has happened.
+        """
+        if not (self.takes_renewals and self._carries_grants):
+            return False
+        if not 0 < len(data) <= MAX_GRANTS:
+            raise LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
+        self._out.append(self._open_session().seal_renewal(Frame.GRANTS, data))
+        return True
 
     @property
     def has_data_to_send(self) -> bool:
@@ -219,7 +287,11 @@ class Outbound(Generic[PeerT]):
         self._out.append(self._session.renew(now))
 
     def _terminate(self) -> None:
+        """End; an error, which others may keep, must not keep what was received alive."""
         self.state = ConnectionState.CLOSED
+        if self._session is not None:
+            self._session.discard()
         self._session = None
+        self._buffer.clear()
         self._negotiation.forget()
         self._out = []

@@ -7,12 +7,9 @@ no window: whatever is replayed, reordered or left out fails the tag. When to se
 what to do about a failure, is decided by the connection.
 """
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from io import SEEK_END, BytesIO
-from sys import getrefcount
 from typing import Final, TypeAlias
 
 from cryptography.exceptions import InvalidTag
@@ -26,10 +23,9 @@ from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
 HEADER: Final = 4
 TAG: Final = 16
 MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what waits for its tag
+MAX_GRANTS: Final = 40 * 1024
 _JOIN_BELOW: Final = 16 * 1024
 _INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
-_KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
-_ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 
 _RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
 
@@ -45,6 +41,9 @@ class Frame(IntEnum):
     DATA_END = 4  # the last of a unit
     REKEY = 5  # the last record of this direction's epoch
     CLOSE = 6  # the last record of this direction
+    IDENTITY = 7  # this side's certificate was renewed
+    GRANTS = 8  # grants that take the place of those presented before
+    PADDED_END = 9  # the last of a unit, with padding behind its data
 
 
 # Empty data records would be work without progress.
@@ -55,6 +54,9 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
     Frame.DATA_END: (TAG + 1, TAG + MAX_PLAINTEXT),
     Frame.REKEY: (TAG, TAG),
     Frame.CLOSE: (TAG, TAG),
+    Frame.IDENTITY: (TAG + 1, TAG + MAX_MESSAGE),
+    Frame.GRANTS: (TAG + 1, TAG + MAX_GRANTS),
+    Frame.PADDED_END: (TAG + 2, TAG + MAX_PLAINTEXT),
 }
 
 
@@ -229,75 +231,27 @@ class Epochs:
             self._waiting, self.receiver = self._advance()
 
 
-class UnitAssembly:
-    """The unit being received, handed out only when its last record has verified.
+def padded(plaintext: Bytes, multiple: int) -> bytes | None:
+    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed.
 
-    `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as
-    `bytes`, without a copy. It grows only as authenticated bytes arrive. Memory that the reader of
-    a unit has released is reused: new pages cost about as much as decrypting into them.
+    None: it is the longest allowed.
     """
+    room = MAX_PLAINTEXT - len(plaintext)
+    if room == 0:
+        return None
+    return bytes(plaintext) + b"\1".ljust(min(room, multiple - len(plaintext) % multiple), b"\0")
 
-    __slots__ = ("_buffer", "_handed_out", "_last", "_room", "length", "limit")
 
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self._buffer = BytesIO()
-        self._handed_out: deque[BytesIO] = deque(maxlen=2)  # the next unit comes before one is read
-        self._room = 0
-        self._last = 0  # size of the last unit: the next one is likely to be as large
-        self.length = 0
+def unpadded(plaintext: bytes) -> bytes:
+    """The data that `padded` padded.
 
-    def add(self, direction: Direction, head: bytes, body: memoryview) -> None:
-        """Verify a record and append it.
-
-        Raises:
-            RecordForged: it does not verify.
-            LimitExceeded: the unit is longer than allowed.
-        """
-        end = self._end(body)
-        if self.length == 0:
-            self._begin()
-        if end > self._room:
-            self._grow(end)
-        with self._buffer.getbuffer() as view, view[self.length : end] as target:
-            direction.open_into(head, body, target)
-        self.length = end
-
-    def finish(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
-        """Verify the last record of the unit and return the unit.
-
-        Raises:
-            RecordForged, LimitExceeded: as for `add`.
-        """
-        if self.length == 0:
-            self._end(body)
-            return direction.open(head, body)
-        self.add(direction, head, body)
-        self._buffer.truncate(self.length)
-        unit = self._buffer.getvalue()
-        if self.length <= _KEEP:
-            self._handed_out.append(self._buffer)
-        self._last, self.length = self.length, 0
-        return unit
-
-    def _end(self, body: memoryview) -> int:
-        end = self.length + len(body) - TAG
-        if end > self.limit:
-            raise LimitExceeded(f"the peer sends a unit of more than {self.limit} bytes")
-        return end
-
-    def _begin(self) -> None:
-        self._buffer, self._room = BytesIO(), 0
-        # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
-        # are referenced elsewhere, it moves to a copy of its own first.
-        if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
-            self._buffer = self._handed_out.popleft()
-            self._room = self._buffer.seek(0, SEEK_END)
-
-    def _grow(self, needed: int) -> None:
-        self._room = min(self.limit, max(needed, 2 * self.length, self._last))
-        self._buffer.seek(self._room - 1)
-        self._buffer.write(b"\0")
+    Raises:
+        ProtocolViolation: nothing says where the data ends, or there is none.
+    """
+    data = plaintext.rstrip(b"\0")
+    if not data[:-1] or data[-1] != 1:
+        raise ProtocolViolation("a padded record without data, or without its end")
+    return data[:-1]
 
 
 def fragments(pieces: Sequence[Bytes]) -> Iterator[Bytes]:

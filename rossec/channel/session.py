@@ -17,9 +17,10 @@ from rossec.channel.records import (
     Direction,
     Epochs,
     Frame,
-    UnitAssembly,
     fragments,
+    padded,
 )
+from rossec.channel.unit_assembly import UnitAssembly
 from rossec.errors import ConnectionTruncated, LimitExceeded
 from rossec.progress import Progress
 
@@ -40,6 +41,7 @@ class Session:
         self._progress = Progress()
         self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
+        self.pad = 0  # units are padded to a multiple of so many bytes
 
     @property
     def receive_epoch(self) -> int:
@@ -88,6 +90,8 @@ class Session:
         limits, sender = self._limits, self._epochs.sender
         if sender.records >= limits.records or sender.octets >= limits.octets:
             return None
+        if self.pad:
+            return sender.seal(*_padded(Frame.DATA_END, unit, self.pad))
         return sender.seal(Frame.DATA_END, unit)
 
     def seal_unit(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
@@ -102,7 +106,7 @@ class Session:
         if reuse and _size(pieces) > _REUSE_ABOVE:
             yield from self._joined(pieces, memoryview(self._shared_buffer()))
             return
-        for kind, plaintext in _kinds(pieces):
+        for kind, plaintext in self._kinds(pieces):
             if self._renewal_is_due():
                 yield self._rekey()
             yield self._epochs.sender.seal(kind, plaintext)
@@ -110,7 +114,7 @@ class Session:
     def _joined(self, pieces: Sequence[Bytes], buffer: memoryview) -> Iterator[Bytes]:
         """Seal one record behind the other; yield what lies there when the next does not fit."""
         used = 0
-        for kind, plaintext in _kinds(pieces):
+        for kind, plaintext in self._kinds(pieces):
             due = self._renewal_is_due()
             if used > 0 and (due or used + _RECORD > len(buffer)):
                 yield buffer[:used]
@@ -122,6 +126,21 @@ class Session:
                 buffer[used : used + len(record)] = record
             used += len(record)
         yield buffer[:used]
+
+    def _kinds(self, pieces: Sequence[Bytes]) -> Iterator[tuple[Frame, Bytes]]:
+        """The plaintexts of a unit's records, the last one marked as such.
+
+        Of a padded unit all but the last are full: else their lengths were those of its pieces.
+        """
+        held: Bytes | None = None
+        pad = self.pad
+        for plaintext in fragments((b"".join(pieces),) if pad else pieces):
+            if held is not None:
+                yield Frame.DATA, held
+            held = plaintext
+        if held is not None:
+            last = (Frame.DATA_END, held)
+            yield _padded(*last, pad) if pad else last
 
     def _shared_buffer(self) -> bytearray:
         if self._scratch is None:
@@ -147,6 +166,14 @@ class Session:
         """The authenticated end of this direction."""
         return self._epochs.sender.seal(Frame.CLOSE, b"")
 
+    def seal_renewal(self, kind: Frame, data: bytes) -> Bytes:
+        """A record that belongs to no unit, also in the middle of one."""
+        return self._epochs.sender.seal(kind, data)
+
+    def open_renewal(self, head: bytes, body: memoryview) -> bytes:
+        """Take such a record; the unit that has begun is not touched."""
+        return self._receiver().open(head, body)
+
     def renew(self, now: int) -> Bytes:
         """Renew this direction's keys if it is time and they were used; return what to send.
 
@@ -161,6 +188,19 @@ class Session:
             raise LimitExceeded("the peer does not follow the renewal of the keys")
         return self._rekey() if sender.records > 0 else b""
 
+    def check_room(self, length: int) -> None:
+        """Refuse a record whose header says that its unit becomes too long, before it arrives.
+
+        Raises:
+            LimitExceeded: it does.
+        """
+        self._unit.check_room(length)
+
+    def discard(self) -> None:
+        """The connection has ended: drop the incomplete unit, whoever still refers to this."""
+        self._unit.discard()
+        self._scratch = None
+
     def data(self, head: bytes, body: memoryview, now: int) -> None:
         """Take a record that does not end its unit."""
         self._unit.add(self._receiver(), head, body)
@@ -171,6 +211,12 @@ class Session:
         if self._unit.length > 0:
             self._progress.done()
         return self._unit.finish(self._receiver(), head, body)
+
+    def padded_end(self, head: bytes, body: memoryview) -> bytes:
+        """Take the last record of a unit, a padded one, and return the unit."""
+        if self._unit.length > 0:
+            self._progress.done()
+        return self._unit.finish_padded(self._receiver(), head, body)
 
     def _receiver(self) -> Direction:
         receiver = self._epochs.receiver
@@ -196,15 +242,9 @@ class Session:
             raise ConnectionTruncated("the peer closed the connection in the middle of a message")
 
 
-def _kinds(pieces: Sequence[Bytes]) -> Iterator[tuple[Frame, Bytes]]:
-    """The plaintexts of a unit's records, the last one marked as such."""
-    held: Bytes | None = None
-    for plaintext in fragments(pieces):
-        if held is not None:
-            yield Frame.DATA, held
-        held = plaintext
-    if held is not None:
-        yield Frame.DATA_END, held
+def _padded(kind: Frame, plaintext: Bytes, multiple: int) -> tuple[Frame, Bytes]:
+    longer = padded(plaintext, multiple)
+    return (kind, plaintext) if longer is None else (Frame.PADDED_END, longer)
 
 
 def _size(pieces: Sequence[Bytes]) -> int:

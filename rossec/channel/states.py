@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, TypeAlias
 
+from ca.errors import HintedError
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Frame
 
@@ -44,8 +45,11 @@ TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
     (ConnectionState.WAIT_4, Frame.ERROR): ("on_error", ()),
     (ConnectionState.OPEN, Frame.DATA): ("_on_data", (ConnectionState.OPEN,)),
     (ConnectionState.OPEN, Frame.DATA_END): ("_on_data_end", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.PADDED_END): ("_on_padded_end", (ConnectionState.OPEN,)),
     (ConnectionState.OPEN, Frame.REKEY): ("_on_rekey", (ConnectionState.OPEN,)),
     (ConnectionState.OPEN, Frame.CLOSE): ("_on_close", (ConnectionState.CLOSED,)),
+    (ConnectionState.OPEN, Frame.IDENTITY): ("_on_identity", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.GRANTS): ("_on_grants", (ConnectionState.OPEN,)),
 }
 """Errors are unauthenticated, so they are not accepted once the handshake is done."""
 
@@ -81,4 +85,26 @@ class Closed:
     """The peer closed in order: it sends nothing more and reads nothing more."""
 
 
-Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed
+@dataclass(frozen=True, slots=True)
+class IdentityRenewed(Generic[PeerT]):
+    """The peer's certificate was renewed: from here on this is its identity."""
+
+    identity: PeerT
+
+
+@dataclass(frozen=True, slots=True)
+class RenewalRefused:
+    """A certificate that the peer presented is refused; the one before stays in force."""
+
+    reason: HintedError
+
+
+@dataclass(frozen=True, slots=True)
+class GrantsPresented:
+    """Grants the peer presents in place of those before; nothing in them was verified."""
+
+    data: bytes
+
+
+Renewal: TypeAlias = IdentityRenewed[PeerT] | RenewalRefused | GrantsPresented
+Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed | Renewal[PeerT]

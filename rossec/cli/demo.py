@@ -12,7 +12,7 @@ from rossec.cli.shared import invocation
 from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
 from rossec.errors import ConfigurationError
-from rossec.terminal import say
+from rossec.terminal import say_block
 
 
 @click.command()
@@ -26,14 +26,14 @@ def demo(context: click.Context, keep: Path | None) -> None:
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
             asyncio.run(_run(Path(directory), run))
-        say(_LOOK)
+        say_block(_LOOK)
         return
     try:
         keep.mkdir(mode=0o700, parents=True)
     except FileExistsError:
         raise ConfigurationError(f"{keep} exists", "give a directory that does not exist") from None
     asyncio.run(_run(keep.resolve(), run))
-    say(_CONTINUE.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
+    say_block(_CONTINUE.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
 
 
 async def _run(directory: Path, run: Run) -> None:

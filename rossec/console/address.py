@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Final
 
 from rossec import files
+from rossec.authority.console.messages import ADDRESS, LOCK
 from rossec.errors import ConfigurationError
 from rossec.operation.process_lock import process_lock
 
-NAME: Final = "console/address"  # in the authority's directory
-_LOCK: Final = "console/lock"
+NAME: Final = ADDRESS  # in the authority's directory
+_LOCK: Final = LOCK
 _MAX: Final = 512
 _NONE: Final = ConfigurationError("no console runs", "start it in another terminal: rossec console")
 

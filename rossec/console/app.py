@@ -15,6 +15,7 @@ from starlette.types import ASGIApp
 
 from ca.errors import HintedError
 from rossec.console.context import ConsoleContext
+from rossec.console.names import NONE, Names
 from rossec.console.rendering import render
 from rossec.console.routes import ROUTES
 from rossec.console.routing import Access, Page, for_looking
@@ -40,6 +41,8 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
         try:
             if page.access is Access.SESSION and request.method == "GET":
                 request.state.number = await context.news.ask()
+            if page.access is Access.SESSION and wants_page(request):
+                request.state.names = await _names(context)
             return await page.handler(request, context)
         except HintedError as error:
             return show_error(request, context, error)
@@ -48,6 +51,19 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
             return show_error(request, context, CRASHED)
 
     return answer
+
+
+def wants_page(request: Request) -> bool:
+    """Whether a person will read the answer."""
+    return not wants_json(request.headers)
+
+
+async def _names(context: ConsoleContext) -> Names:
+    """What the policy calls things; nothing from a service that does not say."""
+    try:
+        return Names.of(await context.service.policy_names())
+    except HintedError:
+        return NONE
 
 
 def status_of(error: HintedError) -> int:

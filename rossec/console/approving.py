@@ -1,7 +1,7 @@
 """What a form asks to be approved: its fields become the arguments of `prepare`.
 
 `READERS` has every kind that a page can prepare. A form has exactly the fields of its kind, each
-once, and none is trimmed or completed: what was typed is what is approved, or nothing is. The
+once, and none is completed but a typed name: what was typed is what is approved, or nothing is. The
 service checks all of it again; here a mistake is told to the person before the phone is asked.
 """
 
@@ -16,7 +16,8 @@ from ca.names import check_name, check_wildcard, is_master_name
 from ca.patterns import check_pattern
 from ca.requests import MAX_REQUEST
 from rossec import clock
-from rossec.authority.console.views import IdentityRequestView, Outcome
+from rossec.authority.console.views import GrantQuestion, IdentityRequestView, Outcome
+from rossec.console import words
 from rossec.console.enrollment import Enrollment
 from rossec.console.made_codes import MadeCodes
 from rossec.errors import FormRefused
@@ -65,6 +66,10 @@ class RequestSource(Protocol):
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
         """Requests that wait."""
+        ...
+
+    async def questions(self) -> tuple[GrantQuestion, ...]:
+        """What nodes ask for."""
         ...
 
 
@@ -142,12 +147,17 @@ async def _enroll(sources: Sources, form: Form) -> Act:
     return await (_enrollment if "enrollment" in form else _request)(sources, form)
 
 
-async def _grant(_: Sources, form: Form) -> Act:
-    seconds = _grant_seconds(form["duration"])
-    coarse = form["coarse"]
+async def _grant(sources: Sources, form: Form) -> Act:
+    question, coarse = _octets(form, "question"), form["coarse"]
+    if form["duration"] not in GRANT_DURATIONS:
+        raise FormRefused("this is not one of the durations", _RELOAD)
     if len(coarse) > MAX_REASON:
         raise FormRefused("this is not the name of a filter", _RELOAD)
-    return Act("grant", [_octets(form, "question"), coarse, seconds], "/approved/{id}")
+    asked = [each for each in await sources.service.questions() if each.id == question]
+    if not asked:
+        raise FormRefused("this question was answered, or it is too late", "see what still waits")
+    seconds = _grant_seconds(form["duration"], asked[0].lifetime)
+    return Act("grant", [question, coarse, seconds], "/approved/{id}")
 
 
 async def _policy(_: Sources, form: Form) -> Act:
@@ -243,12 +253,12 @@ def reason(form: Form) -> str:
 
 
 def check_typed(form: Form, name: str) -> None:
-    """Return if the person has typed this name, letter for letter.
+    """Return if the person has typed this name: its slash at the beginning may be left out.
 
     Raises:
         FormRefused: another one.
     """
-    if form["name"] != name:
+    if form["name"].strip(" ") not in (name, name.removeprefix("/")):
         raise FormRefused(
             f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}", f"type {name} to go on"
         )
@@ -263,12 +273,16 @@ def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
     return is_other_key
 
 
-def _grant_seconds(duration: str) -> int:
+def _grant_seconds(duration: str, most: int) -> int:
+    """The seconds of a button, of which the policy allows `most`."""
     if duration == "today":
-        return clock.seconds_left_today(clock.now())
-    if duration not in _SECONDS:
-        raise FormRefused("this is not one of the durations", _RELOAD)
-    return _SECONDS[duration]
+        return min(clock.seconds_left_today(clock.now()), most)
+    seconds = _SECONDS[duration]
+    if seconds > most:
+        raise FormRefused(
+            f"the policy allows {words.duration(most)} at most", "choose a shorter time"
+        )
+    return seconds
 
 
 def _octets(form: Form, field: str) -> bytes:

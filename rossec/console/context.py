@@ -9,6 +9,8 @@ from typing import Protocol
 
 from rossec import clock
 from rossec.authority.console.client import ConsoleClient
+from rossec.clock import Seconds, counter
+from rossec.console.endings import Endings
 from rossec.console.enrollments import Enrollments
 from rossec.console.failures import FailureLimit
 from rossec.console.known_phones import KnownPhones
@@ -18,6 +20,7 @@ from rossec.console.pending import PendingActs
 from rossec.console.samples import Preview
 from rossec.console.sessions import Sessions
 from rossec.console.settings import Settings
+from rossec.console.turns import Turns
 
 
 class Scanner(Protocol):
@@ -42,6 +45,7 @@ class ConsoleContext:
         scanner: reads codes; None: this console has none.
         preview: gives real messages; None: pictures show made-up ones, and say so.
         clock: seconds since the epoch.
+        elapsed: seconds of a clock that cannot be set, for what ends after some time.
     """
 
     service: ConsoleClient
@@ -49,6 +53,7 @@ class ConsoleContext:
     scanner: Scanner | None = None
     preview: Preview | None = None
     clock: Callable[[], int] = clock.now
+    elapsed: Seconds = field(default_factory=counter)
     sessions: Sessions = field(init=False)
     phones: KnownPhones = field(init=False)
     news: NewsFeed = field(init=False)
@@ -56,6 +61,8 @@ class ConsoleContext:
     pending: PendingActs = field(init=False)
     enrollments: Enrollments = field(init=False)
     made_codes: MadeCodes = field(init=False)
+    turns: Turns = field(init=False)
+    endings: Endings = field(init=False)
 
     def __post_init__(self) -> None:
         self.sessions = Sessions(self.settings.lifetime, self.settings.idle)
@@ -64,6 +71,8 @@ class ConsoleContext:
         self.failures = FailureLimit()
         self.pending = PendingActs()
         self.made_codes = MadeCodes()
+        self.turns = Turns()
+        self.endings = Endings()
         self.enrollments = Enrollments(
             self.service, self.settings.domain, self.clock, self.news.changed
         )

@@ -21,6 +21,7 @@ from rossec.enrollment.authority import deliver, fetch
 from rossec.errors import KeyServiceFailed
 
 REJECTED: Final = "rejected at the console"
+DIFFERED: Final = "the digits differed"
 DONE, WAITING = "done", "waiting"  # states of an outcome
 POLL: Final = 1.0  # seconds
 _PATIENCE: Final = 3600  # seconds that a label waits for the key; a screen code ends sooner
@@ -36,11 +37,14 @@ class Stage(Enum):
     DIGITS = "digits"  # a person compares, and confirms at the node
     ENROLLED = "enrolled"
     REJECTED = "rejected"
+    DIFFERED = "differed"  # the digits: somebody is in between
     SWAPPED = "swapped"  # the request is not the code's
     FAILED = "failed"
 
 
-OVER: Final = frozenset({Stage.ENROLLED, Stage.REJECTED, Stage.SWAPPED, Stage.FAILED})
+OVER: Final = frozenset(
+    {Stage.ENROLLED, Stage.REJECTED, Stage.DIFFERED, Stage.SWAPPED, Stage.FAILED}
+)
 
 
 class Known(Enum):
@@ -72,6 +76,10 @@ class EnrollmentService(Protocol):
 
     async def deny_request(self, request: bytes, reason: str) -> None:
         """Deny one."""
+        ...
+
+    async def revoke_node(self, name: str, reason: str) -> tuple[int, int]:
+        """Revoke every key of a name."""
         ...
 
     async def outcome(self, statement: bytes, /) -> Outcome:
@@ -195,10 +203,37 @@ class Enrollment:
             if each.csr == self.core.csr:
                 await self._service.deny_request(each.id, REJECTED)
 
+    def check_has_digits(self) -> None:
+        """Return if there are, or were, digits to compare.
+
+        Raises:
+            EnrollmentOver: there are none.
+        """
+        if self.stage not in {Stage.DIGITS, Stage.ENROLLED}:
+            raise EnrollmentOver("there are no digits to compare here", "load the page anew")
+
+    async def differ(self) -> None:
+        """A person says that the digits differ: it ends, and what was signed is revoked.
+
+        The code may have been another's, and its key has an identity now. A key that was known
+        under this name before got no more than it had, and keeps that. If the revocation is
+        refused, `error` says so.
+        """
+        self.check_has_digits()
+        self.core.state = AuthorityState.OVER
+        self._move(Stage.DIFFERED)
+        if self.known is Known.SAME_KEY:
+            return
+        try:
+            await self._service.revoke_node(self.core.request.name, DIFFERED)
+        except HintedError as error:
+            self.error = error.bare()
+            self._changed()
+
     def fail(self, error: HintedError) -> None:
         """End it with this reason."""
         self.core.state = AuthorityState.OVER
-        self.error = error
+        self.error = error.bare()
         self._move(Stage.SWAPPED if isinstance(error, RequestSwapped) else Stage.FAILED)
 
     async def _signed(self, outcome: Outcome) -> bytes:

@@ -7,6 +7,7 @@ files in forms, so no multipart.
 import base64
 import binascii
 import json
+import re
 from typing import Any, Final
 from urllib.parse import parse_qsl
 
@@ -17,6 +18,7 @@ from rossec.errors import HttpRefused
 MAX_FIELDS: Final = 64
 _FORM: Final = "application/x-www-form-urlencoded"
 _JSON: Final = "application/json"
+_HALVES: Final = re.compile("[\ud800-\udfff]")
 _HINT: Final = "go back, load the page again, and try once more"
 
 
@@ -59,11 +61,13 @@ async def read_json(request: Request) -> dict[str, Any]:
 def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
     """A field that is text of at most `limit` characters; absent: empty.
 
+    JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
+
     Raises:
         HttpRefused: of another type, or longer.
     """
     value = fields.get(name, "")
-    if not isinstance(value, str) or len(value) > limit:
+    if not isinstance(value, str) or len(value) > limit or _HALVES.search(value):
         raise HttpRefused(f"{name}: not a text of at most {limit} characters", _HINT)
     return value
 

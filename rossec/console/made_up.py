@@ -6,39 +6,53 @@ made up.
 """
 
 import math
-from dataclasses import fields, is_dataclass
+from collections.abc import Iterable
+from dataclasses import is_dataclass
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 
+from grants.model import Restriction
 from rossec.console.samples import Recorded
 from rossec.errors import MessageError
-from rossec.participant.message_types import message_type
+from rossec.participant.message_types import (
+    field_names,
+    field_value,
+    message_type,
+    set_field,
+)
 
 _FRAME: Final = "map"
 _SECONDS: Final = 60
+_LONG: Final = 600  # seconds at one message each, where a receiver gets one in a slot of 30 or 60
 _RAYS: Final = 180
 _WIDTH, _HEIGHT = 160, 120
 _PER_SECOND: Final = 4
 
 
-def recorded(topic: str, type_name: str) -> Recorded | None:
-    """A minute of the topic; None for a type that is not known here."""
+def recorded(
+    topic: str, type_name: str, restrictions: Iterable[Restriction] = ()
+) -> Recorded | None:
+    """A minute of the topic, ten where one is in slots; None for a type that is not known here."""
+    in_slots = any(each.slot is not None for each in restrictions)
+    is_long = in_slots and type_name not in _RARE  # of these only the last is drawn
     try:
-        return Recorded(topic, type_name, messages(type_name), is_made_up=True)
+        return Recorded(topic, type_name, messages(type_name, is_long=is_long), is_made_up=True)
     except MessageError:
         return None
 
 
 @cache
-def messages(type_name: str) -> tuple[tuple[float, bytes], ...]:
+def messages(type_name: str, *, is_long: bool = False) -> tuple[tuple[float, bytes], ...]:
     """Messages of the type with their seconds from the beginning; made once."""
     kind = message_type(type_name)
     make = _MAKERS.get(type_name, _anything)
     rare = type_name in _RARE
-    count = 3 if rare else _SECONDS * _PER_SECOND
-    step = _SECONDS / count
+    seconds = _LONG if is_long else _SECONDS
+    usual = seconds * (1 if is_long else _PER_SECOND)
+    count = 3 if rare else usual
+    step = seconds / count
     found = []
     for number in range(count):
         at = number * step
@@ -117,18 +131,16 @@ def _image(message: Any, at: float) -> None:
 
 def _anything(message: Any, at: float) -> None:
     """Every number moves, every text is its field's name."""
-    for each in fields(message):
-        value = getattr(message, each.name)
-        if each.name.startswith("__"):  # rosbags' own
-            continue
+    for field in field_names(message):
+        value = field_value(message, field)
         if is_dataclass(value):
             _anything(value, at)
         elif isinstance(value, float):
-            setattr(message, each.name, round(20.7 + 2.4 * math.sin(at / 6), 2))
+            set_field(message, field, round(20.7 + 2.4 * math.sin(at / 6), 2))
         elif isinstance(value, str):
-            setattr(message, each.name, f"some {each.name.replace('_', ' ')}")
+            set_field(message, field, f"some {field.replace('_', ' ')}")
         elif type(value) is int:
-            setattr(message, each.name, 3)
+            set_field(message, field, 3)
 
 
 _RARE: Final = frozenset({"sensor_msgs/LaserScan", "sensor_msgs/Image"})

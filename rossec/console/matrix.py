@@ -5,7 +5,7 @@ presents only those it chooses (`grants.decision`): one of them without filters 
 that the master may renew counts as in force until its cap.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from typing import Final, NamedTuple
 
@@ -14,6 +14,7 @@ from grants.document import peek
 from grants.model import Grant, Permission, Restriction, Right, merge
 from rossec.authority.console.views import FactView, GrantView, NodeView
 from rossec.console import words
+from rossec.console.endings import Heard
 from rossec.ros.text import printable
 
 _ANY: Final = "anything_else"  # stands for a wildcard's segment; no node has such a name
@@ -24,17 +25,30 @@ class Access(StrEnum):
 
     ALL = "all"
     COARSE = "coarse"
+    ENDING = "ending"  # it was ended, and not every node has heard
     ENDED = "ended"
     NOTHING = "nothing"
 
 
+SEEING: Final = frozenset({Access.ALL, Access.COARSE, Access.ENDING})
+
+
 class HeldGrant(NamedTuple):
-    """A grant and whether it is in force: `ended_at` is 0 if it is, `reason` why it is not."""
+    """A grant and whether it is in force: `ended_at` is 0 if it is, `reason` why it is not.
+
+    `is_ending`: it was revoked, and somebody may not have heard of that: it may still be used.
+    """
 
     view: GrantView
     grant: Grant
     ended_at: int
     reason: str
+    is_ending: bool = False
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nobody can use it any more."""
+        return bool(self.ended_at) and not self.is_ending
 
 
 class Cell(NamedTuple):
@@ -76,8 +90,8 @@ class TopicRow(NamedTuple):
         return _is_pattern(self.topic)
 
     def seen_by(self) -> list[Cell]:
-        """The cells of receivers that see something now."""
-        return [cell for cell in self.cells if cell.access in (Access.ALL, Access.COARSE)]
+        """The cells of receivers that see something now, or may still."""
+        return [cell for cell in self.cells if cell.access in SEEING]
 
 
 class Matrix(NamedTuple):
@@ -112,25 +126,31 @@ class Matrix(NamedTuple):
 
 
 def held_grants(
-    nodes: Iterable[NodeView], grants: Iterable[GrantView], now: int
+    nodes: Iterable[NodeView], grants: Iterable[GrantView], now: int, heard: Heard
 ) -> tuple[HeldGrant, ...]:
-    """Every grant with its end, newest first.
+    """Every grant with its end, newest first; `heard`: what every node knows to have ended.
 
     Raises:
         GrantMalformed: the record has one that cannot be read.
     """
     keys = {node.key: node for node in nodes}
-    found = [_held(view, peek(view.data), keys, now) for view in grants]
+    found = [_held(view, peek(view.data), keys, now, heard) for view in grants]
     return tuple(sorted(found, key=lambda held: (-held.view.at, held.view.id)))
 
 
-def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int) -> HeldGrant:
+def _held(
+    view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard
+) -> HeldGrant:
     holder = keys.get(grant.holder)
     until = max(grant.expires, view.cap)
-    if view.revoked_at:
-        return HeldGrant(view, grant, view.revoked_at, view.reason)
-    if holder is not None and holder.revoked_at:
-        return HeldGrant(view, grant, holder.revoked_at, holder.reason)
+    keeps = any(
+        each.restriction is not None and each.restriction.keep_when_stale
+        for each in grant.permissions
+    )
+    for ended in (view, holder):
+        if ended is not None and ended.revoked_at:
+            is_ending = until > now and not heard.has(ended.revoked_at, keeps=keeps)
+            return HeldGrant(view, grant, ended.revoked_at, ended.reason, is_ending)
     if until <= now:
         return HeldGrant(view, grant, until, "its time was over")
     if holder is None:
@@ -138,13 +158,19 @@ def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int) 
     return HeldGrant(view, grant, 0, "")
 
 
-def build(held: Sequence[HeldGrant], facts: Sequence[FactView], now: int) -> Matrix:
+def build(
+    held: Sequence[HeldGrant],
+    facts: Sequence[FactView],
+    now: int,
+    type_of: Callable[[str], str] = lambda _: "",
+) -> Matrix:
     """The matrix of all topics that a grant or the graph names, and all nodes with a grant to see.
 
     Args:
         held: from `held_grants`.
         facts: of the graph; empty if there is no master.
         now: seconds since the epoch.
+        type_of: the type of a topic by the policy, where neither of these says it; empty: no word.
     """
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
     topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
@@ -154,7 +180,7 @@ def build(held: Sequence[HeldGrant], facts: Sequence[FactView], now: int) -> Mat
     for topic in topics:
         publishers = publishers_of(topic, held, facts)
         cells = tuple(_cell(name, topic, of[name], publishers, now) for name in receivers)
-        kind = types.get(topic, "") or _granted_type(cells)
+        kind = types.get(topic, "") or _granted_type(cells) or type_of(topic)
         rows.append(TopicRow(topic, kind, publishers, cells))
     return Matrix(tuple(receivers), tuple(rows))
 
@@ -166,7 +192,7 @@ def publishers_of(
     running = {fact.node for fact in facts if (fact.kind, fact.name) == ("publisher", topic)}
     granted = {
         each.grant.subject for each in held
-        if not each.ended_at and permissions_on(each.grant, Right.PUBLISH, topic)
+        if not each.is_over and permissions_on(each.grant, Right.PUBLISH, topic)
     }  # fmt: skip
     return tuple(sorted(running | granted))
 
@@ -211,8 +237,15 @@ def _cell(
     cell = Cell(receiver, topic, Access.NOTHING, sends=receiver in publishers)
     if not ways:
         return cell
-    living = [(each, merge(one.restriction for one in found)) for each, found in ways
-              if not each.ended_at]  # fmt: skip
+    possible = [(each, merge(one.restriction for one in found)) for each, found in ways
+                if not each.is_over]  # fmt: skip
+    living = [way for way in possible if not way[0].ended_at]
+    ending = sorted(
+        (way for way in possible if way[0].is_ending), key=lambda way: _strictness(way[1])
+    )
+    # What is ending is said unless what stays shows as much.
+    if ending and all(_strictness(ending[0][1]) < _strictness(given) for _, given in living):
+        return _ending_cell(cell, *ending[0], now)
     if not living:
         last = max((each for each, _ in ways), key=lambda each: each.ended_at)
         return cell._replace(
@@ -224,12 +257,24 @@ def _cell(
     # The widest first: without restrictions, then fewer rules, then the longer term.
     living.sort(key=lambda way: (_strictness(way[1]), -way[0].view.cap, way[0].view.id))
     widest, restrictions = living[0]
-    texts = dict.fromkeys(words.restrictions(given) for _, given in living)
+    texts = dict.fromkeys(words.plain(given) for _, given in living)
     return cell._replace(
         access=Access.COARSE if restrictions else Access.ALL,
         words=", or ".join(texts) if restrictions else "",
         term=_term(widest, now),
         grants=tuple(each.view.id for each, _ in living),
+        restrictions=restrictions,
+    )
+
+
+def _ending_cell(
+    cell: Cell, held: HeldGrant, restrictions: tuple[Restriction, ...], now: int
+) -> Cell:
+    return cell._replace(
+        access=Access.ENDING,
+        words=printable(held.reason, 200),
+        term=f"was ended {words.ago(held.ended_at, now)}; it may see it until every node has heard",
+        grants=(held.view.id,),
         restrictions=restrictions,
     )
 

@@ -1,8 +1,9 @@
 """Whether anything changed: one question a second to the service, for all open pages.
 
 A stream has numbers only, so it tells nothing that the page itself would not: the service's number,
-and how often something changed in this console. The service is asked only while a page waits. A
-stream ends with its session; there are at most 100 of them.
+and how often something changed in this console. Between them it says every few seconds whether the
+service answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only
+while a page waits. A stream ends with its session; there are at most 100 of them.
 """
 
 import asyncio
@@ -16,9 +17,11 @@ from rossec.errors import HttpRefused
 from rossec.net.aio.tasks import TaskSet
 
 PERIOD: Final = 1.0  # seconds between two questions
-BEAT: Final = 5.0  # seconds after which a silent stream shows that it lives
+BEAT: Final = 5.0  # seconds after which a stream without news shows that it lives
 MAX_STREAMS: Final = 100
 _COMMENT: Final = b":\n\n"  # ignored by browsers; a connection that is gone shows at the write
+ALIVE: Final = b"event: alive\ndata: 1\n\n"
+SILENT: Final = b"event: silent\ndata: 1\n\n"  # the service does not answer this console
 _log = logging.getLogger("rossec.console")
 
 
@@ -36,6 +39,7 @@ class NewsFeed:
         self._streams = 0
         self._number: int | None = None
         self._own = self._told_own = 0
+        self._answered = float("-inf")  # when the service did last, by the loop's clock
 
     @property
     def number(self) -> str | None:
@@ -87,9 +91,14 @@ class NewsFeed:
                     told = self.number
                     yield f"data: {told}\n\n".encode()
                 elif not await self._wait(told, beat):
-                    yield _COMMENT
+                    yield self._sign()
         finally:
             self._streams -= 1
+
+    def _sign(self) -> bytes:
+        patience = BEAT + 2 * self._period
+        is_answered = asyncio.get_running_loop().time() - self._answered < patience
+        return ALIVE if is_answered else SILENT
 
     async def _wait(self, told: str | None, beat: float) -> bool:
         """Wait for another number than `told`; whether there is one."""
@@ -105,6 +114,7 @@ class NewsFeed:
             before = self.number
             try:
                 self._number = (await self._status()).number
+                self._answered = asyncio.get_running_loop().time()
             except HintedError as error:  # the page that is loaded next says so
                 _log.info("no news: %s", error)
             if self.number != before or self._own != self._told_own:

@@ -4,7 +4,7 @@ Texts of nodes go through `printable` before they are escaped, so that none turn
 the line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
 """
 
-from datetime import datetime
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -17,10 +17,13 @@ from starlette.responses import HTMLResponse, Response
 from rossec.console.assets import asset_path
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import to_base64url
-from rossec.console.words import ago, topic
+from rossec.console.names import NONE, Names
+from rossec.console.words import ago, day, topic
 from rossec.ros.text import printable
 
 FOLDER: Final = Path(__file__).parent / "templates"
+# Filters belong to the environment, which is made once; titles are those of one page.
+_NAMES: ContextVar[Names] = ContextVar("names", default=NONE)
 
 
 class Place(NamedTuple):
@@ -34,7 +37,7 @@ NAVIGATION: Final = (
     Place("/", "Today"),
     Place("/who", "Who sees what"),
     Place("/add", "Add a node"),
-    Place("/way", "The way it goes"),
+    Place("/way", "Data flow"),
     Place("/log", "What happened"),
     Place("/phones", "Your phone"),
 )
@@ -50,6 +53,7 @@ def render(
     loaded again when anything changes (`live.js`).
     """
     session = getattr(request.state, "session", None)
+    _NAMES.set(names_of(request))
     text = environment().get_template(template).render(
         domain=context.settings.domain,
         session=session,
@@ -69,8 +73,15 @@ def _places(context: ConsoleContext) -> tuple[Place, ...]:
     return tuple(place for place in NAVIGATION if not (only_shows and place.path == "/add"))
 
 
-def render_text(template: str, **values: Any) -> str:
+def names_of(request: Request) -> Names:
+    """What the policy calls things, as it was asked for this page."""
+    found: Names = getattr(request.state, "names", NONE)
+    return found
+
+
+def render_text(template: str, names: Names = NONE, **values: Any) -> str:
     """What a template makes of `values` alone: for a file instead of a page."""
+    _NAMES.set(names)
     return environment().get_template(template).render(**values)
 
 
@@ -85,13 +96,19 @@ def environment() -> Environment:
     made.filters["printable"] = printable
     made.filters["hex"] = bytes.hex
     made.filters["base64url"] = to_base64url
-    made.filters["day"] = _day
+    made.filters["day"] = day
+    made.filters["title"] = _title
+    made.filters["titled"] = _titled
     made.filters["ago"] = ago
     made.filters["address"] = quote  # of a name of ROS: its slashes stay
     made.filters["topic"] = topic
     return made
 
 
-def _day(time: int) -> str:
-    """A time as a day, in the console's own time zone."""
-    return datetime.fromtimestamp(time).astimezone().strftime("%-d %B %Y, %H:%M")
+def _title(name: str) -> str:
+    return _NAMES.get().title(name)
+
+
+def _titled(name: str) -> str:
+    """The name with its title before it, where there is no room for two elements."""
+    return f"{_title(name)} {printable(name)}".strip()

@@ -5,7 +5,8 @@ that are treated alike together. The page of the console and the file of the com
 of it.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 from grants.errors import GrantError
@@ -13,7 +14,6 @@ from grants.filters.layout import Layout
 from grants.model import FilterRule, Right
 from grants.policy.privacy import WHOLE, ReceiverAccess, filters_of, leaf_paths, sees
 from grants.policy.vocabulary import Vocabulary
-from rossec.clock import format_time
 from rossec.console import words
 from rossec.console.matrix import HeldGrant
 from rossec.errors import MessageError
@@ -72,7 +72,7 @@ def topics(
 ) -> list[ReportTopic]:
     """The report of these accesses, by topic; `vocabulary` is that of the policy."""
     by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
-    for access in sorted(accesses, key=lambda each: (each.topic, each.receiver, each.by)):
+    for access in sorted(_typed(accesses), key=lambda each: (each.topic, each.receiver, each.by)):
         fields = _fields(access, layout_of, wanted)
         if fields:
             groups = by_topic.setdefault((access.topic, access.type or ""), {})
@@ -87,24 +87,56 @@ def topics(
     ]  # fmt: skip
 
 
-def held_accesses(held: Iterable[HeldGrant], types: dict[str, str]) -> list[ReceiverAccess]:
-    """What is granted now, of every grant in force; `types` by topic, from the graph."""
+def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
+    """A topic is one, also where only some of its grants say the type of its messages."""
+    found = list(accesses)
+    kinds: dict[str, set[str]] = {}
+    for each in found:
+        kinds.setdefault(each.topic, set()).update({each.type} if each.type else ())
+    return [
+        replace(each, type=next(iter(kinds[each.topic])))
+        if each.type is None and len(kinds[each.topic]) == 1
+        else each
+        for each in found
+    ]
+
+
+def held_accesses(
+    held: Iterable[HeldGrant],
+    types: Mapping[str, str],
+    type_of: Callable[[str], str] = lambda _: "",
+) -> list[ReceiverAccess]:
+    """What is granted now, of every grant in force or ending.
+
+    `types` by topic, from the graph; `type_of` is that of the policy, empty: it does not say.
+    """
     found = []
     for each in held:
         for permission in each.grant.permissions:
-            if each.ended_at or Right.SUBSCRIBE not in permission.rights:
+            if each.is_over or Right.SUBSCRIBE not in permission.rights:
                 continue
-            restriction = permission.restriction
-            kind = types.get(permission.pattern) if restriction is None else restriction.type
-            why = f"rule {each.view.rules} of the policy" if each.view.rules else "decided by hand"
+            restriction, topic = permission.restriction, permission.pattern
+            kind = types.get(topic) or (restriction.type if restriction is not None else None)
             access = ReceiverAccess(
-                permission.pattern, kind or types.get(permission.pattern), each.grant.subject, why,
-                format_time(max(each.grant.expires, each.view.cap)), f"grant {each.grant.short_id}",
+                topic, kind or type_of(topic) or None, each.grant.subject, _why(each),
+                _until(each), f"grant {each.grant.short_id}",
                 () if restriction is None else (restriction,),
                 None if restriction is None else restriction.rate,
             )  # fmt: skip
             found.append(access)
     return found
+
+
+def _why(held: HeldGrant) -> str:
+    if held.is_ending:
+        return "it was ended, and may still see it"
+    return f"rule {held.view.rules} of the policy" if held.view.rules else "decided by hand"
+
+
+def _until(held: HeldGrant) -> str:
+    if held.is_ending:
+        return "every node has heard"
+    return words.day(max(held.grant.expires, held.view.cap))
 
 
 def _fields(

@@ -7,7 +7,7 @@ up could fulfil them. The keys of pseudonyms are the publishers' own, so here th
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import is_dataclass, replace
 from typing import Any, Final, NamedTuple, Protocol
 
 from grants.decision import Decision
@@ -16,7 +16,7 @@ from grants.filters.layout import parse
 from grants.guard import Guard, needed_keys
 from grants.model import Restriction, Right
 from rossec.errors import MessageError
-from rossec.participant.message_types import message_type
+from rossec.participant.message_types import field_names, field_value, message_type
 
 _NEVER: Final = 1 << 52
 
@@ -103,10 +103,7 @@ def _without_conditions(given: Iterable[Restriction]) -> Iterable[Restriction]:
 
 def as_mapping(message: Any) -> Mapping[str, Any]:
     """The fields of a message by name; arrays of numbers stay as they are."""
-    names = (
-        each.name for each in fields(message) if not each.name.startswith("__")
-    )  # rosbags' own
-    return {name: _plain(getattr(message, name)) for name in names}
+    return {name: _plain(field_value(message, name)) for name in field_names(message)}
 
 
 def _plain(value: Any) -> Any:

@@ -52,11 +52,15 @@ class Sentence(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What the ids in log entries mean: grants by id, nodes by key, questions by id, all in hex."""
+    """What the ids in log entries mean: grants by id, nodes by key, questions by id, all in hex.
+
+    `ending`: ids of what was ended and may still be used.
+    """
 
     grants: Mapping[str, Grant]
     nodes: Mapping[str, str]
-    questions: Mapping[str, GrantQuestion]
+    questions: Mapping[str, tuple[GrantQuestion, ...]]
+    ending: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -64,12 +68,18 @@ class Known(NamedTuple):
         held: Iterable[HeldGrant] = (),
         nodes: Iterable[NodeView] = (),
         questions: Iterable[GrantQuestion] = (),
+        ending: frozenset[str] = frozenset(),
     ) -> "Known":
         """The ids in these views."""
+        asked: dict[str, tuple[GrantQuestion, ...]] = {}
+        for each in questions:
+            number = each.request.hex()
+            asked[number] = (*asked.get(number, ()), each)
         return cls(
             {each.view.id.hex(): each.grant for each in held},
             {node.key.hex(): node.name for node in nodes},
-            {each.id.hex(): each for each in questions},
+            asked,
+            ending,
         )
 
 
@@ -190,19 +200,30 @@ def _grant(event: EventView, known: Known) -> _Told:
 def _revocation(event: EventView, known: Known) -> _Told:
     grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
     why = _because(event.detail)
+    if event.subject in known.ending and (grant is not None or node is not None):
+        return "ended", "Ending", (*_may_still(grant, node or ""), *why)
     if grant is not None:
         gone = (_name(grant.subject), Part("may no longer"), *permissions(grant.permissions))
         return "ended", "Ended", (*gone, *why)
     if node is not None:
-        return "ended", "Removed", (_name(node), Part("has no name here any more"), *why)
+        return "ended", "Removed", (_name(node), Part("does not belong here any more"), *why)
     return "ended", "Ended", (Part(f"what has the number {event.subject[:8]}"), *why)
 
 
+def _may_still(grant: Grant | None, node: str) -> tuple[Part, ...]:
+    until = Part(", until every node has heard")
+    if grant is None:
+        return (_name(node), Part("may still do what it was allowed"), until)
+    return (_name(grant.subject), Part("may still"), *permissions(grant.permissions), until)
+
+
 def _grant_request(event: EventView, known: Known) -> _Told:
-    question = known.questions.get(event.detail)
-    if question is None:
-        return "asked", "Asked", (_name(event.subject), Part("asked to be allowed something"))
-    rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
+    found = known.questions.get(event.detail)
+    if found is None:
+        return "asked", "Asked", (_name(event.subject), Part("asked for a right; it is answered"))
+    rights = [
+        Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights
+    ]
     return "asked", "Asked", (_name(event.subject), Part("asked to"), *permissions(rights))
 
 
@@ -244,7 +265,7 @@ def _pending(event: EventView, _: Known) -> _Told:
 
 
 def _certificate(event: EventView, _: Known) -> _Told:
-    return "joined", "Joined", (_name(event.subject), Part("has a name here now"))
+    return "joined", "Joined", (_name(event.subject), Part("belongs here now"))
 
 
 def _joined_by_code(event: EventView, _: Known) -> _Told:
@@ -297,7 +318,7 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "certificate": _certificate,
     "grant": _grant,
     "revocation": _revocation,
-    "list": _plain("note", "Signed", "the list of what has ended, number"),
+    "list": _plain("note", "Signed", "the list of ended rights, number"),
     "grant request": _grant_request,
     "decision": _decision,
     "invitation": _plain("allowed", "Join code", "made for"),

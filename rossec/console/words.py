@@ -8,20 +8,20 @@ shown passes `printable`.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from functools import cache
 from typing import Final
 
 from ca.domains.aliases import shown
 from ca.patterns import TAIL
 from grants.errors import GrantError
-from grants.filters.layout import parse
 from grants.model import FilterRule, Restriction, Right, Scalar
 from grants.vocabulary.assess import assess
 from grants.vocabulary.describe import Description, describe
 from grants.vocabulary.sentences import sentence
 from grants.vocabulary.words import EXACT
 from rossec.errors import MessageError
-from rossec.participant.message_types import message_type
+from rossec.participant.host_types import layout_of
 from rossec.ros.text import printable
 
 MAX_NAME: Final = 120
@@ -81,8 +81,14 @@ def ago(at: int, now: int) -> str:
 
 
 def left(until: int, now: int) -> str:
-    """`23 hours left`; `over` when there is none."""
-    return f"{duration(until - now)} left" if until > now else "over"
+    """`23 hours left`; `over` when there is none. A day of which seconds are over is a day."""
+    span = until - now
+    return f"{duration(span + span // 100)} left" if span > 0 else "over"
+
+
+def day(time: int) -> str:
+    """A time as a day, in this host's time zone."""
+    return datetime.fromtimestamp(time).astimezone().strftime("%-d %B %Y, %H:%M")
 
 
 def term(expires: int, cap: int, now: int) -> str:
@@ -112,7 +118,7 @@ OPERATORS: Final[Mapping[str, str]] = {
     "redact": "{field} replaced by {text}",
     "truncate": "only the first {length} of {field}",
     "hash": "{field} as a pseudonym",
-    "pixelate": "{field} in squares of {block} pixels",
+    "pixelate": "{field} in squares",
     "rooms": "{field} as the room alone",
     "sort": "{field} in no order of their own",
 }
@@ -199,11 +205,20 @@ def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
     said = field_name(rule.path, type_name)
     given = {parameter: _value(value) for parameter, value in rule.parameters}
     text = OPERATORS[rule.operator].format_map(given | {"field": said, "unit": unit})
-    if rule.operator == "pixelate" and "levels" in given:
-        text += f", {given['levels']} shades of grey"
+    if rule.operator == "pixelate":
+        text += _squares(given)
     if unit == _DEGREES and rule.operator == "round":
         text += f" (about {_METRES * float(dict(rule.parameters)['step']):.0f} m)"
-    return f"{text}, only in a part of it" if {"width", "block"} <= given.keys() else text
+    return text
+
+
+def _squares(given: Mapping[str, str]) -> str:
+    """How large they are and what they show: ` of 32 pixels, at most 16 across`."""
+    parts = [f"at most {given['across']} across"] if "across" in given else []
+    parts += [f"{given['levels']} shades of grey"] if "levels" in given else []
+    parts += ["only in a part of it"] if "width" in given else []
+    size = [f" of {given['block']} pixels"] if "block" in given else [""]
+    return ", ".join([*size, *parts])
 
 
 def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[str]:
@@ -255,20 +270,26 @@ def restrictions(given: Iterable[Restriction]) -> str:
     return f"{said} ({parts})" if said else parts
 
 
+def plain(given: Iterable[Restriction]) -> str:
+    """As `restrictions`, for people who do not know fields: by levels where these are known."""
+    together = list(given)
+    return levels(together) or restrictions(together)
+
+
 def levels(given: Sequence[Restriction]) -> str:
     """The words that are at a level: `where it is: the room; not how it moves`; else empty."""
     kind = next((each.type for each in given if each.type is not None), None)
-    described = None if kind is None else _description(kind)
+    described = None if kind is None else description(kind)
     if described is None:
         return ""
     found = assess(described, given).values()
-    return sentence(one for one in found if one.level != EXACT)
+    return sentence(one for one in found if one.level != EXACT or one.conditions)
 
 
 @cache
-def _description(type_name: str) -> Description | None:
+def description(type_name: str) -> Description | None:
     """What the fields of a type tell; None if it is not known here."""
     try:
-        return describe(parse(type_name, message_type(type_name).definition))
+        return describe(layout_of(type_name))
     except (GrantError, MessageError):
         return None

@@ -9,6 +9,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import shlex
 import sys
 import time
@@ -19,6 +20,7 @@ from typing import Any, Final
 from rossec.errors import RossecError
 
 DEADLINE: Final = 15.0
+_LOOK: Final = 0.05  # seconds between two looks at a log
 PATIENCE: Final = 3.0  # seconds a process has to end when asked
 Report = dict[str, Any]
 Run = Callable[[Sequence[str], Mapping[str, str]], int]
@@ -162,6 +164,22 @@ class DemoProcess:
         if found is None:
             raise DemoFailed(f"{self.name}: {what} did not happen; it logged: {self.last_lines()}")
         return found
+
+    async def logged(self, pattern: str, within: float = DEADLINE) -> str:
+        """Return the first text in its log that matches, at the beginning of a line.
+
+        Raises:
+            DemoFailed: none came in time, or the process ended first.
+        """
+        end = time.monotonic() + within
+        while True:
+            has_ended = self._ended  # before the look: what it wrote last counts
+            found = re.search(pattern, self._log.read_text(errors="replace"), re.MULTILINE)
+            if found is not None:
+                return found[0]
+            if has_ended or time.monotonic() > end:
+                raise DemoFailed(f"{self.name} said nothing expected: {self.last_lines()}")
+            await asyncio.sleep(_LOOK)
 
     @property
     def ended(self) -> bool:

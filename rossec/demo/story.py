@@ -6,7 +6,7 @@ demo it does everything by commands and processes; the console is one of them.
 
 import socket
 
-from rossec.demo import steps
+from rossec.demo import steps, trying
 from rossec.demo.environment import DemoEnvironment
 
 START = 60.0  # seconds for the console on a busy machine
@@ -32,6 +32,8 @@ async def begin_story(demo: DemoEnvironment, port: int) -> str:
         _, doctor, _, _ = await steps.start(demo)
     with demo.printer.step("the doctor's view of the camera is revoked"):
         await steps.revoke(demo, doctor, camera)
+    with demo.printer.step("a lamp asks to see where the robot is, and waits for an answer"):
+        await trying.ask(demo)
     with demo.printer.step("the authority's service starts, then the console"):
         return await _start_console(demo, port)
 

@@ -12,8 +12,8 @@ from rossec.master.state.imported_facts import FACTS_LIMIT
 from rossec.participant.graph_view import Fact, facts_of
 
 METHOD: Final = "rossec.followSite"
-MAX_PARTS: Final = 256  # of one answer; with 1,024 facts in each more than are imported
-MAX_GATHERED: Final = 2 * FACTS_LIMIT  # facts in all parts: those added, and those removed
+MAX_PARTS: Final = 256  # until an answer is complete, also of those that `whole` made void
+MAX_GATHERED: Final = 2 * FACTS_LIMIT  # facts in all of them: those added, and those removed
 _DIGEST: Final = 32
 _NONE: Final[frozenset[Fact]] = frozenset()
 _HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
@@ -44,11 +44,21 @@ class SiteCursor:
     """
 
     def __init__(self) -> None:
+        self._begin_again()
+
+    def _begin_again(self) -> None:
         self.instance = ""
         self.version = -1
         self._cursor = 0
         self._parts: list[SiteChange] = []
+        self._taken = 0  # parts since the last complete answer
+        self._gathered = 0  # facts in them
         self._lists = b"", b""  # the digests of the last answer
+
+    def reconnected(self) -> None:
+        """What parts the site sends from now on is counted anew, beside those that are held."""
+        self._taken = len(self._parts)
+        self._gathered = sum(len(each.added) + len(each.removed) for each in self._parts)
 
     @property
     def params(self) -> tuple[str, int]:
@@ -77,17 +87,24 @@ class SiteCursor:
         self._check(instance, version)
         self.instance, self.version, self._cursor = instance, version, cursor
         self._lists = revocations, domains
-        self._parts = [part] if whole else [*self._parts, part]
-        if len(self._parts) > MAX_PARTS:
-            raise AnswerMalformed(f"a site's answer in more than {MAX_PARTS} parts")
-        if sum(len(each.added) + len(each.removed) for each in self._parts) > MAX_GATHERED:
-            raise AnswerMalformed(f"a site's answer with more than {MAX_GATHERED} facts")
+        if whole:
+            self._parts.clear()
+        self._parts.append(part)
+        self._taken += 1
+        self._gathered += len(part.added) + len(part.removed)
+        if self._taken > MAX_PARTS or self._gathered > MAX_GATHERED:
+            in_parts = self._taken > MAX_PARTS
+            self._begin_again()
+            raise AnswerMalformed(
+                f"a site's answer in more than {MAX_PARTS} parts" if in_parts
+                else f"a site's answer with more than {MAX_GATHERED} facts"
+            )  # fmt: skip
         if more:
             return None
         return self._complete(self._parts)
 
     def _complete(self, parts: list[SiteChange]) -> SiteChange:
-        self._parts = []
+        self._parts, self._taken, self._gathered = [], 0, 0
         return _joined(parts)
 
     def _check(self, instance: str, version: int) -> None:

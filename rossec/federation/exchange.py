@@ -5,7 +5,9 @@ newer one is found by trying to take the other's. A master that was restored fro
 newest list from whichever master it meets first.
 """
 
-from typing import Final
+import asyncio
+from collections.abc import Generator
+from typing import Final, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import DomainsRefused, RevocationRefused
@@ -21,7 +23,19 @@ from rossec.ros.names import DOMAINS, PRESENT_GRANTS, UPDATE_DOMAINS
 from rossec.ros.xmlrpc import Fault
 
 _SINCE: Final = "rossec.revocationsSince"
+_T = TypeVar("_T")
 _UNKNOWN: Final = (AnswerRefused, Fault)  # also of a master that does not know the call
+
+
+async def in_turns(steps: Generator[None, None, _T]) -> _T:
+    """What the steps return; other calls are answered between two of them."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: _T = end.value
+            return result
+        await asyncio.sleep(0)
 
 
 def held_revocations(own: OwnMaster) -> bytes:
@@ -79,7 +93,7 @@ async def _take(client: RpcClient, own: OwnMaster, peer: Identity, theirs: bytes
             entries = await client.ask("rossec.revocationEntries", own.name)
             if not isinstance(entries, bytes):
                 raise AnswerMalformed("a master's answer without entries of a tree")
-            newer = trust.update_tree(theirs, entries, now)
+            newer = await in_turns(trust.take_tree(theirs, entries, now))
         else:
             newer = trust.update(theirs, now)
     except (RevocationRefused, *_UNKNOWN):  # older, most often: then it gets ours

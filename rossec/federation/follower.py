@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from secrets import SystemRandom
 from typing import Any, Final
@@ -38,7 +38,6 @@ from rossec.federation.site_connection import SiteConnections
 from rossec.federation.site_status import site_status
 from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
 from rossec.federation.via import SiteDoors
-from rossec.master.state.import_events import ImportEvent
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
@@ -151,6 +150,7 @@ class FollowedSite:
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connections.open() as (client, peer):
             self._take(Event.CONNECTED)
+            self._cursor.reconnected()
             if not was_followed:
                 await self._greet(client, peer)
             try:
@@ -245,6 +245,7 @@ class FollowedSite:
             change = self._cursor.take(answer)
             if change is not None:
                 return change
+            await self._pace()
 
     @property
     def _events(self) -> list[asyncio.Event]:
@@ -268,7 +269,7 @@ class FollowedSite:
             self.settings.site, change.added, change.removed, whole=change.whole
         )
         try:
-            events = await _run(steps)
+            events = await exchange.in_turns(steps)
         except HintedError as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
@@ -324,14 +325,3 @@ class FollowedSite:
             longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
             async with asyncio.timeout(self.state.pause(self._rand(), longest)):
                 await self._woken.wait()
-
-
-async def _run(steps: Generator[None, None, list[ImportEvent]]) -> list[ImportEvent]:
-    """Other calls are answered between two steps."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            events: list[ImportEvent] = end.value
-            return events
-        await asyncio.sleep(0)

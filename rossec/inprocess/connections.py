@@ -37,7 +37,7 @@ from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.socket_errors import tried_again
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import (
     Definition,
     definition_fields,
@@ -58,7 +58,13 @@ from rossec.participant.topic_handshake import (
     requested_topic,
 )
 from rossec.participant.wire_names import granted_name
-from rossec.participant.wishes import NO_WISHES, requested_wishes, taken_wishes
+from rossec.participant.wishes import (
+    NO_WISHES,
+    carried_out,
+    check_carried_out,
+    requested_wishes,
+    taken_wishes,
+)
 from rossec.ros import header
 from rossec.ros.settings import is_door
 
@@ -148,19 +154,27 @@ class Connections:
         name = _granted_name(protocol, peer, protocol.resolved_name)
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
+            kind = protocol.service_class
             if decision.restrictions:
-                guard = self._service_guard(protocol.service_class, decision)
+                guard = self._service_guard(kind, decision)
                 sock.service_filter = ClientFilter(guard, clock.time)
-            sock.raise_unit_limit(max_unit_size(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
-            return AuthorizedConnection(sock, decision, None)
+            sock.raise_unit_limit(max_unit_size(kind._response_class))  # noqa: SLF001 - rospy's
+            return AuthorizedConnection(sock, decision, None, partial(self._refilter, sock, kind))
         subscribed = definition_of(protocol.recv_data_class)
         expected = ExpectedTopic(name, subscribed.name, subscribed.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
         taken_wishes(fields, NO_WISHES)
-        kind = receiver_definition(subscribed, from_header(fields), decision, installed_definition)
-        fields |= definition_fields(kind, decision)
+        claimed = from_header(fields)
+
+        def kind_under(decision: Decision) -> Definition:
+            return receiver_definition(subscribed, claimed, decision, installed_definition)
+
+        def guard_under(decision: Decision) -> Guard | None:
+            return self._guard_for(kind_under(decision), decision)
+
+        fields |= definition_fields(kind_under(decision), decision)
         sock.raise_unit_limit(max_unit_size(protocol.recv_data_class))
-        return AuthorizedConnection(sock, decision, self._guard_for(kind, decision))
+        return AuthorizedConnection(sock, decision, guard_under(decision), guard_under)
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
         local_identity = self._local_identity
@@ -223,15 +237,20 @@ class Connections:
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
             connection: RosConnection = AuthorizedConnection(sock, decision, None)
-            sock.service_filter = self._server_filter(requested_service(fields), sock, connection)
+            self._filter_calls(requested_service(fields), sock, connection)
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
             published = self._published(requested_topic(fields))
-            guard = self._guard_for(definition_of(published.data_class), decision)
-            wishes = requested_wishes(fields)
+            kind = definition_of(published.data_class)
+            wishes = carried_out(requested_wishes(fields), decision)
             sock.wishes = NO_WISHES if published.queue_size is None else wishes
-            connection = AuthorizedConnection(sock, decision, guard)
+
+            def guard_under(decision: Decision) -> Guard | None:
+                check_carried_out(sock.wishes, decision)
+                return self._guard_for(kind, decision)
+
+            connection = AuthorizedConnection(sock, decision, guard_under(decision), guard_under)
             handler = server.topic_connection_handler
         self._process.add_connection(sock, connection)
         refusal = handler(sock, where, headers.for_rospy(fields_here(fields, sock.peer)))
@@ -240,10 +259,8 @@ class Connections:
                 str(refusal), "both sides need the same version of the package"
             )
 
-    def _server_filter(
-        self, service: str, sock: RosSocket, connection: RosConnection
-    ) -> ServerFilter:
-        """The filter for the calls of this caller.
+    def _filter_calls(self, service: str, sock: RosSocket, connection: RosConnection) -> None:
+        """Filter the calls of this caller.
 
         Raises:
             ConnectionHeaderRefused: the service is not provided here.
@@ -262,7 +279,23 @@ class Connections:
         request_class = provided.service_class._request_class  # noqa: SLF001 - rospy's
         sock.raise_unit_limit(max_unit_size(request_class))
         check = partial(self._process.connections.check, connection)
-        return ServerFilter(check, guard, refused, clock.time, max_message_size(request_class))
+        sock.service_filter = ServerFilter(
+            check, guard, refused, clock.time, max_message_size(request_class)
+        )
+        connection.rebuild = partial(self._refilter, sock, provided.service_class)
+
+    def _refilter(self, sock: RosSocket, kind: Any, decision: Decision) -> None:
+        """Another decision is in force for the calls on this connection.
+
+        Raises:
+            HintedError: it cannot be applied to them.
+        """
+        calls = sock.service_filter
+        if calls is None and decision.restrictions:
+            raise ConnectionHeaderRefused("calls that are restricted now were passed on unread")
+        if calls is not None:
+            restricted = bool(decision.restrictions)
+            calls.replace_guard(self._service_guard(kind, decision) if restricted else None)
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (

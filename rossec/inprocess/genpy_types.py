@@ -4,9 +4,9 @@ from typing import Any
 
 import genpy.message
 
-from rossec.channel.records import ChannelLimits
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.participant.definitions import Definition, size_of
+from rossec.ros.header import MESSAGE_LIMIT
 
 
 def definition_of(kind: Any) -> Definition:
@@ -25,9 +25,9 @@ def installed_definition(name: str) -> Definition | None:
 
 def max_message_size(kind: Any) -> int:
     """The most bytes a message of the class `kind` may have."""
-    return message_limit(size_of(definition_of(kind)), ChannelLimits.unit)
+    return message_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)
 
 
 def max_unit_size(kind: Any) -> int:
     """The most bytes a unit with such messages may have."""
-    return unit_limit(size_of(definition_of(kind)), ChannelLimits.unit)
+    return unit_limit(size_of(definition_of(kind)), MESSAGE_LIMIT)

@@ -33,7 +33,7 @@ from rossec.inprocess.addresses import bracketed, parse_rosrpc
 from rossec.inprocess.connections import Connections
 from rossec.inprocess.module_proxy import ModuleProxy
 from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.publishing import publish
+from rossec.inprocess.publishing import forked_node, publish
 from rossec.inprocess.send_queue import write_data
 from rossec.inprocess.service_probe import ServiceProbe
 from rossec.inprocess.sockets import RosSocket
@@ -236,6 +236,11 @@ def hook_tools(process: SecuredProcess) -> None:
     if rosservice is not None:
         table.append(Hook(rosservice, "socket", ModuleProxy(socket, socket=_probes(process))))
     install(table)
+
+
+def watch_forks(process: SecuredProcess) -> None:
+    """The node starts: a child forked from now on says that nobody receives it."""
+    forked_node.start(process.reporter.warn)
 
 
 def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:

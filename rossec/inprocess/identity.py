@@ -97,7 +97,9 @@ class LocalIdentity(LoadedIdentity):
         master: str = MASTER,
     ) -> None:
         super().__init__(home, name, master)
-        self.live_context = SecureContext(self.live_credentials, self.anchors.verify, suites=suites)
+        self.live_context = SecureContext(
+            self.live_credentials, self.anchors.verify, suites=suites, renews=Identity.renews
+        )
         self.access = LockedAccess(Access(self.standing, master=master))
 
     def name_for(self, peer: Identity) -> str:

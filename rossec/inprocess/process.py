@@ -19,7 +19,8 @@ from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
-from rossec.participant.connections import AuthorizedConnection, ConnectionTable
+from rossec.participant.authorized import AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.membership import Membership
 from rossec.participant.own_addresses import OwnAddresses
 

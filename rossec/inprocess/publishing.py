@@ -24,18 +24,52 @@ from rossec.inprocess.buffer_pool import BufferPool
 from rossec.inprocess.process import RosConnection
 from rossec.inprocess.send_queue import LENGTH, SEPARATE_UNIT, Pieces
 from rossec.net import withheld_log
+from rossec.net.forks import forget_in_children
 from rossec.participant.latch import Latch, Sample
 
 _POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
 _buffer_pool: Final = BufferPool(4)
 _LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
 
+_FORKED: Final = (
+    "this process was forked from a running node, and nobody receives what it publishes"
+    " (hint: publish in the parent, or start another program with subprocess)"
+)
+
 Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
 _log = logging.getLogger("rossec.rospy")
 
 
+class _ForkedNode:
+    """In a process that was forked from a started node: what it publishes goes nowhere."""
+
+    def __init__(self) -> None:
+        self._warn: Callable[[str], None] | None = None  # of a started node
+        self.is_child = False
+        forget_in_children(self)
+
+    def start(self, warn: Callable[[str], None]) -> None:
+        """The node of this process starts."""
+        self._warn = warn
+
+    def abandon(self) -> None:
+        """In the child: rospy's threads and connections are the parent's."""
+        self.is_child = self._warn is not None
+
+    def say(self) -> None:
+        """That it publishes in vain; the reporter says it once."""
+        if self._warn is not None:
+            self._warn(_FORKED)
+
+
+forked_node: Final = _ForkedNode()
+
+
 def publish(topic: Any, message: Any, connection_override: Any = None) -> bool | None:
     """As `_PublisherImpl.publish`, with the same arguments."""
+    if forked_node.is_child:
+        forked_node.say()
+        return False
     if topic.closed:
         if not is_shutdown():
             raise ROSException("publish() to a closed topic")
@@ -123,11 +157,12 @@ def _send(
             if connection is None or moment >= connection.ends:
                 continue
             pieces: Pieces | None = sample.data
-            if connection.guard is not None:
-                key = connection.guard.key
-                if key not in filtered:
-                    filtered[key] = _filter(topic, connection, samples, moment)
-                pieces = filtered[key]
+            guard = connection.guard  # read once: another thread may put another in its place
+            if guard is not None and not isinstance(connection, PlainConnection):
+                if guard.key not in filtered:
+                    peer = shown(connection.stream.peer.name)
+                    filtered[guard.key] = _filter(topic, guard, peer, samples, moment)
+                pieces = filtered[guard.key]
             if pieces is not None and not is_shutdown():
                 transport.write_data(pieces)
         except Exception:  # noqa: BLE001 - as rospy: one that fails does not affect the others
@@ -135,17 +170,12 @@ def _send(
     return dead
 
 
-def _filter(
-    topic: Any, connection: RosConnection, samples: Samples, moment: float
-) -> Pieces | None:
-    guard = connection.guard
-    assert guard is not None  # noqa: S101 - checked by the caller
+def _filter(topic: Any, guard: Guard, peer: str, samples: Samples, moment: float) -> Pieces | None:
     for sample in samples(guard):
         try:
             pieces = guard.apply(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
-            peer = shown(connection.stream.peer.name)
             withheld_log.warn(_log, withheld_log.SENT, name, peer, error)
             continue
         if pieces is not None:

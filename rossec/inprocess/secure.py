@@ -15,7 +15,7 @@ from typing import Any, Final, NoReturn
 
 from ca.errors import HintedError
 from ca.keys import ownership
-from rossec import files
+from rossec import files, home_hints
 from rossec.channel.suite_selection import post_quantum
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
@@ -25,7 +25,8 @@ from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.options import Options, file_of, read
 from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.reporting import LogBridge, Reporter
-from rossec.ros.settings import parse_uri
+from rossec.net.host.own_address import warn_of_own_address
+from rossec.ros.settings import own_address, parse_uri
 from rossec.ros.text import printable
 
 _MAX_FILE = 64 * 1024
@@ -82,6 +83,7 @@ class _Secured:
                 )
         except HintedError as error:
             _refuse_start(error)
+        self.hooks.watch_forks(self.process)
         background_loop, core = self.process.background_loop, self._rospy.core
         background_loop.on_publishers = self._publishers_changed
         background_loop.on_crash = lambda: self._rospy.signal_shutdown(
@@ -115,6 +117,10 @@ class _Secured:
         self.hooks.hook_tools(self.process)
         uri = importlib.import_module("rosgraph").get_master_uri()
         self.process.begin(local_identity, parse_uri(uri, "ROS_MASTER_URI"))
+        warn_of_own_address(own_address(os.environ), os.environ, self._warn_of_address)
+
+    def _warn_of_address(self, error: HintedError) -> None:
+        self.reporter.warn("the address of this node", error)
 
     def _publishers_changed(self, topic: str, uris: list[str]) -> None:
         registration = self._rospy.impl.registration
@@ -238,5 +244,5 @@ def _hooks_module() -> Any:
 def _require_some_identity(options: Options) -> None:
     if not any((options.home / "nodes").glob("*/node.pem")):
         raise ConfigurationError(
-            f"no node is enrolled in {options.home}", "next: rossec node request /name"
+            f"no node is enrolled in {options.home}", home_hints.missing_nodes(options.home)
         )

@@ -112,7 +112,7 @@ class SendQueue:
             try:
                 self._send_waiting()
             except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
-                self._error = error
+                self._error = _bare(error)
 
     def _send_waiting(self) -> None:
         for batch in _batches(self._queue):
@@ -127,6 +127,12 @@ class SendQueue:
             self._filled.wait()
             self._idle = True
         self._idle = False
+
+
+def _bare(error: Exception) -> Exception:
+    """Without what refers to frames, and so to messages, for who keeps it."""
+    error.__cause__ = error.__context__ = None
+    return error.with_traceback(None)
 
 
 def _size(message: Pieces) -> int:

@@ -10,13 +10,12 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from ca.errors import HintedError
-from rossec.channel.records import Bytes, ChannelLimits
+from rossec.channel.records import Bytes
 from rossec.participant.service_guard import ServiceGuard
 from rossec.ros import service as wire
 from rossec.ros.framing import Framing
-from rossec.ros.header import FrameReader
+from rossec.ros.header import MESSAGE_LIMIT, FrameReader
 
-_LIMIT: Final = ChannelLimits.unit
 _OK: Final = b"\1"
 _LENGTH: Final = 4
 
@@ -34,6 +33,9 @@ class ServiceFilter(Protocol):
         Raises:
             HintedError: the connection must end.
         """
+
+    def replace_guard(self, guard: ServiceGuard | None) -> None:
+        """Apply another guard from the next message on."""
 
     def outgoing(self, data: bytes) -> Pieces:
         """What the program sends, as it may be sent.
@@ -59,7 +61,7 @@ class ServerFilter:
         guard: ServiceGuard | None,
         on_refusal: Callable[[HintedError], None],
         now: Callable[[], float],
-        limit: int = _LIMIT,
+        limit: int = MESSAGE_LIMIT,
     ) -> None:
         self.framing = Framing(FrameReader(limit))
         self._check = check
@@ -67,26 +69,32 @@ class ServerFilter:
         self._on_refusal = on_refusal
         self._now = now
 
+    def replace_guard(self, guard: ServiceGuard | None) -> None:
+        """See `ServiceFilter`."""
+        self._guard = guard
+
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """See `ServiceFilter`: a request."""
         request = self.framing.feed_one(data, int(self._now()))
         if request is None:
             return b"", ()
         self._check()
-        if self._guard is None:
+        guard = self._guard
+        if guard is None:
             return b"".join(wire.framed([request])), ()
         try:
-            return b"".join(wire.framed(self._guard.request(request, self._now()))), ()
+            return b"".join(wire.framed(guard.request(request, self._now()))), ()
         except HintedError as error:
             return b"", self._refusal(error)
 
     def outgoing(self, data: bytes) -> Pieces:
         """See `ServiceFilter`: a response. A response the guard refuses fails the call."""
-        if self._guard is None or data[:1] != _OK:
+        guard = self._guard
+        if guard is None or data[:1] != _OK:
             return (data,)
         response = memoryview(data)[len(_OK) + _LENGTH :]
         try:
-            return tuple(wire.success(self._guard.response(response, self._now())))
+            return tuple(wire.success(guard.response(response, self._now())))
         except HintedError as error:
             return self._refusal(error)
 
@@ -98,10 +106,16 @@ class ServerFilter:
 class ClientFilter:
     """The caller's side, where the provider's grant restricts requests and responses."""
 
-    def __init__(self, guard: ServiceGuard, now: Callable[[], float], limit: int = _LIMIT) -> None:
+    def __init__(
+        self, guard: ServiceGuard | None, now: Callable[[], float], limit: int = MESSAGE_LIMIT
+    ) -> None:
         self.framing = Framing(FrameReader(limit, lead=len(_OK)))
         self._guard = guard
         self._now = now
+
+    def replace_guard(self, guard: ServiceGuard | None) -> None:
+        """See `ServiceFilter`."""
+        self._guard = guard
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """See `ServiceFilter`: a response. A refused one fails the call."""
@@ -109,14 +123,18 @@ class ClientFilter:
         if content is None:
             return b"", ()
         mark, response = content[: len(_OK)], content[len(_OK) :]
-        if mark != _OK:
+        guard = self._guard
+        if mark != _OK or guard is None:
             return b"".join((mark, *wire.framed([response]))), ()
         try:
-            return b"".join(wire.success(self._guard.response(response, self._now()))), ()
+            return b"".join(wire.success(guard.response(response, self._now()))), ()
         except HintedError as error:
             return b"".join(wire.failure(f"rossec: {error}")), ()
 
     def outgoing(self, data: bytes) -> Pieces:
         """See `ServiceFilter`: a request."""
+        guard = self._guard
+        if guard is None:
+            return (data,)
         request = memoryview(data)[_LENGTH:]
-        return tuple(wire.framed(self._guard.request(request, self._now())))
+        return tuple(wire.framed(guard.request(request, self._now())))

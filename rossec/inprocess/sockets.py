@@ -22,10 +22,11 @@ from rossec.inprocess.addresses import for_family
 from rossec.inprocess.allow_plain import PlainConnection, PlainPeers
 from rossec.inprocess.connector import CONNECT_TIMEOUT, Connector, Stream
 from rossec.inprocess.plain_stream import PlainStream, peek
+from rossec.inprocess.renewing import Renewing
 from rossec.inprocess.service_filter import ServiceFilter
 from rossec.inprocess.socket_errors import resets, tried_again
 from rossec.net.threads.secure_socket import SecureSocket
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.wishes import NO_WISHES
 from rossec.ros.framing import PATIENCE, Framing
 
@@ -59,7 +60,7 @@ class SocketOwner(Protocol):
         """The exception to raise if a connection cannot be secured."""
 
 
-class RosSocket:
+class RosSocket(Renewing):
     """A socket of rospy's: listening, or one secure connection.
 
     Attributes:
@@ -107,11 +108,7 @@ class RosSocket:
         return self.stream.peer
 
     def handshake(self) -> Identity:
-        """Complete the handshake; returns the identity of the peer.
-
-        Raises:
-            ChannelError: it failed.
-        """
+        """Complete the handshake, or raise ChannelError; returns the identity of the peer."""
         if isinstance(self.stream, PlainStream):
             raise ChannelClosed("a plain connection is not authenticated")
         return self.stream.do_handshake()
@@ -120,6 +117,11 @@ class RosSocket:
         """The peer is authorized: it may send units of up to `limit` bytes."""
         if isinstance(self._stream, SecureSocket):
             self._stream.raise_unit_limit(limit)
+
+    def pad_units(self, multiple: int) -> None:
+        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        if isinstance(self._stream, SecureSocket):
+            self._stream.pad_units(multiple)
 
     @property
     def is_plain(self) -> bool:

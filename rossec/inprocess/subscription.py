@@ -95,12 +95,13 @@ class SubscriptionLoop:
         self, connection: RosConnection | PlainConnection | None, messages: list[bytes]
     ) -> list[bytes]:
         """The messages as the publisher's right allows them."""
-        if connection is None or connection.guard is None:
+        guard = None if connection is None else connection.guard  # may be replaced meanwhile
+        if connection is None or guard is None or isinstance(connection, PlainConnection):
             return messages
         filtered = []
         for message in messages:
             try:
-                content = connection.guard(message, clock.time())
+                content = guard(message, clock.time())
             except GrantError as error:
                 self._process.reporter.warn(
                     f"withheld a message on {shown(connection.decision.name)}", error

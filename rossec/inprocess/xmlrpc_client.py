@@ -11,6 +11,7 @@ import logging
 import socket
 import time
 import xmlrpc.client
+from threading import Lock
 from typing import Any, Final
 
 import rosgraph
@@ -20,6 +21,7 @@ from ca.domains.aliases import origin_of
 from ca.errors import HintedError
 from grants.basics import is_dispensable
 from grants.missing_rights import missing_right, refusal
+from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, PlainPeer
 from rossec.inprocess.addresses import bracketed
@@ -28,8 +30,9 @@ from rossec.inprocess.identity import now
 from rossec.inprocess.plain_stream import PlainStream
 from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.registrations import REFUSED, REGISTRATIONS
-from rossec.inprocess.xmlrpc_server import Params, receive_some
+from rossec.inprocess.xmlrpc_server import Params, in_steps, receive_some
 from rossec.net.rpc.client import CALL_DEADLINE
+from rossec.net.rpc.turns import AT_ONCE
 from rossec.participant.caller_names import (
     SEARCH,
     not_found,
@@ -39,15 +42,18 @@ from rossec.participant.caller_names import (
     searched_key,
 )
 from rossec.participant.remote_names import answer_here, offer_refusal
+from rossec.participant.silent_answers import nothing_shown, shows_nothing, unheard_refusal
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.participant.wire_names import wire_name
-from rossec.ros.callclient import CallClient, value_in
+from rossec.ros.callclient import CallClient, value_in, value_steps
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.settings import is_door, parse_uri
+from rossec.ros.xmlrpc import Encoded
 
 REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
 _MULTICALL: Final = "system.multicall"
 _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
+_parsing: Final = Lock()
 _log = logging.getLogger("rossec.rospy")
 
 
@@ -178,9 +184,18 @@ class XmlRpcClient:
                 self._report_missing(method, status)
                 if method in REGISTRATIONS:
                     return [1, status, REGISTRATIONS[method]]
+            case _ if (reason := unheard_refusal(method, params, answer)) is not None:
+                self._process.reporter.warn(f"the master refuses {method}: {reason}")
+            case _ if shows_nothing(method, answer) and not self._may_see_all():
+                name = self._process.local_identity.identity.name
+                self._process.reporter.warn(f"{method}: {nothing_shown(name)}")
             case _:
                 pass
         return answer
+
+    def _may_see_all(self) -> bool:
+        identity = self._process.local_identity
+        return identity.access.holds(Right.GRAPH, identity.name, now())
 
     def _report_missing(self, method: str, status: str) -> None:
         missing = missing_right(status)
@@ -209,7 +224,7 @@ class XmlRpcClient:
             calls = CallClient(_host(address))
             self._present_grants(method, stream, calls)
             named = _named(method, params, local_identity.name_for(peer), peer)
-            return self._here(peer, method, value_in(_exchange(stream, calls, method, named)))
+            return self._here(peer, method, _exchange(stream, calls, method, named))
         finally:
             stream.close()
 
@@ -235,7 +250,7 @@ class XmlRpcClient:
             if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             calls = CallClient(_host(address), compact=False)
-            return value_in(_exchange(PlainStream(sock), calls, "requestTopic", named))
+            return _exchange(PlainStream(sock), calls, "requestTopic", named)
 
 
 def _named(method: str, params: Params, caller: str, peer: Identity | None = None) -> Params:
@@ -272,14 +287,25 @@ def _host(address: tuple[str, int]) -> str:
 def _exchange(
     stream: Stream | PlainStream, calls: CallClient, method: str, params: Params
 ) -> object:
-    """One call and its answer; see `CallClient.take`."""
+    """The value that one call is answered with; a long answer is parsed in steps.
+
+    A hostile server answers with megabytes: parsing them shares the interpreter with the threads
+    that publish. All such answers together have one share.
+    """
     request = calls.request(method, params)
     end = time.monotonic() + CALL_DEADLINE
     stream.settimeout(CALL_DEADLINE)
     stream.sendall(request)
-    while (answer := calls.take(receive_some(stream, end))) is None:
+    while (answer := _taken(calls, receive_some(stream, end))) is None:
         pass
-    return answer
+    if isinstance(answer, Encoded) and len(answer.body) > AT_ONCE:
+        return in_steps(value_steps(answer), _parsing)
+    return value_in(answer)
+
+
+def _taken(calls: CallClient, data: bytes) -> object:
+    """As `CallClient.take`."""
+    return calls.take(data) if len(data) <= AT_ONCE else in_steps(calls.take_steps(data), _parsing)
 
 
 def _stock_types(value: Any) -> Any:

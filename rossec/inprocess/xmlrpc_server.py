@@ -6,8 +6,10 @@ Calls are parsed by `rossec.ros`, within its limits, never by the standard libra
 import logging
 import socket
 import time
+from collections.abc import Generator
 from contextlib import suppress
-from typing import Any
+from threading import Lock
+from typing import Any, Final, TypeVar
 
 from rospy.impl.tcpros_base import get_tcpros_server_address, start_tcpros_server
 
@@ -20,19 +22,25 @@ from rossec.inprocess.connector import Stream
 from rossec.inprocess.identity import now
 from rossec.inprocess.plain_stream import PlainStream, peek
 from rossec.inprocess.process import SecuredProcess
+from rossec.net.bounds import UNSHOWN_BODY
 from rossec.net.rpc.client import REQUEST_DEADLINE
+from rossec.net.rpc.turns import AT_ONCE
 from rossec.participant import slave_api
 from rossec.participant.remote_names import answer_for
 from rossec.participant.slave_api import ports_answer, refusal, topic_offer
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.ros import names
 from rossec.ros.callserver import CallServer
+from rossec.ros.httpread import Oversized
 from rossec.ros.names import SIGNED_UPDATES
-from rossec.ros.xmlrpc import FAULT_CODE, Fault
+from rossec.ros.xmlrpc import FAULT_CODE, Call, Fault
 
 _log = logging.getLogger("rossec.rospy")
 
 Params = tuple[Any, ...]
+ResultT = TypeVar("ResultT")
+_parsing: Final = Lock()
+_PAUSE: Final = 0.001  # seconds between two steps, for the other threads
 
 
 class PresentedGrants:
@@ -65,6 +73,8 @@ class XmlRpcServer:
             peer = stream.do_handshake()
             caller = shown(peer.name)
             self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
+            if self._is_master(peer):
+                stream.raise_unit_limit()
             self._serve(server, stream, peer)
         except ChannelClosed:
             pass
@@ -106,12 +116,12 @@ class XmlRpcServer:
         self,
         server: Any,
         calls: CallServer,
-        request: bytes,
+        request: bytes | Oversized,
         peer: Identity,
         presented: PresentedGrants,
     ) -> bytes:
         try:
-            call = calls.load(request)
+            call = _load(calls, request, master=self._is_master(peer))
             return calls.respond(self._value(server, call.method, call.params, peer, presented))
         except Fault as fault:  # too long
             return calls.respond(fault)
@@ -187,7 +197,32 @@ class XmlRpcServer:
                 return list(answer)
 
 
-def _next_request(calls: CallServer, stream: Stream | PlainStream, end: float | None) -> bytes:
+def _load(calls: CallServer, request: bytes | Oversized, *, master: bool) -> Call:
+    """The call in a request: of one other peer at a time, and in steps.
+
+    Threads that parse share the interpreter with those that publish, each with one share: so all
+    callers together have one. The master does not wait behind them.
+    """
+    if master or isinstance(request, Oversized) or len(request) <= AT_ONCE:
+        return calls.load(request)
+    return in_steps(calls.load_steps(request, UNSHOWN_BODY), _parsing)
+
+
+def in_steps(steps: Generator[None, None, ResultT], turn: Lock) -> ResultT:
+    """The result of parsing, with pauses; one at a time of those with the same `turn`."""
+    with turn:
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                result: ResultT = end.value
+                return result
+            time.sleep(_PAUSE)
+
+
+def _next_request(
+    calls: CallServer, stream: Stream | PlainStream, end: float | None
+) -> bytes | Oversized:
     request = calls.take()
     while request is None:
         waiting = end

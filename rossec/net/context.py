@@ -11,7 +11,7 @@ from typing import Generic
 
 from rossec import clock
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.edhoc.credentials import LiveCredentials, OwnCredential, PeerT, Renews, Verify
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.edhoc.suites import PRODUCTION
@@ -19,6 +19,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.net.bounds import ACCEPTED, DIALLED
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.open_streams import OpenStreams
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,8 @@ class SecureContext(Generic[PeerT]):
         own_dials: its pending connections to itself, which its ports accept.
         dial_limits, accept_limits: of connections it makes, and of those it accepts.
         half_open: the limit that all its ports share.
+        renews: with it, renewed certificates and grants are taken on open connections.
+        open_streams: its open connections.
     """
 
     credentials: OwnCredential
@@ -45,6 +48,12 @@ class SecureContext(Generic[PeerT]):
     dial_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: DIALLED)
     accept_limits: Mapping[WireProtocol, ChannelLimits] = field(default_factory=lambda: ACCEPTED)
     half_open: HalfOpenCount = field(default_factory=lambda: HalfOpenCount(HalfOpen()))
+    renews: Renews[PeerT] | None = None
+    open_streams: OpenStreams = field(default_factory=OpenStreams)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.credentials, LiveCredentials) and self.renews is not None:
+            self.credentials.on_change.append(self.open_streams.present)
 
     def initiator(
         self, protocol: WireProtocol, *, to_itself: bool = False, request_x5t: bool = False
@@ -53,17 +62,23 @@ class SecureContext(Generic[PeerT]):
 
         `to_itself`: the peer must be this identity in this process; else it must be another one.
         """
-        return Connection.initiator(
+        return self._kept(Connection.initiator(
             self.credentials, self.verify, random=secrets.token_bytes, now=clock.now(),
             opening=protocol, suites=self.suites, limits=self.dial_limits[protocol],
             known=self.known, request_x5t=request_x5t,
-            own_dials=self.own_dials if to_itself else None,
-        )  # fmt: skip
+            own_dials=self.own_dials if to_itself else None, renews=self.renews,
+        ))  # fmt: skip
 
     def responder(self, protocol: WireProtocol) -> Connection[PeerT]:
         """The core of an accepted connection, which must open in `protocol`."""
-        return Connection.responder(
+        return self._kept(Connection.responder(
             self.credentials, self.verify, random=secrets.token_bytes, now=clock.now(),
             accept=(protocol,), suites=self.suites, limits=self.accept_limits[protocol],
-            known=self.known, own_dials=self.own_dials,
-        )  # fmt: skip
+            known=self.known, own_dials=self.own_dials, renews=self.renews,
+        ))  # fmt: skip
+
+    def _kept(self, connection: Connection[PeerT]) -> Connection[PeerT]:
+        """Of a connection that takes renewals: its stream is told of them."""
+        if self.renews is not None:
+            connection.streams = self.open_streams
+        return connection

@@ -3,13 +3,14 @@
 A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose
 handshake failed lingers, so that its peer can read the refusal, and costs a descriptor as before.
 At the limit, the one that lingers longest is closed first; then, if the total is reached, one of
-the source that has most, if it has more than the source of the new one.
+the source that has most, if it has more than the source of the new one. A whole LAN is one source
+of IPv6: at its limit, one of the address that has most makes room in the same way.
 """
 
 import functools
 import ipaddress
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
@@ -27,11 +28,12 @@ class HalfOpen:
 class HalfOpenSlot:
     """One half-open connection; made by `HalfOpenCount.admit`."""
 
-    __slots__ = ("_count", "close", "source")
+    __slots__ = ("_count", "address", "close", "source")
 
-    def __init__(self, count: "HalfOpenCount", source: str) -> None:
+    def __init__(self, count: "HalfOpenCount", source: str, address: str) -> None:
         self._count = count
         self.source = source
+        self.address = address
         self.close: Callable[[], None] | None = None
         """Closes its socket at once, to make room; None where that cannot be done."""
 
@@ -73,11 +75,11 @@ class HalfOpenCount:
             self._forget_collected()
             victim = None
             if self._is_full(source):
-                victim = self._victim(source)
+                victim = self._victim(source, address)
                 if victim is None:
                     return None
                 self._remove(victim)
-            slot = HalfOpenSlot(self, source)
+            slot = HalfOpenSlot(self, source, address)
             self._sources.setdefault(source, {})[slot] = None
             self._total += 1
         if victim is not None and victim.close is not None:
@@ -103,15 +105,17 @@ class HalfOpenCount:
         held = len(self._sources.get(source, ()))
         return self._total >= self._caps.total or held >= self._caps.per_address
 
-    def _victim(self, source: str) -> HalfOpenSlot | None:
-        """The slot to evict for a caller from `source`."""
+    def _victim(self, source: str, address: str) -> HalfOpenSlot | None:
+        """The slot to evict for a caller at `address`, which is of `source`."""
         own = self._sources.get(source, {})
         own_full = len(own) >= self._caps.per_address
         for slot in self._lingering:
             if slot.close is not None and (slot.source == source or not own_full):
                 return slot
+        if own_full:
+            return _of_most(own, address)
         most = max(self._sources.values(), key=len, default={})
-        if own_full or len(most) <= len(own) + 1:
+        if len(most) <= len(own) + 1:
             return None
         return next((slot for slot in most if slot.close is not None), None)
 
@@ -124,6 +128,15 @@ class HalfOpenCount:
         del slots[slot]
         if not slots:
             del self._sources[slot.source]
+
+
+def _of_most(slots: Iterable[HalfOpenSlot], address: str) -> HalfOpenSlot | None:
+    """The oldest slot of the address that has most, if it has more than `address` would have."""
+    counts = Counter(slot.address for slot in slots)
+    most = max(counts, key=counts.__getitem__)
+    if counts[most] <= counts[address] + 1:
+        return None
+    return next((slot for slot in slots if slot.address == most and slot.close is not None), None)
 
 
 @functools.lru_cache(maxsize=256)

@@ -12,7 +12,8 @@ from grants.memory import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.net.aio import SecureStream
 from rossec.participant.access import Access
-from rossec.participant.connections import AuthorizedConnection, ConnectionTable
+from rossec.participant.authorized import AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.dialer import Dialer
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.remote_names import caller_for

@@ -5,7 +5,6 @@ its own grants, which reveals nothing of what this node publishes or provides.
 """
 
 import asyncio
-import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
@@ -17,23 +16,22 @@ from ca.errors import HintedError, RevocationsStale
 from rossec import clock
 from rossec.errors import ConnectionHeaderRefused
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
 from rossec.node.publisher import Publisher
 from rossec.node.services import Services
-from rossec.participant import slave_api
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.remote_names import caller_for
 from rossec.participant.slave_api import SlaveApi
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
+from rossec.participant.slave_serving import serve_peer
 from rossec.participant.topic_handshake import (
     admit_subscriber,
     check_type,
     publisher_header,
     requested_topic,
 )
-from rossec.participant.wishes import requested_wishes
+from rossec.participant.wishes import carried_out, requested_wishes
 from rossec.ros import header, names
 from rossec.ros.names import SIGNED_UPDATES
 from rossec.ros.settings import is_loopback
@@ -97,11 +95,8 @@ class Listener:
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """Serve calls: without a time limit for the master, within `DEADLINE` for other peers."""
-        limit = None if self._access.is_master(stream.peer) else slave_api.DEADLINE
         presented: list[bytes] = []
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(limit):
-                await serve_calls(stream, partial(self._call, presented))
+        await serve_peer(stream, partial(self._call, presented), self._access)
 
     async def _call(
         self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
@@ -165,7 +160,7 @@ class Listener:
             raise ConnectionHeaderRefused(
                 f"{self._name} does not publish {requested_topic(fields)}"
             )
-        wishes = requested_wishes(fields)
+        wishes = carried_out(requested_wishes(fields), decision)
         await publisher.ready()
         check_type(fields, publisher.endpoint.expected)
         guard = publisher.guard(decision)

@@ -7,12 +7,14 @@ data current.
 """
 
 import asyncio
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.suite_selection import post_quantum
@@ -20,6 +22,7 @@ from rossec.environment import own_home, own_master
 from rossec.errors import AnswerMalformed, NodeShutdown
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.host.own_address import warn_of_own_address
 from rossec.node import uncaught
 from rossec.node.context import NodeContext
 from rossec.node.listener import Listener
@@ -45,6 +48,8 @@ from rossec.participant.wishes import Wishes
 from rossec.ros import settings
 from rossec.ros.names import ANY_TYPE
 
+_log = logging.getLogger("rossec.node")
+
 
 class Node:
     """One node: `async with Node("/camera") as node: ...`.
@@ -65,6 +70,7 @@ class Node:
         environ: Mapping[str, str] = os.environ,
     ) -> None:
         uncaught.install()
+        self._environ = environ
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
         loaded = LoadedIdentity(
@@ -76,7 +82,7 @@ class Node:
         self.access = Access(loaded.standing, master=loaded.master)
         secure = SecureContext(
             self.credentials, loaded.anchors.verify,
-            suites=post_quantum(environ), known=KnownCertificates(),
+            suites=post_quantum(environ), known=KnownCertificates(), renews=Identity.renews,
         )  # fmt: skip
         own_addresses = OwnAddresses()
         self._dialer = Dialer(
@@ -330,9 +336,13 @@ class Node:
             self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
 
     async def _start(self) -> None:
+        warn_of_own_address(self.settings.address, self._environ, self._warn_of_address)
         stream = await self._membership.session.open()
         self._host = self.settings.address or stream.local_address
         await self._listener.start(self._host)
         self._context.uri = settings.build_uri(self._host, self._listener.slave_port)
         self._context.rosrpc = settings.build_uri(*self.topic_endpoint(), scheme="rosrpc")
         self._membership.start()
+
+    def _warn_of_address(self, error: HintedError) -> None:
+        _log.warning("%s: %s (%s)", self.name, error, error.hint)

@@ -8,6 +8,7 @@ message does not receive it.
 import asyncio
 import logging
 from collections.abc import Hashable, Iterable
+from functools import partial
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
@@ -24,12 +25,12 @@ from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.subscriber import check_queue_size
 from rossec.node.subscriber_queue import Pieces, SubscriberQueue
 from rossec.node.wish_queue import WishQueue
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.deflating import SharedDeflation
 from rossec.participant.latch import Latch, Sample
 from rossec.participant.message_types import Message
 from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.participant.wishes import NO_WISHES, Wishes, check_carried_out
 
 QUEUE_SIZE: Final = 10
 SubscriberConnection: TypeAlias = NodeConnection[Guard]
@@ -65,7 +66,7 @@ class Publisher:
         """Resolved topic name."""
         return self.endpoint.topic
 
-    def create(self, **fields: object) -> Message:
+    def create(self, /, **fields: object) -> Message:
         """A zero message of this topic's type with `fields` set."""
         return self.endpoint.type.create(**fields)
 
@@ -137,6 +138,11 @@ class Publisher:
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
+    def _rebuilt(self, wishes: Wishes, decision: Decision) -> Guard:
+        """The guard for another decision on a connection with these wishes."""
+        check_carried_out(wishes, decision)
+        return self.guard(decision)
+
     def _shape(self, _decision: Decision) -> Layout | None:
         """The layout of messages; None only if no restriction reads them."""
         return self._layout
@@ -153,7 +159,7 @@ class Publisher:
 
         It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        connection = AuthorizedConnection(stream, decision, guard)
+        connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
         queue = self.links[connection] = self._queue_for(stream, wishes)
         self._links_changed()
         try:

@@ -28,7 +28,7 @@ from rossec.errors import (
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_guard import Pieces, ServiceGuard
 from rossec.participant.service_handshake import ExpectedService
@@ -107,7 +107,7 @@ class Service:
         """Type and md5sum, as in connection headers."""
         return ExpectedService(self.kind.name, self.kind.md5sum)
 
-    def create(self, **fields: object) -> Message:
+    def create(self, /, **fields: object) -> Message:
         """A zero response with `fields` set."""
         return self.kind.response.create(**fields)
 
@@ -136,7 +136,7 @@ class Service:
 
         It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        connection = AuthorizedConnection(stream, decision, guard)
+        connection = AuthorizedConnection(stream, decision, guard, self.guard)
         share = self._share_of(stream.peer)
         self.links.add(connection)
         try:

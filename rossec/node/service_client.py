@@ -22,7 +22,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.participant.access import Access
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import Message
 from rossec.participant.service_guard import Pieces, ServiceGuard
@@ -139,7 +139,7 @@ class ServiceClient:
         self._task_set = TaskSet()
         self._closed = False
 
-    def create(self, **fields: object) -> Message:
+    def create(self, /, **fields: object) -> Message:
         """A zero request with `fields` set."""
         return self.kind.request.create(**fields)
 
@@ -246,9 +246,11 @@ class ServiceClient:
         )
         check_md5(answer, self.service, kind.md5sum)
         stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+        return AuthorizedConnection(stream, decision, self._guard(decision), self._guard)
+
+    def _guard(self, decision: Decision) -> ServiceGuard:
         context = self._context
-        guard = ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
-        return AuthorizedConnection(stream, decision, guard)
+        return ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
 
     async def _discard_when_ended(self, connection: ProviderConnection) -> None:
         """Discard a connection when it ends, so that the next call does not use it."""

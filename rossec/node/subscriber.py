@@ -10,6 +10,7 @@ import logging
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
+from functools import partial
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
@@ -28,7 +29,8 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.wished_messages import WishedMessages, wished_messages
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.access import FIELD
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, size_of
 from rossec.participant.deflating import OVERHEAD
 from rossec.participant.header_fields import Fields
@@ -192,9 +194,15 @@ class Subscriber:
             answer, stream.peer, endpoint.expected, context.access, clock.now()
         )
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
+        del answer[FIELD]  # what is kept of it needs no grants
+        rebuild = partial(self._guard, answer)
+        connection = AuthorizedConnection(stream, decision, rebuild(decision), rebuild)
+        return connection, answer, units[1:]
+
+    def _guard(self, answer: Fields, decision: Decision) -> Guard | None:
+        """For the messages of the publisher that answered so."""
         kind = self._read_as(answer, decision)
-        guard = guard_for(kind, decision, context.filter_key, self.memory_scope)
-        return AuthorizedConnection(stream, decision, guard), answer, units[1:]
+        return guard_for(kind, decision, self._context.filter_key, self.memory_scope)
 
     # -- what a raw subscriber does in another way
 
@@ -254,7 +262,7 @@ class Subscriber:
     def _record_failure(self, uri: str, error: Exception) -> None:
         """Log a failure; the same one again at level INFO only, as every attempt may repeat it."""
         if isinstance(error, HintedError):
-            self.refusals.append(error)
+            self.refusals.append(error.bare())
         reason = f"{shown(self.topic)} from {uri}: {str(error) or type(error).__name__}"
         unexpected = not isinstance(error, HintedError | OSError)
         level = logging.INFO if reason == self._last_reason else logging.WARNING

@@ -1,11 +1,10 @@
 """The log as lines of JSON, for machines that read logs."""
 
-import json
 import logging
 import sys
 from typing import Any
 
-from rossec.terminal import printable
+from rossec.terminal import printable, to_json
 
 
 class JsonFormatter(logging.Formatter):
@@ -21,7 +20,7 @@ class JsonFormatter(logging.Formatter):
         }
         if record.exc_info:
             entry["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(entry, sort_keys=True)
+        return to_json(entry)
 
 
 def log_as_json() -> None:

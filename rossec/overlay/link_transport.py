@@ -208,7 +208,7 @@ class LinkTransport:
         self._close()
 
     def _break(self, error: LinkEnded) -> None:
-        self.reason = error
+        self.reason = error.bare()
         for frame in self.link.frames_to_send(self._loop.time()):
             self._carrier.put(self._key, frame)
         self._close()

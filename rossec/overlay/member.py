@@ -64,9 +64,12 @@ class RelayMember:
         suites = post_quantum(environ)
         verify = loaded.anchors.verify
         self.context: Final = SecureContext(
-            loaded.live_credentials, verify, suites=suites, known=KnownCertificates()
+            loaded.live_credentials, verify, suites=suites, known=KnownCertificates(),
+            renews=Identity.renews,
+        )  # fmt: skip
+        self.link_context: Final = SecureContext(
+            loaded.live_credentials, verify, suites=suites, renews=Identity.renews
         )
-        self.link_context: Final = SecureContext(loaded.live_credentials, verify, suites=suites)
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
             loaded.standing, master=loaded.master
         )

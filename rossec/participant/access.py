@@ -21,6 +21,7 @@ from ca.errors import CAError, NotAdmitted, RevocationsStale
 from ca.revocation.state import open_timestamp
 from grants.decision import Decision, authorize
 from grants.errors import GrantMissing
+from grants.missing_rights import grant_command, remedy, rule_form
 from grants.model import MESSAGE_RIGHTS, Grant, Right
 from grants.token import peek
 from rossec.participant.presentation import fitting
@@ -281,7 +282,7 @@ class Access:
         if presented is None:
             raise GrantMissing(
                 f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
-                (f"sign one: rossec grant sign {shown(peer.name)} --{right.label} {origin}",),
+                remedy=_remedy(peer, right, origin),
             )
         grants, refusals = self._tokens.open_all(presented, domain, peer, now)
         check = self._tokens.check_of(domain, peer.domain)
@@ -289,8 +290,15 @@ class Access:
             decision = authorize(
                 grants, right, origin, holder=peer.thumbprint, now=now, check=check
             )
-        except GrantMissing:
+        except GrantMissing as error:
             if refusals:  # "expired" or "forged" says more than "missing"
                 raise refusals[0] from None
-            raise
+            missing = GrantMissing(str(error), error.near_misses, _remedy(peer, right, origin))
+            raise missing from None
         return decision if origin == name else replace(decision, name=name)
+
+
+def _remedy(peer: Identity, right: Right, name: str) -> str:
+    if peer.is_foreign:  # it asks its own authority for nothing of ours
+        return f"sign one: {grant_command(shown(peer.name), [(right, name)])}"
+    return remedy(shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))

@@ -1,4 +1,4 @@
-"""The connections of one identity: how many a peer may have, when each must end, what cuts it.
+"""The connections of one identity: how many a peer may have, and what cuts them.
 
 A connection is in the table before it is checked once more, and checked before data passes: a
 revocation that arrives while it is admitted finds it there, or is found by the check. Thread-safe;
@@ -7,126 +7,28 @@ a connection is cut with no lock held. What a form of a node adds is the stream.
 
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
-from itertools import product
 from threading import Lock
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown, split_alias
-from ca.domains.served import alias_of_served
+from ca.domains.aliases import shown
 from ca.domains.standing import Standing
-from ca.errors import NotAdmitted, RevocationsStale, Revoked
-from grants.decision import Decision
+from ca.errors import NotAdmitted
 from rossec import clock
 from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.net.aio import SecureStream
 from rossec.net.aio.accepted import Handler
+from rossec.participant.authorized import AuthorizedConnection, StreamT
+from rossec.participant.renewed_grants import RenewedGrants
 from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
-
-# Existing connections survive missing timestamps this long; new ones are refused at once.
-STALE_GRACE: Final = 60
+UNSHOWN_CONNECTIONS: Final = 32
+"""Of those, the ones by which no grant was shown (yet): each is for a header, or a short call."""
 
 _log = logging.getLogger("rossec.node")
-
-
-class PeerStream(Protocol):
-    """A stream whose peer is authenticated."""
-
-    @property
-    def peer(self) -> Identity:
-        """Identity of the peer."""
-
-    def abort(self, reason: str) -> None:
-        """End it at once; from any thread, if threads share the table."""
-
-
-StreamT = TypeVar("StreamT", bound=PeerStream)
-GuardT = TypeVar("GuardT")
-
-
-@dataclass(eq=False)
-class AuthorizedConnection(Generic[StreamT, GuardT]):
-    """A connection admitted by `decision`.
-
-    Attributes:
-        guard: applies the restrictions of the decision to what passes; None: nothing does here.
-        ends: when the grant or the certificate of the peer expires (seconds).
-    """
-
-    stream: StreamT
-    decision: Decision
-    guard: GuardT
-    ends: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.ends = min(self.decision.expires, self.stream.peer.not_after)
-
-    def termination_reason(self, standing: Standing, now: int) -> str | None:
-        """Why it must be closed now; None while it may stay open.
-
-        The peer's keys count on the own list and on that of its domain; the grants' entries also on
-        that of the domain the name is of. Missing revocation data closes it after `STALE_GRACE`,
-        unless every permission used says `on_stale: keep`: an emergency stop must not depend on it.
-        A revocation, and the end of the trust in a domain, always close it.
-        """
-        if now >= self.ends:
-            return "its grant or its certificate has expired"
-        errors = {entry: _error_of(*entry, standing, now) for entry in self._entries(standing)}
-        for error in errors.values():  # all of them before staleness, which the first may have too
-            if isinstance(error, Revoked | NotAdmitted):
-                return str(error)
-        try:
-            standing.check_trust(self.stream.peer, now)
-            _check_label(self.decision, standing)
-        except NotAdmitted as error:
-            return str(error)
-        if self.decision.keep_when_stale:
-            return None
-        for entry, stale in errors.items():
-            if stale is not None and now >= standing.status_valid_until(*entry) + STALE_GRACE:
-                return str(stale)
-        return None
-
-    def _entries(self, standing: Standing) -> Iterator[tuple[str, bytes]]:
-        """What ends it when revoked, with the domain whose list says so."""
-        peer, own = self.stream.peer, standing.anchors.own.domain
-        of_peer = dict.fromkeys((own, peer.domain))
-        of_grants = of_peer | dict.fromkeys(grant.domain for grant in self.decision.grants)
-        yield from product(of_peer, peer.keys)
-        yield from product(of_grants, self.decision.grant_ids)
-
-
-def _error_of(
-    domain: str, entry: bytes, standing: Standing, now: int
-) -> Revoked | NotAdmitted | RevocationsStale | None:
-    try:
-        standing.check(domain, entry, now)
-    except (Revoked, NotAdmitted, RevocationsStale) as error:
-        return error
-    return None
-
-
-def _check_label(decision: Decision, standing: Standing) -> None:
-    """Return while the label in an alias stands for the domain of the grants.
-
-    What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is
-    then, the gateway's own connections to the origin have been cut for.
-    """
-    served = alias_of_served(decision.name)
-    found = split_alias(decision.name if served is None else served)
-    if found is None:
-        return
-    listed = standing.anchors.listed(found[0])
-    if served is not None and listed is not None:
-        return
-    domain = None if listed is None else listed.entry.domain
-    if any(grant.domain != domain for grant in decision.grants):
-        raise NotAdmitted(f"{found[0]} is no longer the domain it was")
 
 
 def _source(peer: Identity) -> bytes | str:
@@ -140,6 +42,7 @@ class _Accepted(NamedTuple):
     source: bytes | str
     peer: Identity | str
     abort: Callable[[str], None]
+    shown: bool = False  # by a grant that authorized it
 
 
 class ConnectionTable(Generic[StreamT]):
@@ -150,6 +53,9 @@ class ConnectionTable(Generic[StreamT]):
         lock: held while `standing` is read, if threads share it.
         most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
         master: the name of the own master, which may have more.
+
+    Attributes:
+        renewed: judges what peers present on open connections; None: no connection takes renewals.
     """
 
     def __init__(
@@ -167,6 +73,7 @@ class ConnectionTable(Generic[StreamT]):
         self._accepted: dict[object, _Accepted] = {}
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
         self._closed: str | None = None
+        self.renewed: RenewedGrants | None = None
 
     # -- what peers connect
 
@@ -203,13 +110,22 @@ class ConnectionTable(Generic[StreamT]):
         A foreign authority certifies any number of keys, so its domain counts as one peer.
 
         Raises:
-            LimitExceeded: it has too many already.
+            LimitExceeded: it has too many already, or too many that are not authorized.
         """
         source, name = (peer, peer) if isinstance(peer, str) else (_source(peer), peer.name)
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
-            if limited and sum(other.source == source for other in self._accepted.values()) >= most:
-                raise LimitExceeded(f"{shown(name)} has {most} connections already")
+            if limited:
+                same = [each for each in self._accepted.values() if each.source == source]
+                if len(same) >= most:
+                    raise LimitExceeded(f"{shown(name)} has {most} connections already")
+                # Who has shown a grant may open many at once, as rosbag does for each topic. A
+                # plain peer has none to show, and is named by the program.
+                has_shown = isinstance(peer, str) or any(each.shown for each in same)
+                if not has_shown and len(same) >= UNSHOWN_CONNECTIONS:
+                    raise LimitExceeded(
+                        f"{shown(name)} has {UNSHOWN_CONNECTIONS} connections without a grant"
+                    )
             self._accepted[key] = _Accepted(source, peer, abort)
 
     def forget(self, key: object) -> None:
@@ -244,11 +160,26 @@ class ConnectionTable(Generic[StreamT]):
         """
         with self._lock:
             self._authorized.add(connection)
+            accepted = self._accepted.get(connection.stream)
+            if accepted is not None:
+                self._accepted[connection.stream] = accepted._replace(shown=True)
         try:
             self.check(connection)
         except BaseException:
             self.discard(connection)
             raise
+        if self.renewed is not None:
+            self.renewed.opened(connection, self._renewed)
+
+    def _renewed(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
+        """The peer's certificate or grants were renewed: what they need may be revoked here."""
+        with self._lock:
+            accepted = self._accepted.get(connection.stream)
+            if accepted is not None:
+                renewed = accepted._replace(peer=connection.stream.peer)
+                self._accepted[connection.stream] = renewed
+        with suppress(ChannelClosed):
+            self.check(connection)
 
     def discard(self, connection: AuthorizedConnection[StreamT, Any]) -> bool:
         """The connection is gone; returns whether it was in the table."""
@@ -272,12 +203,14 @@ class ConnectionTable(Generic[StreamT]):
         Raises:
             ChannelClosed: it must end, and is aborted.
         """
+        now = clock.now()
         with self._standing_lock:
-            reason = connection.termination_reason(self._standing, clock.now())
-        reason = self._closed or reason
-        if reason is not None:
-            connection.stream.abort(reason)
-            raise ChannelClosed(reason)
+            reason = connection.termination_reason(self._standing, now)
+        if self._closed is None and (reason is None or self._continues(connection, now)):
+            return
+        reason = self._closed or reason or ""
+        connection.stream.abort(reason)
+        raise ChannelClosed(reason)
 
     # -- what must end
 
@@ -293,7 +226,9 @@ class ConnectionTable(Generic[StreamT]):
             ended = [(each, each.termination_reason(self._standing, now)) for each in connections]
             refused = [(each, self._refusal(each.peer, now)) for each in accepted]
         for connection, reason in ended:
-            if reason is not None and self.discard(connection):
+            if reason is None or self._continues(connection, now):
+                continue
+            if self.discard(connection):
                 connection.stream.abort(reason)
                 name, right = connection.stream.peer.name, connection.decision.name
                 _log.warning(
@@ -302,6 +237,15 @@ class ConnectionTable(Generic[StreamT]):
         for each, reason in refused:
             if reason is not None:
                 each.abort(reason)
+        if self.renewed is not None:
+            self.renewed.retry(self, now)
+
+    def _continues(self, connection: AuthorizedConnection[StreamT, Any], now: int) -> bool:
+        """Whether a connection that must end goes on with what its peer presented meanwhile."""
+        if self.renewed is None or not self.renewed.continues(connection, now):
+            return False
+        with self._standing_lock:
+            return connection.termination_reason(self._standing, now) is None
 
     def _refusal(self, peer: Identity | str, now: int) -> str | None:
         """Why no connection with `peer`, authorized or not, may stand; None: it may."""

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, TypeAlias
 
+from ca.errors import HintedError
 from grants.decision import Decision
-from grants.errors import DefinitionRefused
+from grants.errors import DefinitionIncomplete, DefinitionRefused
 from grants.filters import layout
 from grants.filters.layout import Layout
 from grants.guard import check_type
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.header_fields import Fields, text
+from rossec.participant.type_packages import what_to_install
 from rossec.ros.names import ANY_TYPE
 
-_HINT: Final = (
-    "the publisher's right is restricted: install the package of this message type on this host;"
-    " sidecars and gateways look for its .msg files along ROS_PACKAGE_PATH"
-)
+_RESTRICTED: Final = "the publisher's right is restricted, so this host must know the type"
+_ROS_PATH: Final = "sidecars and gateways look for .msg files along ROS_PACKAGE_PATH"
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,8 @@ def receiver_definition(
     trusted = find_installed(name)
     if trusted is None or trusted.md5sum != md5sum:
         raise ConnectionHeaderRefused(
-            f"how this subscriber reads a {name[:80]} is not known here", _HINT
+            f"how this subscriber reads a {name[:80]} is not known here",
+            f"{_RESTRICTED}: {what_to_install(name[:80])}; {_ROS_PATH}",
         )
     return trusted
 
@@ -121,7 +122,8 @@ def sender_definition(
     """The definition of the messages a program sends, as it claims.
 
     It may repeat the claim of its own publisher, as `topic_tools relay` does: where the type is
-    installed on this host, both definitions must be the same.
+    installed on this host, both definitions must be the same. Where it says less than its type
+    has, nested types or all of it, the one that is installed here counts.
 
     Raises:
         ConnectionHeaderRefused, GrantError: they differ, or the text is not a definition or is of
@@ -131,7 +133,11 @@ def sender_definition(
         return own
     for restriction in decision.restrictions:
         check_type(own.name, restriction)
-    if own.layout.is_proven:
+    try:
+        is_proven = own.layout.is_proven
+    except (DefinitionIncomplete, ConnectionHeaderRefused) as error:
+        return _instead_of(own, error, find_installed)
+    if is_proven:
         return own
     trusted = find_installed(own.name)
     if (
@@ -146,6 +152,28 @@ def sender_definition(
     )
 
 
+def _instead_of(own: Definition, error: HintedError, find_installed: FindDefinition) -> Definition:
+    """The installed definition for one that lacks nested types, or is empty.
+
+    rosnodejs sends no nested types, other clients nothing at all. It is what the guard is built
+    from and what receivers are told, so that both read the same.
+
+    Raises:
+        ConnectionHeaderRefused: none with the md5sum is installed; or there is a text, and it is
+            of another type.
+    """
+    if isinstance(error, ConnectionHeaderRefused) and own.definition.strip():
+        raise error
+    trusted = find_installed(own.name)
+    if trusted is not None and trusted.md5sum == own.md5sum:
+        return trusted
+    name = own.name[:80]
+    raise ConnectionHeaderRefused(
+        f"the program's definition of {name} does not say all of it: {error}",
+        f"the right is restricted, so this host must know the type: {what_to_install(name)}",
+    ) from error
+
+
 def forwarded_definition(
     sent: Definition, decision: Decision, find_installed: FindDefinition
 ) -> Definition:
@@ -157,13 +185,13 @@ def forwarded_definition(
     Raises:
         ConnectionHeaderRefused, GrantError: as there; or the type is not installed.
     """
-    if needs_definition(decision) and not sent.layout.is_proven:
+    if needs_definition(decision) and not _is_proven(sent):
         trusted = find_installed(sent.name)
         if trusted is None or trusted.md5sum != sent.md5sum:
             raise ConnectionHeaderRefused(
-                f"how a {sent.name} is read is not known on this host",
-                "the subscriber's right is restricted: install the package of this message type"
-                " here, or name its place in ROS_PACKAGE_PATH",
+                f"how a {sent.name[:80]} is read is not known on this host",
+                "the subscriber's right is restricted, so this host must know the type:"
+                f" {what_to_install(sent.name[:80])}",
             )
     return sender_definition(sent, decision, find_installed)
 

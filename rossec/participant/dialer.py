@@ -79,7 +79,7 @@ class Dialer:
             caller = caller_for(stream.peer, self._name, self._certified)
             answer = await RpcClient(stream).ask("requestTopic", caller, named, [["TCPROS"]])
         finally:
-            await stream.close()
+            stream.close_soon()  # the peer could make this take longer than a caller has
         match answer:
             case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
                 return host, port

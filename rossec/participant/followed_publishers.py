@@ -11,7 +11,7 @@ from threading import Lock
 from typing import Final, Generic, TypeVar
 
 from ca.domains.aliases import is_alias
-from rossec.participant.connections import PeerStream
+from rossec.participant.authorized import PeerStream
 
 PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
 _REASON: Final = "the master lists this publisher no longer"

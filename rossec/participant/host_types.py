@@ -1,11 +1,14 @@
 """The message types this host knows: .msg files of its packages, and those of ROS Noetic.
 
-A shell. Used when a grant restricts message contents and the program does not send its message
-definition: roscpp's subscribers do not, nor do tools that accept any type.
+A shell, and the one place that says where types come from: for policies, for every command, and for
+guards of programs that do not send their message definition (roscpp's subscribers do not, nor do
+tools that accept any type). Packages are looked for along ROS_PACKAGE_PATH, then where Debian and
+ROS install them.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -16,10 +19,13 @@ from rossec.errors import MessageError
 from rossec.participant.definitions import Definition
 
 MAX_TYPES: Final = 8 * MAX_DEPTH  # types that one type consists of
+INSTALLED: Final = ("/opt/ros/noetic/share", "/usr/share")
+_DEPTH: Final = 3  # folders between a place and a package, as of the repositories of a workspace
+_MOST_FOLDERS: Final = 4096
 
 
 def known_type(name: str) -> Definition | None:
-    """The type `name` of its package in ROS_PACKAGE_PATH, else as in Noetic."""
+    """The type `name` of its package on this host, else as in Noetic."""
     if TYPE_NAME.fullmatch(name) is None:
         return None
     texts: dict[str, str] = {}
@@ -38,13 +44,32 @@ def known_type(name: str) -> Definition | None:
         return None
 
 
+def definition_of(name: str) -> str:
+    """The definition text of the type `name`: that by which this host's guards would read it.
+
+    Raises:
+        MessageError: an unknown type.
+    """
+    found = known_type(name)
+    if found is not None:
+        return found.definition
+    from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
+
+    return registered_type(name).definition
+
+
+def layout_of(name: str) -> layout.Layout:
+    """The layout of the type `name`; raises as `definition_of`."""
+    return layout.parse(name, definition_of(name))
+
+
 def _text(name: str) -> str:
     """The definition of `name` alone; a local package may use standard types."""
     found = _read(name)
     if found is None:
-        from rossec.participant.message_types import message_type  # noqa: PLC0415 - 15 MB, rarely needed
+        from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
 
-        found = message_type(name).definition.partition(SEPARATOR)[0]
+        found = registered_type(name).definition.partition(SEPARATOR)[0]
     return found
 
 
@@ -64,10 +89,47 @@ def _read(name: str) -> str | None:
     return None
 
 
+def places(variables: Mapping[str, str]) -> list[str]:
+    """Where packages are: ROS_PACKAGE_PATH, then what is installed."""
+    given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    return list(dict.fromkeys(place for place in (*given, *INSTALLED) if place))
+
+
 def _directories(package: str) -> Iterator[Path]:
-    """The candidate directories: a directory of packages, or the package itself."""
-    for directory in os.environ.get("ROS_PACKAGE_PATH", "").split(":"):
-        if directory:
-            yield Path(directory) / package
-            if Path(directory).name == package:
-                yield Path(directory)
+    """The candidate directories: in a directory of packages, the package itself, or below."""
+    for place in map(Path, places(os.environ)):
+        yield place / package
+        if place.name == package:
+            yield place
+        if str(place) not in INSTALLED:
+            yield from _below(place).get(package, ())
+
+
+@lru_cache(maxsize=16)
+def _below(place: Path) -> Mapping[str, tuple[Path, ...]]:
+    """Folders further down by their names, as in a workspace of several repositories.
+
+    A package contains none, so the search ends where there is a package.xml. It is made once for
+    each process: guards ask for every connection. What is directly in a place is always found.
+    """
+    found: dict[str, tuple[Path, ...]] = {}
+    pending, seen = [(place, 0)], 0
+    while pending and seen < _MOST_FOLDERS:
+        folder, depth = pending.pop()
+        for inner in _folders(folder):
+            seen += 1
+            if depth > 0:
+                found[inner.name] = (*found.get(inner.name, ()), inner)
+            if depth < _DEPTH and not (inner / "package.xml").exists():
+                pending.append((inner, depth + 1))
+    return found
+
+
+def _folders(place: Path) -> list[Path]:
+    """The folders in a folder, not those behind links: these may lead in circles."""
+    try:
+        with os.scandir(place) as entries:
+            found = [each.path for each in entries if each.is_dir(follow_symlinks=False)]
+    except OSError:
+        return []
+    return [Path(each) for each in sorted(found) if not Path(each).name.startswith(".")]

@@ -21,7 +21,7 @@ from ca.revocation.state import digest, open_timestamp
 from ca.revocation.tree import is_tree
 from rossec import clock
 from rossec.environment import OWN_MASTER
-from rossec.errors import AnswerRefused, ConfigurationError, PeerUnreachable, RossecError
+from rossec.errors import AnswerRefused, ChannelError, ConfigurationError, RossecError
 from rossec.net.aio import SecureStream, as_master
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import NO_LIST
@@ -31,6 +31,7 @@ from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 
 HEARTBEAT: Final = 10.0
+_SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged again
 
 _log = logging.getLogger("rossec.node")
 
@@ -47,6 +48,7 @@ class MasterSession:
         prove: requests the proofs that are wanted; returns how many were accepted.
         master: the certified name of the node's own master.
         follow: called after each heartbeat, for what else the node keeps current.
+        explain: the cause of a failure that the node knows itself; empty: what the error says.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class MasterSession:
         prove: Callable[[MasterCall], Awaitable[int]],
         master: str = MASTER,
         follow: Callable[[MasterCall], Awaitable[None]] | None = None,
+        explain: Callable[[], str] = str,
     ) -> None:
         self._name = name
         self._dial = dial
@@ -68,6 +71,7 @@ class MasterSession:
         self._prove = prove
         self._master = master
         self._follow = follow
+        self._explain = explain
         self._client: RpcClient | None = None
         self._stream: SecureStream[Identity] | None = None
         self._is_restored = False
@@ -106,7 +110,7 @@ class MasterSession:
         """
         try:
             stream = await self._dial()
-        except PeerUnreachable as error:
+        except ChannelError as error:
             raise as_master(error) from error
         if stream.peer.name != self._master:
             stream.abort("not the master")
@@ -129,6 +133,7 @@ class MasterSession:
     async def run(self) -> None:
         """Send heartbeats, and reconnect whenever the connection is lost. Runs until cancelled."""
         retry = Retry(SystemRandom().random)
+        said, said_at = "", 0.0
         while True:
             try:
                 if self._client is None or self._client.closed:
@@ -137,10 +142,14 @@ class MasterSession:
                 await self._wait_for_heartbeat()
                 await self.refresh()
                 retry.succeeded()
+                said = ""
             except (HintedError, OSError, Fault) as error:
-                _log.warning("%s: no answer from the master: %s", self._name, error)
+                text, now = self._explain() or str(error), asyncio.get_running_loop().time()
+                if text != said or now - said_at >= _SAID_AGAIN:
+                    _log.warning("%s: no answer from the master: %s", self._name, text)
+                    said, said_at = text, now
                 await self._disconnect()
-                await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
+                await asyncio.sleep(retry.pause(now))
 
     async def refresh(self) -> None:
         """Send a heartbeat now: what the master holds that is new is taken.

@@ -24,7 +24,7 @@ from rossec.errors import AnswerRefused, CallRefused
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
-from rossec.participant.access_interfaces import HeldGrants
+from rossec.participant.access_interfaces import HandshakeAccess, HeldGrants
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.domain_updates import DomainUpdates
 from rossec.participant.grant_delivery import GrantDelivery, GrantWatch
@@ -34,6 +34,7 @@ from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
 from rossec.participant.presentation import MAX_CALL, batches
 from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.renewed_grants import RenewedGrants
 from rossec.participant.revocation_proofs import Provable, prove
 from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros import names
@@ -74,7 +75,7 @@ class LoadedIdentity:
         self.standing = self.domain_files.standing(self.anchors, self.revocations, clock.now())
 
 
-class MembershipAccess(HeldGrants, Provable, Protocol):
+class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
     """The grants and the revocation data of this node."""
 
     @property
@@ -160,6 +161,7 @@ class Membership:
             lambda: access.foreign_domains | connections.domains, lock,
         )  # fmt: skip
         self._renewals = Renewals(access)
+        self._renewed = connections.renewed = RenewedGrants(access)
         self._identity_renewal = IdentityRenewal(
             identity.home, identity.live_credentials, clock.now()
         )
@@ -172,6 +174,7 @@ class Membership:
             lambda call: prove(call, access),
             identity.master,
             self.domains.heartbeat,
+            lambda: self._identity_renewal.ended(clock.now()),
         )
         self._watch = GrantWatch(
             identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open,
@@ -254,7 +257,8 @@ class Membership:
         """
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
-            await renew(session.call, self._renewals, clock.now())
+            if await renew(session.call, self._renewals, clock.now()):
+                self.rights_version += 1
         await self._present(self._access.current(clock.now())[:MAX_CALL])
         await self._watch.session_opened()
         await self.domains.session_opened(session.call)
@@ -273,9 +277,11 @@ class Membership:
             if is_due:
                 due = loop.time() + PERIOD
                 self._hooks.maintain()
+                self._identity_renewal.take_installed(clock.now())
             new = self._take_new(from_directory=is_due)
             with contextlib.suppress(HintedError, OSError, Fault):  # else later, or on reconnection
                 await self._update(new)
+            self._renewed.present(self._connections, self.rights_version, clock.now())
             await self._delivery.save()
 
     def _take_new(self, *, from_directory: bool = True) -> list[bytes]:

@@ -1,10 +1,12 @@
 """Message types by their ROS 1 name: definition text, md5, serialization. No ROS install needed.
 
-`rosbags` provides the definitions of Noetic's standard packages and the serialization; other types
-are added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave
+`rosbags` provides the definitions of Noetic's standard packages and the serialization, transforms
+and sound are in `further_types`; other types are found in the packages of this host (`host_types`),
+or added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave
 this module.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
@@ -13,12 +15,16 @@ from typing import Any, Final
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.base import TypesysError
+from rosbags.typesys.base import TypesysError, normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from rossec.errors import MessageError
 from rossec.participant.definitions import Definition
+from rossec.participant.further_types import FURTHER_TYPES
+from rossec.participant.host_types import known_type
+from rossec.participant.type_packages import unknown_type
 
+_SEGMENT: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")  # rosbags makes Python code of it
 _NO_FIELDS: Final = "structure_needs_at_least_one_member"
 _CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
 
@@ -29,18 +35,22 @@ Message = Any  # a dataclass made by rosbags; its fields are those of the defini
 class MessageType(Definition):
     """A message type whose messages can be created, serialized and deserialized."""
 
-    def create(self, **fields: object) -> Message:
+    def create(self, /, **fields: object) -> Message:
         """Create a message with every field at its zero value, then set `fields`.
+
+        A field that is a keyword of Python is named as it is or as its attribute: `from_`.
 
         Raises:
             MessageError: a field the type does not have.
         """
         message = _zero(_ros2_name(self.name))
+        names = _field_names(_ros2_name(self.name))
+        attributes = {attribute_of(name) for name in names}
         for field, value in fields.items():
-            if field not in _field_names(_ros2_name(self.name)):
-                known = ", ".join(_field_names(_ros2_name(self.name)))
+            if field not in names and field not in attributes:
+                known = ", ".join(names)
                 raise MessageError(f"no field {field!r} in {self.name}", f"it has {known}")
-            setattr(message, field, value)
+            setattr(message, attribute_of(field), value)
         return message
 
     def serialize(self, message: Message) -> memoryview:
@@ -73,6 +83,24 @@ class MessageType(Definition):
 def message_type(name: str) -> MessageType:
     """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`.
 
+    A type that is not a standard one, nor was registered, is that of its package on this host.
+
+    Raises:
+        MessageError: an unknown type.
+    """
+    try:
+        return registered_type(name)
+    except MessageError:
+        known = known_type(name)
+        if known is None:
+            raise
+    register_types({name: known.definition})
+    return registered_type(name)
+
+
+def registered_type(name: str) -> MessageType:
+    """A standard type, or one that was registered; packages are not looked at.
+
     Raises:
         MessageError: an unknown type.
     """
@@ -81,7 +109,7 @@ def message_type(name: str) -> MessageType:
     except TypesysError as error:
         raise MessageError(
             f"unknown message type {name!r}",
-            "names look like geometry_msgs/PoseStamped; add your own with register_type()",
+            unknown_type(name, type_names()),
         ) from error
     return MessageType(name, md5sum, definition)
 
@@ -121,6 +149,8 @@ def register_types(definitions: Mapping[str, str]) -> None:
 def _check_nested(name: str, types: Mapping[str, Any]) -> None:
     """Refuse an unknown nested type before anything is registered."""
     for _, fields in types.values():
+        if len({attribute_of(field) for field, _ in fields}) < len(fields):
+            raise MessageError(f"cannot register {name}: two fields of one name", _CHECK_TEXT)
         for kind in (kind for _, kind in fields):
             while kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
                 kind = kind[1][0]  # noqa: PLW2901 - walk down to the element
@@ -132,6 +162,21 @@ def _check_nested(name: str, types: Mapping[str, Any]) -> None:
 def field_names(message: Message) -> list[str]:
     """Names of the fields of `message`, in order of its definition."""
     return _field_names(message.__msgtype__)
+
+
+def attribute_of(field: str) -> str:
+    """The attribute of a message that has `field`: a keyword of Python has `_` behind it."""
+    return str(normalize_fieldname(field))
+
+
+def field_value(message: Message, field: str) -> Any:
+    """The value of `field`, by its name in the definition."""
+    return getattr(message, attribute_of(field))
+
+
+def set_field(message: Message, field: str, value: object) -> None:
+    """Set `field`, by its name in the definition."""
+    setattr(message, attribute_of(field), value)
 
 
 def element_of(message: Message, field: str) -> Callable[[], Any]:
@@ -165,12 +210,15 @@ def _field_names(inner: str) -> list[str]:
 
 @cache
 def _store() -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, definition in FURTHER_TYPES.items():
+        store.register(get_types_from_msg(definition, _ros2_name(name)))
+    return store
 
 
 def _ros2_name(name: str) -> str:
     package, slash, leaf = name.partition("/")
-    if not (package and slash and leaf) or "/" in leaf:
+    if not slash or not all(_SEGMENT.fullmatch(part) for part in (package, leaf)):
         raise MessageError(f"{name!r} is not a message type name", "write package/Type")
     return f"{package}/msg/{leaf}"
 
@@ -181,7 +229,7 @@ _NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
 
 def _zero(inner: str) -> Message:
     _, fields = _store().fielddefs[inner]
-    values: dict[str, Any] = {name: _zero_field(kind) for name, kind in fields}
+    values: dict[str, Any] = {attribute_of(name): _zero_field(kind) for name, kind in fields}
     return _store().types[inner](**values)
 
 

@@ -113,7 +113,12 @@ def answer_here(peer: Identity, domain: str, method: str, value: object) -> obje
 
 
 def answer_for(peer: Identity, method: str, value: object) -> object:
-    """This node's answer about itself for `peer`."""
+    """This node's answer about itself for `peer`.
+
+    Nobody gets statistics: they count what a grant withholds, and when it came.
+    """
+    if method == "getBusStats":
+        return [[], [], []]
     label = _label(peer)
     if label is None:
         return value
@@ -126,7 +131,7 @@ def answer_for(peer: Identity, method: str, value: object) -> object:
             raise NameRefused(f"{shown(name)} is not of the caller's domain")
         return f"{peer.domain}:{found[1]}"
 
-    return [[], [], []] if method == "getBusStats" else _renamed(method, value, written)
+    return _renamed(method, value, written)
 
 
 def _label(peer: Identity) -> str | None:

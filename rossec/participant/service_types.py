@@ -13,6 +13,7 @@ from grants.filters import layout
 from grants.filters.layout import Layout
 from rossec.errors import MessageError
 from rossec.participant.message_types import MessageType, message_type, register_types
+from rossec.participant.type_packages import what_to_install
 
 _DIVIDER: Final = "---"
 
@@ -87,8 +88,8 @@ def service_type(name: str) -> ServiceType:
     except MessageError:
         raise MessageError(
             f"unknown service type {name!r}",
-            "names look like std_srvs/SetBool; "
-            "add your own with register_service_type(), or --definition FILE",
+            f"names look like std_srvs/SetBool; its .srv file: {what_to_install(name)}; then add it"
+            " with register_service_type(), or --definition FILE",
         ) from None
 
 

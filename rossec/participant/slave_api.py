@@ -33,7 +33,9 @@ _ERROR: Final = -1
 ALIAS_ASKED: Final = (
     "a name below /remote is the caller's alias; a peer is asked by the origin's name"
 )
-NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
+NO_TRANSPORT: Final = (
+    "rossec: only TCPROS, inside the secure channel; in C++: ros::TransportHints().reliable()"
+)
 
 
 class SlaveEvents(Protocol):

@@ -137,7 +137,9 @@ def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
         raise ConnectionHeaderRefused(
             f"{shown(expected.topic)} carries {expected.type_name} ({expected.md5sum}),"
             f" the peer expects {name} ({md5sum})",
-            "both sides need the same version of the message package",
+            "both sides need the same version of the message package"
+            if _matches(name, expected.type_name)
+            else "name the type that the topic carries, or another topic",
         )
 
 

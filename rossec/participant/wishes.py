@@ -3,15 +3,16 @@
 Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it
 wishes, the answer's what this publisher carries out; one that knows none ignores them all. A wish
 never gives more than the grant: guards come first, and what they let through is thinned out, kept
-back or made smaller. What programs write into these fields is not passed on: an agent that forwards
-bytes could not read what came of it.
+back or made smaller; what is filtered or withheld is never deflated. What programs write into these
+fields is not passed on: an agent that forwards bytes could not read what came of it.
 """
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+from grants.decision import Decision
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.participant.header_fields import Fields
 
@@ -74,6 +75,28 @@ def requested_wishes(fields: Mapping[str, bytes]) -> Wishes:
     if _FIELDS.isdisjoint(fields):
         return NO_WISHES
     return Wishes(_rate(fields), _is_set(fields, NEWEST), _is_set(fields, DEFLATE))
+
+
+def carried_out(wishes: Wishes, decision: Decision) -> Wishes:
+    """What a publisher carries out for a right: nothing filtered, withheld or padded is deflated.
+
+    Encryption leaves the length of a message visible. That of a filtered one has few values, and
+    deflated it depends on them: whoever sees the network, without any grant, would read the cell.
+    """
+    restrictions = decision.restrictions
+    if any(each.filters or each.conditions or each.slot or each.pad for each in restrictions):
+        return replace(wishes, deflate=False)
+    return wishes
+
+
+def check_carried_out(wishes: Wishes, decision: Decision) -> None:
+    """Return if the wishes that are carried out on a connection may be under another decision.
+
+    Raises:
+        ConnectionHeaderRefused: they may not: the peer and this node agree anew.
+    """
+    if carried_out(wishes, decision) != wishes:
+        raise ConnectionHeaderRefused("messages that are filtered now were to be sent deflated")
 
 
 def taken_wishes(answer: Mapping[str, bytes], asked: Wishes) -> Wishes:

@@ -6,7 +6,7 @@ answers as ever, and is asked in XML-RPC for the rest of the connection. A peer 
 or one that nobody waits for, ends the connection.
 """
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 
 from rossec.errors import CompactRefused
 from rossec.ros import compact, xmlrpc
@@ -51,6 +51,14 @@ class CallClient:
         self._method, offers, self._offers = method, self._offers, False
         return self._http.request(body, offers=offers)
 
+    def take_back(self) -> None:
+        """The last request is not sent, so that another may be made.
+
+        A first one may have offered the compact form: the next one offers nothing.
+        """
+        self._method = None
+        self._http.take_back()
+
     def take(self, data: bytes) -> object:
         """The answer, when it is whole: a value, a `Fault`, or a body of XML-RPC that is `Encoded`.
 
@@ -59,23 +67,45 @@ class CallClient:
         Raises:
             HttpRefused, CompactRefused: it is malformed, or nobody waits for it.
         """
-        if not self.is_compact:
-            self._http.feed(data)
-            body = self._http.next_response()
-            if body is not None:
-                self._method = None
-                return Encoded(body)
-            if self._http.switched is None:
-                return None
-            self.is_compact, data = True, self._http.switched
-        return self._answer(data)
+        unit = self._received(data)
+        if not isinstance(unit, bytes):
+            return unit
+        answer = compact.load_answer(unit, self._turn, self._waiting_for(), limit=self._limit)
+        self._answered()
+        return answer
 
-    def _answer(self, unit: bytes) -> object:
+    def take_steps(self, data: bytes) -> Generator[None, None, object]:
+        """As `take`, in steps: it yields after each."""
+        unit = self._received(data)
+        if not isinstance(unit, bytes):
+            return unit
+        answer = yield from compact.answer_steps(
+            unit, self._turn, self._waiting_for(), limit=self._limit
+        )
+        self._answered()
+        return answer
+
+    def _received(self, data: bytes) -> bytes | Encoded | None:
+        """The unit that answers, or the body of XML-RPC that does, once it is whole."""
+        if self.is_compact:
+            return data
+        self._http.feed(data)
+        body = self._http.next_response()
+        if body is not None:
+            self._method = None
+            return Encoded(body)
+        if self._http.switched is not None:
+            self.is_compact = True
+        return self._http.switched
+
+    def _waiting_for(self) -> str:
+        """The method of the call that is answered."""
         if self._method is None:
             raise CompactRefused("an answer to no call")
-        answer = compact.load_answer(unit, self._turn, self._method, limit=self._limit)
+        return self._method
+
+    def _answered(self) -> None:
         self._method, self._turn = None, (self._turn + 1) % compact.TURNS
-        return answer
 
 
 def value_in(answer: object, limit: int = BODY_LIMIT) -> object:
@@ -90,6 +120,11 @@ def value_in(answer: object, limit: int = BODY_LIMIT) -> object:
     if isinstance(answer, Fault):
         raise answer
     return answer
+
+
+def value_steps(body: Encoded, limit: int = BODY_LIMIT) -> Generator[None, None, object]:
+    """As `value_in` of a body, in steps: it yields after each."""
+    return xmlrpc.response_steps(body.body, limit=limit)
 
 
 def body_of(answer: object) -> bytes:

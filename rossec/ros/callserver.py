@@ -6,14 +6,21 @@ a time: a call before the answer to the last one is refused. What is not in the 
 phases ends the connection.
 """
 
+from collections.abc import Generator
 from typing import Final
 
-from rossec.errors import CompactRefused
+from rossec.errors import CompactRefused, XmlRpcRefused
 from rossec.ros import compact, xmlrpc
 from rossec.ros.http import HttpServer
+from rossec.ros.httpread import Oversized
+from rossec.ros.methodnumbers import METHODS
 from rossec.ros.xmlrpc import BODY_LIMIT, Call
 
 _FIRST: Final = 0
+_OWN: Final = b"rossec."
+_XML_OWN: Final = b"<methodName>" + _OWN
+_HEAD: Final = 256  # bytes of an XML body in which its method is named
+_METHOD_AT: Final = 4  # where it is in nearly every unit
 
 
 class CallServer:
@@ -46,7 +53,7 @@ class CallServer:
         """Whether no more calls are accepted."""
         return self._http.closing
 
-    def take(self, unit: bytes | None = None) -> bytes | None:
+    def take(self, unit: bytes | None = None) -> bytes | Oversized | None:
         """The next whole request, after taking `unit`; None: there is none yet.
 
         Raises:
@@ -62,16 +69,55 @@ class CallServer:
         self.answering = True
         return unit
 
-    def load(self, request: bytes) -> Call:
+    def load(self, request: bytes | Oversized, bound: int | None = None) -> Call:
         """The call in a request.
 
+        Args:
+            request: what `take` returned.
+            bound: bytes that this caller may have parsed now, fewer than `limit`.
+
         Raises:
-            XmlRpcRefused: malformed; answer with a fault.
+            XmlRpcRefused: too long or malformed; answer with a fault.
             CompactRefused: malformed; close.
         """
+        request = self._bounded(request, bound)
         if self.is_compact:
             return compact.load_call(request, self._turn, limit=self._limit)
         return xmlrpc.load_call(request, limit=self._limit)
+
+    def load_steps(
+        self, request: bytes | Oversized, bound: int | None = None
+    ) -> Generator[None, None, Call]:
+        """As `load`, in steps: it yields after each."""
+        request = self._bounded(request, bound)
+        if self.is_compact:
+            return compact.call_steps(request, self._turn, limit=self._limit)
+        return xmlrpc.call_steps(request, limit=self._limit)
+
+    def _bounded(self, request: bytes | Oversized, bound: int | None) -> bytes:
+        """The request, unless it is too long.
+
+        A call that shows grants may be longer, and one that hands in another signed statement.
+        """
+        if isinstance(request, Oversized):
+            raise XmlRpcRefused(
+                f"a call of {request.length} bytes where at most {self._limit} are allowed"
+            )
+        if bound is not None and len(request) > bound and not self._has_statements(request):
+            raise XmlRpcRefused(
+                f"a call of {len(request)} bytes, at most {bound} are taken from a caller"
+                " that has shown no grant"
+            )
+        return request
+
+    def _has_statements(self, request: bytes) -> bool:
+        """Whether it calls a method of rossec's own, as far as its first bytes tell."""
+        if not self.is_compact:
+            return _XML_OWN in request[:_HEAD]
+        number = request[_METHOD_AT]
+        if number < len(METHODS):
+            return METHODS[number].startswith("rossec.")
+        return request.find(_OWN, _METHOD_AT, _METHOD_AT + 8) > 0
 
     def respond(self, value: object) -> bytes:
         """The bytes of the answer; `value` may be a `Fault`, or `Encoded`.

@@ -5,7 +5,7 @@ call, modulo 24, is in the call and in its answer. The shape of an answer says w
 code, status and value; any other value; a fault; or a body of XML-RPC as a program gave it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Final
 
 from ca.encoding import head
@@ -87,6 +87,18 @@ def load_call(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Call:
     return Call(method, params)
 
 
+def call_steps(data: bytes, turn: int, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
+    """As `load_call`, in steps: it yields after each."""
+    reader = _reader(data, limit)
+    try:
+        size, method = _begin(reader, turn)
+        params = yield from reader.steps(size - _PARTS)
+    except MALFORMED as error:
+        raise CompactRefused(_MALFORMED) from error
+    _check_end(reader)
+    return Call(method, (*params,))
+
+
 def _begin(reader: Reader, turn: int) -> tuple[int, str]:
     """How many items a call has, and its method."""
     size = reader.head(ARRAY)
@@ -106,16 +118,36 @@ def load_answer(data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT)
     """
     reader = _reader(data, limit)
     try:
-        size = reader.head(ARRAY)
-        _check_turn(reader, turn)
-        shape = _SHAPES.get(size)
-        if shape is None:
-            raise CompactRefused("a unit that is not an answer")
-        value = shape(reader, method)
+        count, depth, value_of = _shape(reader, turn)
+        value = value_of(reader.items(count, depth), method)
     except MALFORMED as error:
         raise CompactRefused(_MALFORMED) from error
     _check_end(reader)
     return value
+
+
+def answer_steps(
+    data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT
+) -> Generator[None, None, object]:
+    """As `load_answer`, in steps: it yields after each."""
+    reader = _reader(data, limit)
+    try:
+        count, depth, value_of = _shape(reader, turn)
+        value = value_of((yield from reader.steps(count, depth)), method)
+    except MALFORMED as error:
+        raise CompactRefused(_MALFORMED) from error
+    _check_end(reader)
+    return value
+
+
+def _shape(reader: Reader, turn: int) -> "_Shape":
+    """What follows the number of an answer."""
+    size = reader.head(ARRAY)
+    _check_turn(reader, turn)
+    shape = _SHAPES.get(size)
+    if shape is None:
+        raise CompactRefused("a unit that is not an answer")
+    return _RAW if size == _FAULT and reader.skip(NULL) else shape
 
 
 def dump_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) -> bytes:
@@ -158,33 +190,42 @@ def _is_triple(value: Sequence[object]) -> bool:
     return len(value) == 3 and type(value[0]) is int and type(value[1]) is str
 
 
-def _read_triple(reader: Reader, _method: str) -> object:
-    found = reader.items(3, DEPTH_LIMIT - 1)
+def _triple_in(found: list[object], _method: str) -> object:
     if not _is_triple(found):
         raise CompactRefused("an answer whose code or status has the wrong type")
     return found
 
 
-def _read_fault(reader: Reader, method: str) -> object:
-    if reader.skip(NULL):
-        (body,) = reader.items(1)
-        if not isinstance(body, bytes) or method != UNPARSED:
-            raise CompactRefused(f"a body of XML-RPC in the answer to {printable(method)}")
-        return Encoded(body)
-    code, reason = reader.items(2)
+def _raw_in(found: list[object], method: str) -> object:
+    (body,) = found
+    if not isinstance(body, bytes) or method != UNPARSED:
+        raise CompactRefused(f"a body of XML-RPC in the answer to {printable(method)}")
+    return Encoded(body)
+
+
+def _fault_in(found: list[object], _method: str) -> object:
+    code, reason = found
     if type(code) is not int or not isinstance(reason, str):
         raise CompactRefused("a fault whose code or text has the wrong type")
     return Fault(code, printable(reason))
 
 
-def _read_value(reader: Reader, _method: str) -> object:
-    (value,) = reader.items(1)
+def _value_in(found: list[object], _method: str) -> object:
+    (value,) = found
     if isinstance(value, list) and _is_triple(value):
         raise CompactRefused("an answer whose code and status are inside its value")
     return value
 
 
-_SHAPES: Final = {_TRIPLE: _read_triple, _FAULT: _read_fault, _VALUE: _read_value}
+_Shape = tuple[int, int, Callable[[list[object], str], object]]
+"""How many items an answer has, how deep they are nested, and what is made of them."""
+
+_RAW: Final[_Shape] = (1, DEPTH_LIMIT, _raw_in)
+_SHAPES: Final[dict[int, _Shape]] = {
+    _TRIPLE: (3, DEPTH_LIMIT - 1, _triple_in),
+    _FAULT: (2, DEPTH_LIMIT, _fault_in),
+    _VALUE: (1, DEPTH_LIMIT, _value_in),
+}
 
 
 def _reader(data: bytes, limit: int) -> Reader:

@@ -9,7 +9,7 @@ allowed here: its values would have to be walked, encoded again and compared
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from datetime import datetime
 from typing import Final
 
@@ -33,7 +33,28 @@ _INT_MAX: Final = 2**31 - 1
 _TIME_SIZE: Final = 17
 _TIME: Final = re.compile(rb"(\d{4})(\d\d)(\d\d)T(\d\d):(\d\d):(\d\d)")
 MALFORMED: Final = (IndexError, UnicodeDecodeError)
-_TYPE, _INFO = 0xE0, 0x1F
+_TYPE: Final = 0xE0
+STEP: Final = 1024  # values that are read at a time: about 1 ms
+
+
+class _Open:
+    """An array or a map that is being read: how many values are left, and what takes them."""
+
+    __slots__ = ("depth", "found", "left", "name", "previous", "values")
+
+    def __init__(self, left: int, depth: int, *, named: bool = False) -> None:
+        self.left = left
+        self.depth = depth
+        self.values: list[object] = []
+        self.found: dict[str, object] | None = {} if named else None
+        self.previous = b""  # the encoded name of the last member
+        self.name = ""
+
+    def put(self, value: object) -> None:
+        if self.found is None:
+            self.values.append(value)
+        else:
+            self.found[self.name] = value
 
 
 class Reader:
@@ -58,9 +79,7 @@ class Reader:
 
     def items(self, count: int, depth: int = DEPTH_LIMIT) -> list[object]:
         """The next `count` values, which may be nested `depth` levels deep."""
-        self._items_left -= count
-        if self._items_left < 0:
-            raise CompactRefused("a unit with too many values")
+        self._count(count)
         data, at = self._data, self.at
         values: list[object] = []
         append = values.append
@@ -89,6 +108,50 @@ class Reader:
                 at = self.at
         self.at = at
         return values
+
+    def steps(self, count: int, depth: int = DEPTH_LIMIT) -> Generator[None, None, list[object]]:
+        """As `items`, in steps: it yields after `STEP` values."""
+        begun = _Open(self._count(count), depth)
+        stack = [begun]
+        taken = 0
+        while stack:
+            top = stack[-1]
+            if top.left == 0:
+                stack.pop()
+                continue
+            top.left -= 1
+            inner = self._step(top)
+            if inner is not None:
+                stack.append(inner)
+            taken += 1
+            if taken % STEP == 0:
+                yield
+        return begun.values
+
+    def _step(self, top: _Open) -> _Open | None:
+        """Read one value of `top`; of an array or a map only the head, which is returned."""
+        if top.found is not None:
+            top.name, top.previous = self._next_name(top.depth, top.previous)
+            self._count(1)
+        data, at = self._data, self.at
+        major = data[at] & _TYPE
+        if major == ARRAY:
+            inner = _Open(self._count(self.head(ARRAY)), _deeper(top.depth))
+            top.put(inner.values)
+            return inner
+        if major == MAP and not data.startswith(TIME_HEAD, at):
+            inner = _Open(self.head(MAP), _deeper(top.depth), named=True)
+            top.put(inner.found)
+            return inner
+        top.put(_READERS[major >> 5](self, top.depth))
+        return None
+
+    def _count(self, count: int) -> int:
+        """Count values against the limit, before any is read."""
+        self._items_left -= count
+        if self._items_left < 0:
+            raise CompactRefused("a unit with too many values")
+        return count
 
     def skip(self, item: bytes) -> bool:
         """Whether the next item is this one of a byte; then it is read."""
@@ -144,19 +207,19 @@ class Reader:
         found: dict[str, object] = {}
         previous = b""
         for _ in range(self.head(MAP)):
-            begin = self.at
-            name = self._member(depth)
-            written = self._data[begin : self.at]
-            if written <= previous:
-                raise CompactRefused("a unit with the members of a struct out of order")
-            previous = written
+            name, previous = self._next_name(depth, previous)
             (found[name],) = self.items(1, depth)
         return found
 
-    def _member(self, depth: int) -> str:
-        """The name of a member, which counts as a value."""
+    def _next_name(self, depth: int, previous: bytes) -> tuple[str, bytes]:
+        """The name of a member, which counts as a value, and how it is written."""
         self._items_left -= 1
-        return self._text(depth)
+        begin = self.at
+        name = self._text(depth)
+        written = self._data[begin : self.at]
+        if written <= previous:
+            raise CompactRefused("a unit with the members of a struct out of order")
+        return name, written
 
     def _refuse(self, _depth: int) -> object:
         raise CompactRefused("a unit with a tag")

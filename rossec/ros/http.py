@@ -14,9 +14,9 @@ from functools import lru_cache
 from typing import Final, NamedTuple
 
 from rossec.errors import HttpRefused
+from rossec.ros.httpread import END, Oversized, Reader
 from rossec.ros.xmlrpc import BODY_LIMIT
 
-HEADERS_LIMIT: Final = 8 * 1024
 _REASONS: Final = {
     400: b"Bad Request",
     403: b"Forbidden",
@@ -30,7 +30,6 @@ COMPACT: Final = b"rossec-cbor/1"
 _OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
 _SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
 _MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
-_END: Final = b"\r\n\r\n"
 _TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
 _REQUEST: Final = re.compile(rb"(%s) ([\x21-\x7e]+) HTTP/1\.([01])" % _TOKEN)
 _RESPONSE: Final = re.compile(rb"HTTP/1\.([01]) ([1-5][0-9]{2})(?: [\t\x20-\x7e\x80-\xff]*)?")
@@ -62,78 +61,11 @@ class _Head(NamedTuple):
         return [option.strip() for option in options.split(b",")]
 
 
-class _Reader:
-    """Bytes in, whole messages out, one at a time."""
-
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self._data = b""
-        self._rest: list[bytes] = []
-        self._rest_size = 0  # of the pieces, none of which is empty
-        self._begin = 0  # of the body, once the head is known
-        self._end = 0
-
-    @property
-    def pending(self) -> bool:
-        return bool(self._data or self._rest)
-
-    @property
-    def in_body(self) -> bool:
-        return self._begin > 0
-
-    def feed(self, data: bytes) -> None:
-        if data:
-            self._rest.append(data)
-            self._rest_size += len(data)
-
-    def head(self) -> bytes | None:
-        """The head without its end, or None while it is not complete."""
-        self._join()
-        found = self._data.find(_END, 0, HEADERS_LIMIT + len(_END))
-        if found < 0:
-            if self._data and not b"A" <= self._data[:1] <= b"Z":
-                raise HttpRefused("malformed HTTP")
-            if len(self._data) > HEADERS_LIMIT:
-                raise HttpRefused("HTTP headers that are too long", status=431)
-            return None
-        return self._data[:found]
-
-    def expect(self, head: bytes, length: int) -> None:
-        """Expect a body of `length` bytes after `head`."""
-        if length > self.limit:
-            raise HttpRefused(f"an HTTP body longer than {self.limit} bytes", status=413)
-        self._begin = len(head) + len(_END)
-        self._end = self._begin + length
-
-    def body(self) -> bytes | None:
-        """The body, or None while it is not complete."""
-        if len(self._data) + self._rest_size < self._end:
-            return None
-        self._join()
-        body = self._data[self._begin : self._end]
-        self.skip(self._end)
-        return body
-
-    def rest(self, begin: int) -> bytes:
-        """All that arrived after `begin`, which is taken with what precedes it."""
-        rest, self._data = self._data[begin:], b""
-        return rest
-
-    def skip(self, count: int) -> None:
-        self._data = self._data[count:]
-        self._begin = self._end = 0
-
-    def _join(self) -> None:
-        if self._rest:
-            self._data = b"".join((self._data, *self._rest))
-            self._rest, self._rest_size = [], 0
-
-
 class HttpServer:
     """The server's side of one connection: `feed`, `next_request`, `respond`, again."""
 
     def __init__(self, *, limit: int = BODY_LIMIT) -> None:
-        self._reader = _Reader(limit)
+        self._reader = Reader(limit)
         self._answering = False
         self._last = False  # the current request asks to close the connection
         self.is_offered = False
@@ -152,16 +84,16 @@ class HttpServer:
             raise HttpRefused("HTTP bytes after the end of the connection")
         self._reader.feed(data)
 
-    def feed_whole(self, data: bytes) -> bytes | None:
+    def feed_whole(self, data: bytes) -> bytes | Oversized | None:
         """`feed` and `next_request` in one: a fast path where `data` is one whole request.
 
         Raises:
             HttpRefused: as they do.
         """
         if not (self._answering or self.closing or self._reader.pending):
-            end = data.find(_END, 0, _MAX_CACHED)
+            end = data.find(END, 0, _MAX_CACHED)
             if end >= 0:
-                begin, head = end + len(_END), _cached_request_head(data[:end])
+                begin, head = end + len(END), _cached_request_head(data[:end])
                 if begin + head.length == len(data) and head.length <= self._reader.limit:
                     self._answering, self._last = True, head.closes
                     self.is_offered = head.offers
@@ -169,7 +101,7 @@ class HttpServer:
         self.feed(data)
         return self.next_request()
 
-    def next_request(self) -> bytes | None:
+    def next_request(self) -> bytes | Oversized | None:
         """The body of the next complete request, or None while there is none.
 
         Raises:
@@ -193,15 +125,19 @@ class HttpServer:
         return _message(b"HTTP/1.1 200 OK", body, close=self._last)
 
     def refuse(self, status: int) -> bytes:
-        """The bytes of an empty error response that ends the connection."""
+        """The bytes of an error response, with its reason as text, that ends the connection."""
         if self.closing:
             return b""
         self.closing = True
-        return _message(b"HTTP/1.1 %d %s" % (status, _REASONS[status]), b"", close=True)
+        reason = _REASONS[status]
+        return _message(b"HTTP/1.1 %d %s" % (status, reason), reason + b"\n", close=True)
 
     def _begin(self, data: bytes) -> None:
         head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
-        self._reader.expect(data, head.length)
+        if head.length > self._reader.limit:
+            self._reader.drop(data, head.length)
+        else:
+            self._reader.expect(data, head.length)
         self._last = head.closes
         self.is_offered = head.offers
 
@@ -242,7 +178,7 @@ class HttpClient:
     """The client's side of one connection: `request`, `feed`, `next_response`, again."""
 
     def __init__(self, host: str, *, path: str = "/", limit: int = BODY_LIMIT) -> None:
-        self._reader = _Reader(limit)
+        self._reader = Reader(limit)
         self._first = f"POST {path} HTTP/1.1\r\nHost: {host}".encode("ascii")
         self._offers = False
         self.switched: bytes | None = None
@@ -265,6 +201,10 @@ class HttpClient:
         """Take bytes from the peer."""
         self._reader.feed(data)
 
+    def take_back(self) -> None:
+        """The last request is not sent."""
+        self._waiting = self._offers = False
+
     def next_response(self) -> bytes | None:
         """The body of the response, or None while it is not complete.
 
@@ -277,6 +217,8 @@ class HttpClient:
                 return None
             self._begin(data)
         body = self._reader.body()
+        if isinstance(body, Oversized):
+            raise HttpRefused("an HTTP response that is too long")
         self._waiting = body is None
         return body
 
@@ -289,10 +231,10 @@ class HttpClient:
         if response[2] == b"101":
             if not (self._offers and _Head(response[1], fields).switches):
                 raise HttpRefused("HTTP that switches to a protocol that was not offered")
-            self.switched = self._reader.rest(len(data) + len(_END))
+            self.switched = self._reader.rest(len(data) + len(END))
             return
         if response[2].startswith(b"1"):  # an interim response: the real one follows
-            self._reader.skip(len(data) + len(_END))
+            self._reader.skip(len(data) + len(END))
             return
         if response[2] != b"200":
             status = int(response[2])

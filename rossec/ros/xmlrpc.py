@@ -7,8 +7,8 @@ Values are what XML-RPC has: bool, int, float, str, bytes, datetime, list, dict 
 """
 
 import xmlrpc.client
-from collections.abc import Sequence
-from typing import Final, NamedTuple, NoReturn
+from collections.abc import Generator, Sequence
+from typing import Final, NamedTuple, NoReturn, TypeVar
 from xml.parsers import expat
 
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
@@ -20,7 +20,9 @@ Fault = xmlrpc.client.Fault
 """What a server answers when there is no value: `Fault(faultCode, faultString)`."""
 
 FAULT_CODE: Final = 1  # the only one stock ROS uses
-BODY_LIMIT: Final = 1024 * 1024
+BODY_LIMIT: Final = 4 * 1024 * 1024  # as XML, some 30,000 parameters
+STEP: Final = 16 * 1024  # bytes of XML that are parsed at a time: 1 to 4 ms
+_MARKUP_LIMIT: Final = 64 * 1024  # of one tag or comment, which expat reads again with each step
 DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay below ten
 _TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
 _TAGS_AROUND: Final = 6
@@ -76,11 +78,17 @@ def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
         XmlRpcRefused: too long, too deep, malformed, or not a call.
     """
     _check_size(data, limit)
-    plain = scan(data, DEPTH_LIMIT)
-    try:
-        params, method, root = _parse(data) if plain is None else plain
-    except Fault as fault:
-        raise XmlRpcRefused("XML that is not an XML-RPC call") from fault
+    return _call_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
+
+
+def call_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
+    """As `load_call`, in steps: it yields after each."""
+    _check_size(data, limit)
+    return _call_in((yield from _body_steps(data)))
+
+
+def _call_in(body: Body) -> Call:
+    params, method, root = body
     if root != "methodCall" or not isinstance(method, str) or not method:
         raise XmlRpcRefused("XML that is not an XML-RPC call")
     if len(method) > METHOD_LIMIT:
@@ -96,15 +104,36 @@ def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
         XmlRpcRefused: too long, too deep, malformed, or not a response.
     """
     _check_size(data, limit)
-    plain = scan(data, DEPTH_LIMIT)
-    try:
-        params, _, root = _parse(data) if plain is None else plain
-    except Fault as fault:
+    return _value_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
+
+
+def response_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, object]:
+    """As `load_response`, in steps: it yields after each."""
+    _check_size(data, limit)
+    return _value_in((yield from _body_steps(data)))
+
+
+def _value_in(body: Body) -> object:
+    params, _, root = body
+    if root == _FAULT and isinstance(fault := params[0], Fault):
         code: object = fault.faultCode  # of any type, as the peer sent it
         raise Fault(code if isinstance(code, int) else 0, printable(fault.faultString)) from None
     if root != "methodResponse" or len(params) != 1:
         raise XmlRpcRefused("XML that is not an XML-RPC response")
     return params[0]
+
+
+ResultT = TypeVar("ResultT")
+
+
+def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
+    """The result of all steps, taken at once."""
+    try:
+        while True:
+            next(steps)
+    except StopIteration as end:
+        result: ResultT = end.value
+        return result
 
 
 def value_of(answer: object) -> object:
@@ -147,19 +176,39 @@ def _check_size(data: bytes, limit: int) -> None:
         raise XmlRpcRefused(f"{len(data)} bytes of XML where at most {limit} are allowed")
 
 
-def _parse(data: bytes) -> Body:
+def _body_steps(data: bytes) -> Generator[None, None, Body]:
+    """The content of `data`: what is short is scanned, which is quicker, but one step."""
+    plain = scan(data, DEPTH_LIMIT) if len(data) <= STEP else None
+    return plain or (yield from _parse(data))
+
+
+def _parse(data: bytes) -> Generator[None, None, Body]:
+    """The content, of a fault itself with the root `_FAULT`; yields after each `STEP` bytes."""
     if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark despite its encoding
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
+    parser = _parser(target)
     try:
-        _parser(target).Parse(data, True)
+        for end in range(STEP, len(data), STEP):
+            parser.Parse(data[end - STEP : end], False)
+            _check_markup(end - parser.CurrentByteIndex)
+            yield
+        parser.Parse(data[(len(data) - 1) // STEP * STEP :] if data else b"", True)
         return Body(target.close(), target.getmethodname(), target.root)
-    except (XmlRpcRefused, Fault):
+    except Fault as fault:
+        return Body((fault,), None, _FAULT)
+    except XmlRpcRefused:
         raise
     except _MALFORMED as error:
         raise XmlRpcRefused("malformed XML-RPC") from error
 
 
+def _check_markup(unparsed: int) -> None:
+    if unparsed > _MARKUP_LIMIT:
+        raise XmlRpcRefused(f"a tag or comment of more than {_MARKUP_LIMIT} bytes")
+
+
+_FAULT: Final = "fault"  # as root of a body, which no body has that was parsed
 _MALFORMED: Final = (
     expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError,
     ArithmeticError,  # of decimal: the library reads <bigdecimal>

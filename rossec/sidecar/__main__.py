@@ -17,6 +17,7 @@ from rossec.channel.suite_selection import post_quantum
 from rossec.discovery.choose import discover_master
 from rossec.environment import own_home, own_master
 from rossec.log_limits import LogRateLimit
+from rossec.net.host.own_address import warn_of_own_address
 from rossec.ros import settings
 from rossec.ros.text import printable
 from rossec.sidecar import child, loopback_port
@@ -25,6 +26,7 @@ from rossec.sidecar.descriptors import raise_limit
 from rossec.sidecar.server import Sidecar
 
 _REFUSED = 1
+_log = logging.getLogger("rossec.sidecar")
 
 
 def main() -> int:
@@ -71,6 +73,7 @@ async def _run(options: dict[str, Any]) -> int:
         master_name=own_master(before),
     )
     sidecar.start()
+    warn_of_own_address(settings.own_address(before), before, _warn_of_address)
     try:
         if options["command"]:
             child.adopt_orphans()
@@ -79,6 +82,10 @@ async def _run(options: dict[str, Any]) -> int:
         return await _serve(sidecar)
     finally:
         await sidecar.close()
+
+
+def _warn_of_address(error: HintedError) -> None:
+    _log.warning("%s (%s)", error, error.hint)
 
 
 def _callers(options: dict[str, Any]) -> Callers:

@@ -14,16 +14,17 @@ from rossec import clock
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
-from rossec.errors import HangUp
+from rossec.errors import HangUp, PeerUnreachable
 from rossec.home import NodeHome
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.halfopen import HalfOpenCount
+from rossec.net.host.peeruid import Holder
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.host_types import known_type
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.remote_names import NOT_OFFERED
+from rossec.participant.silent_answers import GRAPH
 from rossec.ros.names import MASTER
 from rossec.ros.settings import Settings
 from rossec.sidecar.callers import Callers
@@ -76,6 +77,7 @@ class Agent:
         context = SecureContext(
             loaded.live_credentials, loaded.anchors.verify, suites=suites,
             known=KnownCertificates(), accept_limits=ACCEPT_LIMITS, half_open=half_open,
+            renews=Identity.renews,
         )  # fmt: skip
         self._connector = PeerConnector(context, access)
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
@@ -105,11 +107,8 @@ class Agent:
         """Answer a program's call to its master."""
         await self._ensure_started()
         answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
-        match answer:
-            case [-1, str(status), *_] if NOT_OFFERED in status:  # rospy.set_param ignores it
-                _log.warning("%s: refused %s: %s", self.name, method, status)
-            case _:
-                pass
+        if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
+            self._refusals.log_own(self.name, method, answer)
         return answer
 
     async def close(self) -> None:
@@ -129,6 +128,10 @@ class Agent:
     def suspend_ingress(self, local: Endpoint) -> None:
         """Refuse callers for `local`: the program has ended."""
         self._ingress.suspend(local)
+
+    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+        """Whether `listeners` are the program that the port of `local` was opened for."""
+        return self._ingress.leads_to(local, listeners)
 
     def open_egress(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it listens."""
@@ -151,6 +154,10 @@ class Agent:
         own_identity = self.state.endpoints.program_at(remote) is not None
         return await self._connector.dial(remote, own_identity=own_identity)
 
+    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
+        """Say that no connection to a peer could be made; once an hour."""
+        self._refusals.unreachable(remote.uri, error)
+
     def check_peer(self, peer: Identity) -> None:
         """Return if the identity of `peer` is still valid."""
         self.state.access.check_peer(peer, clock.now())
@@ -158,7 +165,7 @@ class Agent:
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer; refusals are logged, since a program may not print them."""
         answer = await self._membership.session.forward(method, *params)
-        self._refusals.log("the master", method, answer)
+        self._refusals.log("the master", method, answer, params)
         return answer
 
     def proof(self, right: Right, name: str) -> bytes:

@@ -16,6 +16,7 @@ from rossec.net.host.peeruid import Holder
 from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
 from rossec.sidecar.socket_owners import SocketOwners
 
+_ALL: Final = 1  # the process that all others descend from
 _HINT: Final = "start it with `rossec run`; a program with capabilities needs `rossec sidecar`"
 
 
@@ -37,6 +38,7 @@ class Callers:
         self.loopback: Final = loopback
         self._users = frozenset(users)
         self._owners = None if ancestor is None else SocketOwners(ancestor)
+        self._processes = self._owners or SocketOwners(_ALL)
 
     async def check(self, sock: socket.socket) -> None:
         """Return if the program at the other end is allowed.
@@ -75,6 +77,16 @@ class Callers:
     def listeners(self, port: int) -> list[Holder]:
         """The sockets that listen at loopback port `port`, allowed or not."""
         return peeruid.listeners((self.loopback.address, port))
+
+    async def is_program_at(self, sock: socket.socket, port: int) -> bool:
+        """Whether the process at the other end of `sock` listens at loopback port `port`.
+
+        Raises:
+            PeerUserRefused: no process holds that end.
+        """
+        caller = await self._processes.process_of(peeruid.holder_of(sock).inode)
+        holders = [await self._processes.process_of(each.inode) for each in self.listeners(port)]
+        return caller is not None and caller in holders
 
     async def _check(self, holder: Holder) -> None:
         if holder.user not in self._users or not peeruid.is_known(holder.user):

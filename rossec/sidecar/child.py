@@ -30,6 +30,13 @@ _FORWARDED: Final = (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGUSR1, signal.SIGUSR2, signal.SIGCONT,
 )  # fmt: skip
+_PACKAGES: Final = {
+    "rosrun": "rosbash", "roscd": "rosbash", "rosed": "rosbash", "rviz": "rviz",
+    **{tool: f"python3-{tool}" for tool in (
+        "rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic",
+    )},
+}  # fmt: skip
+"""Which of Debian's packages has a tool that is not installed."""
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
 _DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
@@ -114,7 +121,9 @@ async def _start(
             *command, env=dict(environ), preexec_fn=prepare, close_fds=False
         )
     except FileNotFoundError:
-        raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND) from None
+        raise NoSuchProgram(
+            f"{command[0]}: there is no such program", _NOT_FOUND, command[0]
+        ) from None
     except OSError as error:
         reason = error.strerror or "no reason given"
         raise NoSuchProgram(f"{command[0]} cannot be executed: {reason}", _NOT_EXECUTABLE) from None
@@ -123,8 +132,10 @@ async def _start(
 class NoSuchProgram(HintedError):
     """The command line names no program; `code` is what a shell would exit with."""
 
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message, "give the program after --, with its arguments")
+    def __init__(self, message: str, code: int, name: str = "") -> None:
+        package = _PACKAGES.get(name)
+        install = f"Debian's package of it: apt install {package}"
+        super().__init__(message, install if package else "is it installed, and in PATH?")
         self.code = code
 
 

@@ -15,13 +15,13 @@ from ca.domains.aliases import shown
 from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.opening import WireProtocol
-from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp, RossecError
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc.client import serve_calls
-from rossec.participant.connections import AuthorizedConnection, ConnectionTable
+from rossec.participant.authorized import AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.followed_publishers import PERIOD, FollowedPublishers
 from rossec.participant.header_fields import text
 from rossec.participant.limit_memory import memory_scope
@@ -30,9 +30,11 @@ from rossec.ros import header
 from rossec.ros.header import MESSAGE_LIMIT
 from rossec.sidecar import pump
 from rossec.sidecar.core import slave_calls, tcpros
+from rossec.sidecar.core.copies import ReplaceableGuard
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.core.program_memory import ProgramMemories
+from rossec.sidecar.core.replacing import Replacing
 from rossec.sidecar.core.tcpros import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import LoopbackPort
@@ -189,12 +191,16 @@ class Egress:
         after_request: bytes,
         after_answer: bytes,
     ) -> None:
-        connection = AuthorizedConnection(stream, admitted.decision, admitted.guard)
+        guard = None if admitted.guard is None else ReplaceableGuard(admitted.guard)
+        replacing = Replacing(guard, admitted.rebuild, to_peer=False)
+        connection = AuthorizedConnection(
+            stream, admitted.decision, admitted.guard, replacing.rebuild, replacing.swap
+        )
         with self._connections.track(connection), pump.log_end(shown(stream.peer.name)):
             await program.send(header.encode(admitted.answer))
             if admitted.service:
                 await pump.exchange(program, stream, after_request, after_answer)
             else:
-                stream.raise_unit_limit(unit_limit(admitted.message_size, ChannelLimits.unit))
+                stream.raise_unit_limit(unit_limit(admitted.message_size, MESSAGE_LIMIT))
                 max_length = message_limit(admitted.message_size, MESSAGE_LIMIT)
-                await pump.subscribe(program, stream, admitted.guard, after_answer, max_length)
+                await pump.subscribe(program, stream, guard, after_answer, max_length)

@@ -15,13 +15,14 @@ from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
 from rossec.channel.opening import WireProtocol
-from rossec.errors import PeerUnreachable, RossecError
+from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
 from rossec.net.aio.dial import dial
 from rossec.net.aio.stream import SecureStream
+from rossec.net.host.peeruid import Holder
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import header
 from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.xmlrpc import Fault
+from rossec.ros.xmlrpc import FAULT_CODE, Fault
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.commands import (
     AuthenticatePeer,
@@ -86,6 +87,9 @@ class AgentServices(Protocol):
     def suspend_ingress(self, local: Endpoint) -> None:
         """Refuse callers for `local`."""
 
+    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+        """Whether `listeners` are the program that the port of `local` was opened for."""
+
     def open_egress(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it listens."""
 
@@ -100,6 +104,9 @@ class AgentServices(Protocol):
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
         """Connect to a peer with a valid identity."""
+
+    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
+        """Say that no connection to a peer could be made."""
 
     def check_peer(self, peer: Identity) -> None:
         """Return if the identity of `peer` is still valid. Raises a `HintedError`."""
@@ -182,6 +189,8 @@ class CommandExecutor:
                 return await self._perform(request)
         except ConnectionRefusedError as error:
             return NoAnswer(str(error), dead=True)
+        except XmlRpcRefused as error:  # an answer, or the program would call again for ever
+            raise Fault(FAULT_CODE, f"rossec: {error}") from error
         except (HintedError, OSError, TimeoutError) as error:
             return NoAnswer(str(error) or "no answer in time")
 
@@ -189,8 +198,8 @@ class CommandExecutor:
         match request:
             case CallMaster(method, params):
                 return Answered(await self._services.call_master(method, params))
-            case CallProgram(local, method, params, parse):
-                return await _call(await self._rpc_to_program(local), method, params, parse=parse)
+            case CallProgram(local, method, params):
+                return await _call(await self._rpc_to_program(local), method, params, parse=True)
             case CallPeer(remote, method, params, right, parse):
                 client = await self._client_of_peer(remote, right)
                 event = await _call(client.rpc, method, params, parse=parse)
@@ -221,7 +230,11 @@ class CommandExecutor:
     async def _stream_to(self, remote: Endpoint) -> SecureStream[Identity]:
         """The TCPROS connection to the peer there, which a layer makes one of."""
         if self.stream is None:
-            self.stream = await self._services.dial(remote)
+            try:
+                self.stream = await self._services.dial(remote)
+            except PeerUnreachable as error:
+                self._services.note_unreachable(remote, error)
+                raise
         return self.stream
 
     async def _exchange_headers(
@@ -246,6 +259,8 @@ class CommandExecutor:
     async def _connect_program(self, local: Endpoint) -> PlainStream:
         callers = self._services.callers
         holders = await callers.check_listener(local.port)
+        if not self._services.leads_to(local, holders):
+            raise ConnectionRefusedError(f"another program has port {local.port} now")
         sock = await dial(callers.loopback.address, local.port, DEADLINE)
         try:
             callers.check_unchanged(local.port, holders)
@@ -287,7 +302,8 @@ class CommandExecutor:
     async def _connect_peer(self, remote: Endpoint) -> SlaveApiClient:
         try:
             stream = await self._services.dial(remote)
-        except PeerUnreachable:
+        except PeerUnreachable as error:
+            self._services.note_unreachable(remote, error)
             self._no_answer(remote)
             raise
         return SlaveApiClient(RpcClient(stream), stream.peer)

@@ -1,7 +1,9 @@
 """Network ports for programs: peers call a slave API, subscribe to topics, call services.
 
 A shell. Each connection runs one layer after another; an error closes that connection on both
-sides. A refused peer is told why its own grants do not suffice, and no more.
+sides. A refused peer is told why its own grants do not suffice, and no more. A network port leads
+to the socket that listened when it was opened, not to whoever has the number of its port later:
+the master would have another program shut down in the place of one that has ended.
 """
 
 import asyncio
@@ -19,10 +21,11 @@ from rossec.errors import CallRefused, ChannelClosed, HangUp
 from rossec.net.aio import SecureStream
 from rossec.net.aio.server import SecureServer
 from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc.client import serve_calls
-from rossec.participant import slave_api
-from rossec.participant.connections import AuthorizedConnection, ConnectionTable
+from rossec.net.host.peeruid import Holder
+from rossec.participant.authorized import AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from rossec.participant.limit_memory import memory_scope
+from rossec.participant.slave_serving import serve_peer
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header, names
 from rossec.ros.names import SIGNED_UPDATES
@@ -33,6 +36,7 @@ from rossec.sidecar.core.copies import CopyTracker
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.core.program_memory import ProgramMemories
+from rossec.sidecar.core.replacing import Replacing
 from rossec.sidecar.core.tcpros import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.plain_stream import PlainStream
@@ -41,6 +45,7 @@ from rossec.sidecar.pump import split_header
 from rossec.sidecar.wish_pump import WishSender
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
+_ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
 
 _log = logging.getLogger("rossec.sidecar")
 PushHandler = Callable[[str, tuple[object, ...], Identity], None]
@@ -74,12 +79,38 @@ class Ingress:
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
+        self._listeners: dict[Endpoint, list[Holder]] = {}  # of each port, when it was opened
+        self._ended: PortPool[int, SecureServer[Identity]] = PortPool(
+            self._close_ended, limit=_ENDED
+        )
 
     def open(self, local: Endpoint) -> int:
-        """The network port for `local`; it listens."""
+        """The network port for the program that listens at `local` now; it listens."""
+        listeners = self._services.callers.listeners(local.port)
+        if not self.leads_to(local, listeners):
+            for each in [each for each in self._listeners if each.port == local.port]:
+                self._retire(each)
         server = self.ports.get_or_open(local, lambda: self._listen(local))
+        if listeners:
+            self._listeners[local] = listeners
         server.resume()
         return server.port
+
+    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+        """Whether `listeners` are those for which the port of `local` was opened.
+
+        Also if there is no such port, or nothing listened when it was opened.
+        """
+        return not listeners or self._listeners.get(local, listeners) == listeners
+
+    def _retire(self, local: Endpoint) -> None:
+        """Its program has ended and another one has the port: refuse callers for good."""
+        del self._listeners[local]
+        server = self.ports.remove(local)
+        if server is not None:
+            server.suspend()
+            self._agent.endpoints.remove_ingress(local, server.port)
+            self._ended.get_or_open(server.port, lambda: server)
 
     def suspend(self, local: Endpoint) -> None:
         """Refuse callers for `local`: the program has ended."""
@@ -89,7 +120,7 @@ class Ingress:
 
     async def close(self) -> None:
         """Close every port."""
-        for server in self.ports:
+        for server in (*self.ports, *self._ended):
             await server.close()
         await self._tasks.close()
 
@@ -108,10 +139,15 @@ class Ingress:
     def _close_port(self, local: Endpoint, server: SecureServer[Identity]) -> None:
         self._agent.endpoints.remove_ingress(local, server.port)
         self._agent.forget(local)
-        self._tasks.spawn(server.close(), f"network port for {local.uri}")
+        self._listeners.pop(local, None)
+        self._close_ended(server.port, server)
+
+    def _close_ended(self, port: int, server: SecureServer[Identity]) -> None:
+        self._tasks.spawn(server.close(), f"network port {port}")
 
     def _is_dead(self, local: Endpoint) -> bool:
-        return not self._services.callers.listeners(local.port)
+        listeners = self._services.callers.listeners(local.port)
+        return not listeners or not self.leads_to(local, listeners)
 
     # --- XML-RPC
 
@@ -140,10 +176,8 @@ class Ingress:
                 _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
                 return [-1, f"rossec: {error}", 0]
 
-        limit = None if self._agent.access.is_master(stream.peer) else slave_api.DEADLINE
         try:
-            async with asyncio.timeout(limit):
-                await serve_calls(stream, dispatch)
+            await serve_peer(stream, dispatch, self._agent.access)
         finally:
             await executor.close()
 
@@ -190,25 +224,27 @@ class Ingress:
         after_request: bytes,
         after_answer: bytes,
     ) -> None:
-        connection = AuthorizedConnection(stream, admitted.decision, admitted.guard)
-        with self._connections.track(connection), pump.log_end(shown(stream.peer.name)):
-            await stream.send(header.encode(admitted.answer))
-            if admitted.service:
-                stream.raise_unit_limit()
-                await pump.exchange(program, stream, after_answer, after_request)
-            elif after_request:
-                _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
-            else:
-                now, latching = clock.time(), admitted.latching
-                with self._copies.share(admitted.guard, now, latching=latching) as (
-                    guard,
-                    initial,
-                ):
-                    if admitted.wishes:
-                        sender = WishSender(stream, admitted.wishes)
-                        sender.put(initial)
-                        await wish_pump.publish(program, stream, guard, after_answer, sender)
-                        return
+        decision, now, latching = admitted.decision, clock.time(), admitted.latching
+        with (
+            pump.log_end(shown(stream.peer.name)),
+            self._copies.share(admitted.guard, now, latching=latching) as (guard, initial),
+        ):
+            replacing = Replacing(guard, admitted.rebuild, to_peer=True)
+            connection = AuthorizedConnection(
+                stream, decision, admitted.guard, replacing.rebuild, replacing.swap
+            )
+            with self._connections.track(connection):
+                await stream.send(header.encode(admitted.answer))
+                if admitted.service:
+                    stream.raise_unit_limit()
+                    await pump.exchange(program, stream, after_answer, after_request)
+                elif after_request:
+                    _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
+                elif admitted.wishes:
+                    sender = WishSender(stream, admitted.wishes)
+                    sender.put(initial)
+                    await wish_pump.publish(program, stream, guard, after_answer, sender)
+                else:
                     if initial:
                         await stream.send(*pump.framed(initial))
                     await pump.publish(program, stream, guard, after_answer)

@@ -21,12 +21,17 @@ _CLOSED: Final = "the program closed the connection"
 
 
 class PlainStream(BaseStream):
-    """One connection; `peer` is a constant: a program has no identity of its own."""
+    """One connection; `peer` is a constant: a program has no identity of its own.
+
+    Attributes:
+        socket: by which the kernel says whose the other end is.
+    """
 
     peer = "a program of this host"
 
     def __init__(self, sock: socket.socket) -> None:
         super().__init__()
+        self.socket: Final = sock
         self._buffer = memoryview(bytearray(_SMALL))
         self.transport = Transport(sock, self)
         self.transport.resume_reading()

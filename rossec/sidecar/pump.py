@@ -202,16 +202,28 @@ async def expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
     raise ConnectionHeaderRefused("a subscriber that sends data")
 
 
+@contextlib.contextmanager
+def _until_closed() -> Iterator[None]:
+    """End the block when an end is closed in order.
+
+    Nothing is awaited in `except*`: it would turn a cancellation there into a group, a crash.
+    """
+    try:
+        yield
+    except* ChannelClosed:
+        pass
+
+
 async def run_both(
     program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
     """Run all directions, until one end is closed; then close the other."""
     try:
-        async with asyncio.TaskGroup() as group:
-            for direction in directions:
-                group.create_task(direction)
-    except* ChannelClosed:  # orderly: deliver what was sent, then close the other end
-        await asyncio.gather(program.close(), peer.close())
+        with _until_closed():
+            async with asyncio.TaskGroup() as group:
+                for direction in directions:
+                    group.create_task(direction)
+        await asyncio.gather(program.close(), peer.close())  # deliver what was sent
     finally:
         program.abort()
         peer.abort("the other end was closed")

@@ -1,23 +1,26 @@
 """The sidecar of a host or of one program: a master on loopback, and an agent for each identity.
 
 A shell. The identity of a call follows from the caller_id, never from data of a peer: with
-`identity` it is always that one; otherwise each program uses the one enrolled for its name.
+`identity` it is always that one; otherwise each program uses the one enrolled for its name. The
+caller_id of roscpp's `NodeHandle::searchParam` is a namespace of its node: there it is the program.
 """
 
 import asyncio
 import logging
-import re
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from ca.errors import HintedError, NameRefused
 from ca.names import check_name
+from rossec import home_hints
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
+from rossec.participant.caller_names import SEARCH
 from rossec.participant.slave_api import without_caller
 from rossec.ros.names import MASTER
 from rossec.ros.settings import Settings, is_loopback
@@ -32,7 +35,6 @@ from rossec.sidecar.plain_stream import PlainStream
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 _log = logging.getLogger("rossec.sidecar")
 LIMIT: Final = 256  # identities in use
-_ANONYMOUS: Final = re.compile(r"([_-][0-9]+)+$")  # suffixes of rospy, roscpp and tools
 
 
 class Sidecar:
@@ -101,16 +103,20 @@ class Sidecar:
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
     async def _serve(self, program: PlainStream) -> None:
-        await serve_calls(program, self._dispatch, compact=False)
+        await serve_calls(program, partial(self._dispatch, program), compact=False)
 
-    async def _dispatch(self, method: str, params: tuple[object, ...], _: str) -> object:
+    async def _dispatch(
+        self, program: PlainStream, method: str, params: tuple[object, ...], _: str
+    ) -> object:
         if method == MULTICALL and params == ([],):  # no caller: roslaunch without parameters
             return []
         refused = _missing_caller(method, params)
         if refused is not None:
             return refused
         try:
-            agent = self._agent_for(_caller(method, params))
+            name = _caller(method, params)
+            agent = await self._searching(program, name) if method == SEARCH else None
+            agent = agent or self._agent_for(name)
             return await agent.handle_call(method, params)
         except (HangUp, Fault):
             raise
@@ -120,6 +126,34 @@ class Sidecar:
         except OSError as error:  # the files of the identity cannot be read
             _log.warning("%s: %s", method, error)
             return [-1, f"rossec: {error}", 0]
+
+    async def _searching(self, program: PlainStream, space: str) -> Agent | None:
+        """The agent of the program that searches from `space`; None: that of the name `space`.
+
+        Several nodes in `space`, or one that has this very name: the process decides.
+        """
+        if self._default is not None and not self._each:
+            return None
+        prefix = space.rstrip("/") + "/"
+        nodes = [
+            (agent, api)
+            for agent in self._agents.values()
+            for api, node in agent.state.programs.items()
+            if f"{node.name}/".startswith(prefix)
+        ]
+        agents = {agent for agent, _ in nodes}
+        if len(agents) == 1 and not self._is_enrolled(space):
+            return agents.pop()
+        for agent, api in nodes:
+            if await self._callers.is_program_at(program.socket, api.port):
+                return agent
+        return None
+
+    def _is_enrolled(self, name: str) -> bool:
+        try:
+            return (NodeHome.find(self._home, check_name(name)).path / "node.key").exists()
+        except NameRefused:
+            return False
 
     def _agent_for(self, name: str) -> Agent:
         if self._default is not None and not self._each:
@@ -136,7 +170,8 @@ class Sidecar:
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
-            raise ConfigurationError(f"{name} has no identity here", _enroll_hint(name))
+            hint = f"{home_hints.missing_node(self._home, name)}; or use --as"
+            raise ConfigurationError(f"{name} has no identity here", hint)
         if len(self._agents) >= LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
         return self._agent(home)
@@ -148,12 +183,6 @@ class Sidecar:
                 self._master_name,
             )  # fmt: skip
         return self._agents[home.name]
-
-
-def _enroll_hint(name: str) -> str:
-    base = _ANONYMOUS.sub("", name)
-    anonymous = "" if base == name else " --anonymous"
-    return f"enroll it: rossec node request {base}{anonymous}, or use --as"
 
 
 def _missing_caller(method: str, params: tuple[object, ...]) -> object | None:

@@ -54,6 +54,10 @@ class SocketOwners:
                 self._wanted -= wanted
         return self._verified(inode)
 
+    async def process_of(self, inode: int) -> Process | None:
+        """The descendant that holds the socket now; None: none does."""
+        return self._locations[inode].process if await self.holds(inode) else None
+
     def _verified(self, inode: int) -> bool:
         location = self._locations.get(inode)
         if location is None:

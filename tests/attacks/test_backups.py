@@ -3,9 +3,12 @@
 The attacker made it, knows its passphrase, and has the operator run the command.
 """
 
+import base64
+import ctypes
 import os
 import secrets
 import sqlite3
+import subprocess
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,11 +20,13 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from ca.store import backup
 from rossec.authority.backup import back_up
 from rossec.authority.home import AuthorityHome
+from tests.ca.keys.test_pbes2 import asking
 from tests.support.commands import PASSPHRASE, Said, Shell
 
 pytestmark = [pytest.mark.attack("malicious-backup"), pytest.mark.timeout(600)]
 
 Content = dict[str, bytes]
+NOBODY = ("--master", "http://127.0.0.1:1")
 
 
 @pytest.fixture
@@ -59,7 +64,7 @@ def sealed(content: object) -> bytes:
 def restore(shell: Shell, data: bytes) -> Said:
     file = shell.root / "given.backup"
     file.write_bytes(data)
-    return shell.unlocked("ca", "restore", str(file))
+    return shell.unlocked("ca", "restore", str(file), "--without-list")
 
 
 def refused(shell: Shell, data: bytes, *said: str) -> None:
@@ -136,6 +141,18 @@ def test_two_certificates(empty: Shell, genuine: Content, foreign: Content) -> N
     refused(empty, sealed({**genuine, "ca.pem": both}), "authority: not exactly one certificate")
 
 
+@pytest.mark.parametrize("costs", [(2**14, 8, 5000), (2**30, 8, 1)], ids=["time", "memory"])
+def test_a_key_that_costs_minutes_to_try(
+    empty: Shell, genuine: Content, costs: tuple[int, int, int]
+) -> None:
+    text = base64.encodebytes(asking(*costs))
+    kind = b"ENCRYPTED PRIVATE KEY-----\n"
+    pem = b"-----BEGIN " + kind + text + b"-----END " + kind
+    refused(empty, sealed({**genuine, "ca.key": pem}), "more work than a passphrase is worth")
+    again = pem + genuine["ca.key"]
+    refused(empty, sealed({**genuine, "ca.key": again}), "the passphrase does not open")
+
+
 RECORDS = {
     "a trigger that forgets": "CREATE TRIGGER t BEFORE INSERT ON revocation"
     " BEGIN SELECT RAISE(IGNORE); END",
@@ -209,3 +226,84 @@ def test_restored_files_are_private(empty: Shell, genuine: Content) -> None:
     for path in (empty.root / "ca").rglob("*"):
         assert path.stat().st_mode & 0o022 == 0, path
         assert not path.is_symlink()
+
+
+URI = "pkcs11:token=home;object=authority?module-path={}"
+OUTSIDE = "pkcs11-modules"
+
+
+@pytest.fixture
+def code(tmp_path: Path) -> tuple[Path, Path]:
+    """A library, and the file that is there once it was loaded."""
+    source, library, ran = (tmp_path / name for name in ("code.c", "code.so", "it-ran"))
+    source.write_text(
+        "#include <stdio.h>\n__attribute__((constructor)) static void run(void)\n"
+        f'{{ FILE *file = fopen("{ran}", "w"); if (file) fclose(file); }}\n'
+    )
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source], check=True)
+    return library, ran
+
+
+def behind(genuine: Content, module: Path | str) -> Content:
+    """The backup of an authority whose key is in a token behind `module`."""
+    content = {name: data for name, data in genuine.items() if name != "ca.key"}
+    return {**content, "ca.uri": URI.format(module).encode()}
+
+
+@pytest.mark.attack("backup-runs-code")
+@pytest.mark.parametrize("extra", [{}, {"ca.key": b""}], ids=["alone", "beside a key file"])
+def test_a_backup_names_code_to_be_run(
+    empty: Shell, genuine: Content, code: tuple[Path, Path], extra: Content
+) -> None:
+    library, ran = code
+    content = {**behind(genuine, library), **{name: genuine[name] for name in extra}}
+    refused(empty, sealed(content), "as it says", "--pkcs11-module")
+    assert not ran.exists()
+    ctypes.CDLL(str(library))  # what it would have done
+    assert ran.exists()
+
+
+@pytest.mark.attack("backup-runs-code")
+def test_the_operators_module_is_the_one_that_is_loaded(
+    empty: Shell, genuine: Content, code: tuple[Path, Path], tmp_path: Path
+) -> None:
+    library, ran = code
+    file, harmless = empty.root / "given.backup", tmp_path / "harmless.so"
+    file.write_bytes(sealed(behind(genuine, library)))
+    harmless.write_bytes(b"no library")
+    restoring = ("ca", "restore", str(file), "--without-list")
+    said = empty.unlocked(*restoring, "--pkcs11-module", str(harmless))
+    assert said.code == 1
+    assert not ran.exists()
+    assert not (empty.root / "ca").exists()
+    assert not (empty.root / OUTSIDE).exists(), "a restore that fails trusts nothing"
+
+
+@pytest.mark.attack("backup-runs-code")
+def test_a_backup_does_not_write_what_is_trusted(
+    empty: Shell, genuine: Content, code: tuple[Path, Path]
+) -> None:
+    library, ran = code
+    for name in (OUTSIDE, f"../{OUTSIDE}", f"node/{OUTSIDE}", f"inbox/{OUTSIDE}"):
+        restore(empty, sealed({**genuine, name: str(library).encode()}))
+        assert not (empty.root / OUTSIDE).exists()
+        refused(empty, sealed({**behind(genuine, library), name: str(library).encode()}))
+    assert not ran.exists()
+
+
+@pytest.mark.attack("backup-runs-code")
+def test_a_home_that_was_restored_needs_the_operators_word(
+    empty: Shell, genuine: Content, code: tuple[Path, Path]
+) -> None:
+    """An older version restored it: nobody has named the module but the file."""
+    library, ran = code
+    assert restore(empty, sealed(genuine)).code == 0
+    place = empty.root / "ca"
+    (place / "ca.key").unlink()
+    (place / "ca.uri").write_bytes(behind(genuine, library)["ca.uri"])
+    for command in (("ca", "refresh", *NOBODY), ("ca", "backup", str(empty.root / "b"))):
+        said = empty.unlocked(*command)
+        assert said.code == 1
+        assert "a module that is not trusted here" in said.err
+        assert str(empty.root / OUTSIDE) in said.err
+    assert not ran.exists()

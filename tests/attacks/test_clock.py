@@ -21,7 +21,7 @@ from rossec.clock import Clock, counter
 from rossec.master.server.server import MasterServer
 from rossec.node import Node
 from rossec.participant import master_session
-from rossec.participant.connections import STALE_GRACE
+from rossec.participant.authorized import STALE_GRACE
 from rossec.ros.names import MASTER
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed

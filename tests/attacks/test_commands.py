@@ -64,7 +64,8 @@ async def test_only_the_master_controls_or_queries_a_node(
 async def test_udpros_is_never_offered(site: Site, witness: Witness) -> None:
     protocols = [["UDPROS", b"", HOST, 9, 1500]]
     answer = await call(witness.robot.uri, credentials(site), "requestTopic", EVE, TOPIC, protocols)
-    assert answer == [-1, "rossec: only TCPROS, inside the secure channel", []]
+    hint = "in C++: ros::TransportHints().reliable()"
+    assert answer == [-1, f"rossec: only TCPROS, inside the secure channel; {hint}", []]
 
 
 @pytest.mark.attack("old-list")

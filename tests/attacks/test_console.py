@@ -206,4 +206,4 @@ def test_a_stolen_cookie_approves_and_adds_nothing_and_can_deny(
         assert site.run("console", "phones", "--json") == phones
         other.open(question)
         press(other, "Deny")
-        expect(other.page.locator("h1")).to_have_text("This is answered")
+        expect(other.page.locator("h1")).to_have_text("Denied")

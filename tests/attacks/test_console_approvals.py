@@ -19,8 +19,11 @@ from ca.errors import (
     PasskeyUnknown,
     RequestClosed,
 )
+from grants import document
 from rossec.authority.backup import back_up, restore
-from rossec.authority.console.views import Outcome, Prepared
+from rossec.authority.console.questions import Questions
+from rossec.authority.console.records import many
+from rossec.authority.console.views import GrantQuestion, Outcome, Prepared
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.requests import GrantRequestStore
@@ -28,6 +31,8 @@ from rossec.errors import KeyServiceRefused
 from rossec.ros.names import MASTER
 from tests.support.consoleacts import DAY, SECRET, Acts
 from tests.support.passkeys import UP, Assertion, Passkey
+
+PROMPTED = "prompt: {subscribe: [/pose, /odom]}"
 
 
 @pytest.fixture
@@ -47,6 +52,36 @@ def nothing_was_given(acts: Acts, name: str = "/lamp") -> None:
         assert not store.grants()
     assert not any("signs" in line for line in acts.audit)
     acts.audit_record()
+
+
+@pytest.mark.attack("console-longer")
+def test_a_form_of_ones_own_approves_for_no_longer_than_the_policy_allows(acts: Acts) -> None:
+    """The page's button for a month is disabled, where the policy allows seven days."""
+    question = acts.ask("/map")
+    for seconds in (7 * DAY + 1, 30 * DAY):
+        with pytest.raises(KeyServiceRefused, match="allows this for 7d at most"):
+            acts.prepare("grant", question, "", seconds)
+    acts.touch(acts.prepare("grant", question, "", 7 * DAY))
+    with acts.store() as store:
+        (row,) = store.grants()
+    assert document.peek(row.data).cap == acts.now + 7 * DAY
+
+
+@pytest.mark.attack("console-more-rights")
+def test_a_touch_for_one_right_gives_no_other_of_the_same_request(acts: Acts) -> None:
+    """Whoever lets a node see a camera has not let it drive."""
+    policy = acts.home.path / "policy.yaml"
+    policy.write_text(policy.read_text().replace("prompt: {subscribe: [/pose]}", PROMPTED))
+    acts.ask("/map", "/pose", "/odom")
+    asked = many(GrantQuestion, Questions(acts.work).questions())
+    assert [len(each.rights) for each in asked] == [1, 1]
+    (pose,) = [each for each in asked if each.rights[0].pattern == "/pose"]
+    acts.touch(acts.prepare("grant", pose.id, "", 0))
+    with acts.store() as store:
+        (row,) = store.grants()
+        (left,) = GrantRequestStore(store.database).unanswered()
+    assert [each.pattern for each in document.peek(row.data).permissions] == ["/pose"]
+    assert left.requested.pattern == "/odom"
 
 
 @pytest.mark.attack("console-other-statement")

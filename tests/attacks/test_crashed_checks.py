@@ -63,7 +63,7 @@ async def test_f1_a_crash_while_an_identity_is_checked_ends_the_connection(
     loop, seen = asyncio.get_running_loop(), list[Any]()
     loop.set_exception_handler(lambda _, context: seen.append(context))
     with monkeypatch.context() as patch:
-        patch.setattr("ca.certificates._check_time", _crash)
+        patch.setattr("ca.certificates.check_time", _crash)
         async with asyncio.timeout(3):  # before the deadline of the handshake
             with pytest.raises(ChannelError):
                 await call(site.master.uri, own, "getPid", EVE)

@@ -159,7 +159,7 @@ async def test_deposits_are_bounded_in_a_call_and_for_a_key(site: Site, witness:
         assert (code, value) == (-1, [])
         assert "a list of at most 64" in status
         with pytest.raises(RossecError):
-            await office(DEPOSIT, [bytes(2 << 20)])
+            await office(DEPOSIT, [bytes(5 << 20)])
     async with authority(site) as office:
         assert (await office(DEPOSIT, many[:-1]))[2] == [""] * MAX_HELD
         assert (await office(DEPOSIT, many[-1:]))[2] == [
@@ -178,7 +178,7 @@ async def test_calls_that_wait_are_bounded_by_the_connections_of_a_key(
     site: Site, witness: Witness
 ) -> None:
     assert site.master is not None
-    own, limit = credentials(site), MasterLimits().connections_per_identity
+    own, limit = credentials(site), MasterLimits().connections_without_right
     async with contextlib.AsyncExitStack() as stack:
         waiting: list[asyncio.Future[object]] = []
         for _ in range(limit):

@@ -14,6 +14,7 @@ from ca.keys.publickey import thumbprint
 from grants.model import Right
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.errors import RossecError
+from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.domain_trust import GRACE
 from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
@@ -215,7 +216,7 @@ async def test_a_domain_has_a_limited_number_of_connections(
     world: VisitWorld, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.WARNING, "rossec")
-    world.server._limits = world.server._limits.__class__(connections_per_domain=4)
+    world.server._admission._limits = MasterLimits(connections_per_domain=4)
     robots = [world.hospital.site.enroll(f"/rounds/robot{number}") for number in range(6)]
     found = await asyncio.gather(
         *(world.connect(robot) for robot in robots), return_exceptions=True

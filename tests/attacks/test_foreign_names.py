@@ -20,6 +20,7 @@ OURS: dict[str, tuple[object, ...]] = {
     "rossec.updateDomains": (b"",), "rossec.foreignRevocations": (HOSPITAL, b""),
     "rossec.foreignRevocationProofs": (HOSPITAL, []), "rossec.depositGrants": ([],),
     "rossec.deliveryStates": ([],), "rossec.revocationStanding": (), "rossec.recentDenials": (),
+    "rossec.watchRenewals": (0,), "rossec.settleRenewals": ([],),
 }  # fmt: skip
 """What only nodes of the own domain, or its authority's, may call."""
 

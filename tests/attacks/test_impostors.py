@@ -8,12 +8,12 @@ from typing import Final
 import pytest
 
 from ca.encoding import encode
-from ca.errors import ForeignCertificate, HintedError
+from ca.errors import HintedError
 from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissing, GrantNotHeld
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
-from rossec.errors import CallerMismatch, ConnectionHeaderRefused, IdentityRefused
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused, ForeignIdentity
 from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import message_type
@@ -140,8 +140,7 @@ async def test_a_publisher_of_another_authority_is_refused(site: Site, witness: 
     fields = answer([signed(other, right=PUBLISH)])
     async with impostor(credentials(other), fields) as uri:
         refused = await led(site, witness, uri)
-    assert type(refused) is IdentityRefused
-    assert isinstance(refused.__cause__, ForeignCertificate)
+    assert type(refused) is ForeignIdentity
 
 
 @pytest.mark.attack("false-publisher")

@@ -19,7 +19,7 @@ from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
 from rossec.master.api.revoked_calls import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
 from rossec.net.rpc.client import CallFailed, RpcClient
-from rossec.participant.connections import STALE_GRACE
+from rossec.participant.authorized import STALE_GRACE
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import (

@@ -153,7 +153,6 @@ async def test_m9_what_a_node_answers_is_bounded(
     ("data", "status"),
     [
         (HEAD % (1 << 40), b"413"),
-        (HEAD % (LIMITS.body + 1) + b"<", b"413"),
         (b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000, b"431"),
         (b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n", b"411"),
         (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"405"),
@@ -261,8 +260,8 @@ async def test_m10_the_answer_of_a_multicall_is_bounded(site: Site) -> None:
         calls = [{"methodName": "getParam", "params": [EVE, "/p"]}] * 1000
         with pytest.raises(Fault, match="2 of its 1000 calls were made"):
             await eve.client.call("system.multicall", calls)
-        await eve("setParam", "/p/more", "x" * 900_000)
-        await eve("setParam", "/p/most", "x" * 900_000)
+        for number in range(5):
+            await eve("setParam", f"/p/n{number}", "x" * 900_000)
         with pytest.raises(Fault, match="ask for less at a time"):
             await eve("getParam", "/p")
         assert (await eve("hasParam", "/p"))[0] == 1  # over the same connection

@@ -51,6 +51,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
         "unregisterService": ("/s", "rosrpc://h:1"), "rossec.watchGraph": ("", 0),
         "rossec.presentGrants": ([],), "rossec.renewGrants": ([b"x"],),
         "rossec.renewIdentity": (b"x",), "rossec.updateDelegation": (b"x",),
+        "rossec.watchRenewals": (0,), "rossec.settleRenewals": ([[bytes(32), b"x", ""]],),
         "rossec.revocationsSince": (b"x",), "rossec.updateRevocations": (b"x",),
         "rossec.updateRevocationTree": (b"x", b"x"), "rossec.revocationProofs": ([],),
         "rossec.trl": (b"\xa0",), "rossec.depositGrants": ([b"x"],),

@@ -18,8 +18,8 @@ ROBOT = "/robot"
 
 async def flood(eve: Caller, names: int) -> None:
     """Make refused calls for many names."""
-    for first in range(0, names, 2000):
-        wanted = range(first, min(names, first + 2000))
+    for first in range(0, names, 500):
+        wanted = range(first, min(names, first + 500))
         params = ([eve.name, f"/wanted/p{number}"] for number in wanted)
         calls = [{"methodName": "getParam", "params": each} for each in params]
         await eve.client.call("system.multicall", calls)

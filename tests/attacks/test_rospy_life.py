@@ -44,7 +44,8 @@ def fork():
         try:
             rospy.get_param("/robot/x")
         except Exception as error:
-            print("CHILD", error, flush=True)
+            sys.stdout.write(f"CHILD {error}\\n")  # in one piece: another thread writes too
+            sys.stdout.flush()
         os._exit(0)
     os.waitpid(pid, 0)
     time.sleep(0.1)
@@ -63,15 +64,18 @@ import rospy, sys
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 rospy.init_node("viewer")
+def tell(line):
+    sys.stdout.write(line + "\\n")  # in one piece: other threads write too
+    sys.stdout.flush()
 def hear(message, topic):
-    print("HEARD", topic, message.data, flush=True)
+    tell(f"HEARD {topic} {message.data}")
 for topic in "still", "queued", "direct":
     rospy.Subscriber("/robot/" + topic, String, hear, topic)
 rospy.wait_for_service("/robot/work", timeout=30)
 kept = rospy.ServiceProxy("/robot/work", Trigger, persistent=True)
-print("ANSWER", kept().message, flush=True)
+tell(f"ANSWER {kept().message}")
 for line in sys.stdin:
-    print("ANSWER", kept().message, flush=True)
+    tell(f"ANSWER {kept().message}")
 """
 )
 TOPICS: Final = ("/robot/still", "/robot/queued", "/robot/direct")

@@ -16,7 +16,7 @@ import pytest
 
 from rossec.home import NodeHome
 from rossec.node import Node, Publisher
-from rossec.participant import connections as staleness
+from rossec.participant import authorized as staleness
 from rossec.ros.names import MASTER
 from tests.support.commands import Said, Shell
 from tests.support.ports import free_port

@@ -10,12 +10,13 @@ from typing import Any, Final
 import pytest
 
 from grants.model import Restriction, filter_rules
+from rossec.channel.records import HEADER, TAG, Bytes, Frame
 from rossec.demo.intruder import accept_any
 from rossec.errors import ConnectionHeaderRefused, FrameRefused
 from rossec.net.aio import SecureStream, connect
 from rossec.node import Subscriber, listener
 from rossec.participant import topic_handshake
-from rossec.participant.deflating import deflated, inflated
+from rossec.participant.deflating import deflated
 from rossec.ros import header
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
 from tests.support.attacker import (
@@ -29,9 +30,11 @@ from tests.support.attacker import (
 from tests.support.contexts import unlimited
 from tests.support.limited import SELDOM
 from tests.support.site import Site
+from tests.support.wire import joined
 from tests.support.witness import TOPIC, Witness, until
 
 WISHES: Final = {"rossec_rate": "9999.000", "rossec_newest": "1", "rossec_deflate": "1"}
+TAKEN: Final = {key: value for key, value in WISHES.items() if key != "rossec_deflate"}
 BOMB: Final = "/eve/bomb"
 STRING: Final = "std_msgs/String"
 TYPE: Final = "geometry_msgs/PoseStamped"
@@ -39,9 +42,9 @@ TYPE: Final = "geometry_msgs/PoseStamped"
 
 @contextlib.asynccontextmanager
 async def subscribed(
-    site: Site, witness: Witness, **wishes: str
+    site: Site, witness: Witness, taken: dict[str, str], **wishes: str
 ) -> AsyncIterator[tuple[SecureStream[Any], FrameReader]]:
-    """A connection of Eve's to the robot's topic, with these wishes, after the answer."""
+    """A connection of Eve's to the robot's topic with wishes, of which only `taken` are taken."""
     grants = [path.read_bytes() for path in site.enroll(EVE).path.glob("grants/*")]
     fields = fields_for(EVE, TOPIC, grants, **wishes)
     own = credentials(site)
@@ -53,7 +56,7 @@ async def subscribed(
             pass
         answer = header.decode(found[0])
         assert "error" not in answer, answer
-        assert {key: answer[key].decode() for key in wishes} == wishes
+        assert {key: answer[key].decode() for key in wishes if key in answer} == taken
         yield stream, frames
     finally:
         stream.abort("heard enough")
@@ -74,14 +77,14 @@ async def test_no_wish_gives_more_than_the_grant(site: Site, witness: Witness) -
     """Not a higher rate, not the messages that the rate left out, not what a filter took away."""
     rules = filter_rules({"header.frame_id": {"clear": True}})
     site.subscribe(EVE, TOPIC, Restriction(TYPE, (), rules, rate=SELDOM))
-    async with subscribed(site, witness, **WISHES) as (stream, frames):
+    async with subscribed(site, witness, TAKEN, **WISHES) as (stream, frames):
         before = witness.sent
         contents = await heard(stream, frames, 1)
         await witness.goes_on()
     assert len(contents) <= 1 < witness.sent - before
     for content in contents:
-        assert b"living_room_map" not in inflated(content, MESSAGE_LIMIT)
-    async with subscribed(site, witness, **WISHES) as (stream, frames):
+        assert b"living_room_map" not in content
+    async with subscribed(site, witness, TAKEN, **WISHES) as (stream, frames):
         assert len(await heard(stream, frames, 1)) + len(contents) == 1, "the key's, as ever"
     await witness.goes_on()
 
@@ -117,27 +120,62 @@ async def test_a_malformed_wish_is_refused(
 
 
 @pytest.mark.attack("deflated-length")
-async def test_a_length_does_not_tell_what_a_filter_took_away(
-    site: Site, witness: Witness, monkeypatch: pytest.MonkeyPatch
+async def test_the_length_of_a_filtered_message_tells_nothing_on_the_network(
+    site: Site, witness: Witness
 ) -> None:
-    """What Eve has the robot publish beside a secret is not compressed together with it."""
+    """Encryption leaves lengths visible, and deflated a coarse cell would be read from them."""
     rules = filter_rules({"header.frame_id": {"clear": True}})
     site.subscribe(EVE, TOPIC, Restriction(TYPE, (), rules))
-    seen: list[tuple[bytes, bytes]] = []
-
-    def record(pieces: Any) -> bytes:
-        content = deflated(pieces)
-        seen.append((b"".join(pieces), content))
-        return content
-
-    monkeypatch.setattr("rossec.participant.deflating.deflated", record)
-    async with subscribed(site, witness, rossec_deflate="1") as (stream, frames):
+    wished = {"rossec_deflate": "1", "rossec_newest": "1"}
+    async with subscribed(site, witness, {"rossec_newest": "1"}, **wished) as (stream, frames):
         contents = await heard(stream, frames, 1)
     assert contents
-    assert contents == [content for _, content in seen][: len(contents)]
-    assert all(b"living_room_map" not in message for message, _ in seen)
-    assert all(content == deflated([message]) for message, content in seen), "each by itself"
+    assert {len(content) for content in contents} == {struct.calcsize("<IIII7d")}
     await witness.goes_on()
+
+
+@pytest.mark.attack("message-length")
+async def test_the_length_of_a_padded_message_tells_nothing_on_the_network(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who watches the network sees the lengths of records, and no text: not even how long it is."""
+    site.publish("/robot", TOPIC)
+    site.subscribe("/viewer", TOPIC, Restriction(pad=256))
+    seen: dict[Frame, set[int]] = {kind: set() for kind in Frame}
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        said = await robot.publisher(TOPIC, STRING)
+        heard = aiter(await viewer.subscriber(TOPIC, STRING))
+        await until(lambda: len(said.links) == 1)
+        (link,) = said.links
+        write = link.stream.write
+
+        def watched(record: Bytes) -> None:
+            seen[Frame(record[0] >> 4)].add(len(record))
+            write(record)
+
+        monkeypatch.setattr(link.stream, "write", watched)
+        texts = ["yes", "no", "", "x" * 200]
+        for text in texts:
+            said.publish(said.create(data=text))
+            assert (await anext(heard)).data == text
+    assert seen[Frame.PADDED_END] == {HEADER + 256 + TAG}
+    assert not seen[Frame.DATA] | seen[Frame.DATA_END]
+
+
+@pytest.mark.attack("message-length")
+@pytest.mark.parametrize("reuse", [False, True])
+def test_the_pieces_of_a_padded_message_are_not_told_apart(reuse: bool) -> None:
+    """What is filtered, and what comes at once, is sent in pieces, each in a record of its own."""
+    lengths = set()
+    for size in (20_000, 20_001, 30_000, 39_000):
+        w = joined()
+        w.left.core.pad_units(65_536)
+        pieces = (b"length", bytes(size), b"between", bytes(20_000), b"end")
+        records = [bytes(each) for each in w.left.core.seal_unit(*pieces, reuse=reuse)]
+        lengths.add(tuple(map(len, records)))
+        w.right.give(b"".join(records))
+        assert w.right.units == [b"".join(pieces)]
+    assert lengths == {(HEADER + 65_536 + TAG,)}
 
 
 def raw(data: bytes) -> bytes:

@@ -118,6 +118,25 @@ def test_by_the_text_and_rejected(phone: Window, site: ConsoleSite, check: PageC
     assert "/toaster" not in site.run("ca", "list")
 
 
+def test_digits_that_differ_end_it_at_the_authority_too(
+    phone: Window, site: ConsoleSite, check: PageCheck
+) -> None:
+    """Whoever is in between confirms at the node: what was signed is accepted by nobody."""
+    node = NewNode(site, "/kettle")
+    paste(phone, node.code)
+    digits = approve(phone)
+    assert "/kettle" in site.run("ca", "list")
+    press(phone, "They differ: stop it")
+    expect(phone.page.locator("h1")).to_have_text("Stopped: the digits differed")
+    expect(phone.page.locator("main")).to_contain_text("is revoked: nothing accepts it")
+    check(phone, "add-differed", "phone")
+    assert digits
+    assert "/kettle" not in site.run("ca", "list")
+    phone.open("/node/kettle")
+    expect(phone.page.locator("main .lead")).to_contain_text("the digits differed")
+    node.program.stop()
+
+
 def test_a_text_that_is_no_code_is_refused(phone: Window, check: PageCheck) -> None:
     paste(phone, "ROSSEC:NOTHING")
     expect(phone.page.locator("[role=alert]:visible")).not_to_be_empty()

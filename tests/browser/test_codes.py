@@ -122,4 +122,4 @@ def test_a_code_is_made_while_the_key_is_locked_and_its_node_waits(
     site.run("ca", "unlock", "--for", "0", *site.key)
     join(site, "attic", text)
     phone.open("/node/attic")
-    expect(phone.page.locator(".lead")).to_contain_text("Has a name here")
+    expect(phone.page.locator(".lead")).to_contain_text("Its identity is valid until")

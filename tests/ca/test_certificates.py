@@ -100,7 +100,7 @@ def test_an_expired_certificate_is_refused() -> None:
 
 def test_a_certificate_not_yet_valid_is_refused() -> None:
     leaf = SITE.leaf(now=NOW + DAY)
-    message = "certificate of /robot1/camera becomes valid in 82800 s"
+    message = "certificate of /robot1/camera becomes valid in 23 h"
     with pytest.raises(CertificateNotYetValid, match=message) as caught:
         SITE.anchor.verify([leaf], NOW)
     assert "clock" in caught.value.hint

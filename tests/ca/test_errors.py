@@ -46,3 +46,14 @@ def test_leaves_can_be_caught_together(
 def test_revoked_and_stale_are_told_apart() -> None:
     assert not issubclass(errors.Revoked, errors.RevocationsStale)
     assert not issubclass(errors.RevocationsStale, errors.Revoked)
+
+
+def test_a_bare_error_refers_to_nothing_else() -> None:
+    """Who keeps one would keep every frame, and with it what was received."""
+    with pytest.raises(errors.EncodingError) as raised:
+        raise errors.EncodingError("what happened", "what to do") from ValueError("the cause")
+    kept = raised.value.bare()
+    assert (type(kept), str(kept), kept.hint) == (
+        errors.EncodingError, "what happened", "what to do",
+    )  # fmt: skip
+    assert (kept.__traceback__, kept.__cause__, kept.__context__) == (None, None, None)

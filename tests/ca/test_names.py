@@ -43,8 +43,38 @@ def test_absolute_names_pass(name: str) -> None:
 def test_other_texts_are_not_names(name: str) -> None:
     with pytest.raises(NameRefused, match="is not an absolute ROS name") as caught:
         check_name(name)
-    assert "/robot1/camera" in caught.value.hint
+    assert "segments begin with a letter" in caught.value.hint
     assert str(caught.value).isascii()
+
+
+@pytest.mark.parametrize(
+    ("refused", "proposed"),
+    [
+        ("talker-1", "/talker_1"), ("r\u00e9cord", "/record"), ("/t\u00fcr", "/tur"),
+        ("robot", "/robot"), ("/robot/3d", "/robot/n3d"), ("my robot//arm ", "/my_robot/arm"),
+        ("/stra\u00dfe", "/strasse"),
+    ],
+)  # fmt: skip
+def test_a_refused_name_gets_one_that_works(refused: str, proposed: str) -> None:
+    with pytest.raises(NameRefused) as caught:
+        check_name(refused)
+    assert caught.value.hint.startswith(f"for example {proposed}: ")
+    assert check_name(proposed) == proposed
+
+
+@pytest.mark.parametrize("refused", ["", "/", "~pose", "***", "\u0430"])
+def test_where_nothing_can_be_kept_the_form_is_said(refused: str) -> None:
+    with pytest.raises(NameRefused) as caught:
+        check_name(refused)
+    assert caught.value.hint.startswith("write it as /robot1/camera: ")
+
+
+@pytest.mark.parametrize(("refused", "proposed"), [("Home", "home"), ("my home", "my-home")])
+def test_a_refused_domain_gets_one_that_works(refused: str, proposed: str) -> None:
+    with pytest.raises(NameRefused) as caught:
+        check_domain(refused)
+    assert caught.value.hint.endswith(f"for example {proposed}")
+    assert check_domain(proposed) == proposed
 
 
 def test_a_name_has_an_end() -> None:

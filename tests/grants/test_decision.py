@@ -5,7 +5,7 @@ from itertools import permutations
 import pytest
 
 from ca.errors import NameRefused, Revoked
-from grants.decision import Decision, RevocationCheck, authorize
+from grants.decision import Decision, RevocationCheck, authorize, near_misses
 from grants.errors import (
     GrantError,
     GrantExpired,
@@ -189,6 +189,15 @@ def test_restrictions_combine_in_any_order() -> None:
     assert len(decision.grant_ids) == 3
 
 
+def test_the_largest_padding_counts() -> None:
+    padded = [
+        granted(Permission(POSE, SUBSCRIBE, Restriction(pad=pad)), serial=bytes([pad % 251]) * 16)
+        for pad in (64, 512, 256)
+    ]
+    assert decide(*padded).pad == 512
+    assert decide(granted()).pad == 0
+
+
 def test_the_same_grant_twice_counts_once() -> None:
     assert decide(granted(), granted()) == decide(granted())
 
@@ -235,3 +244,10 @@ def test_a_connection_outlives_staleness_only_if_every_permission_says_so() -> N
     assert (kept.keep_when_stale, kept.restrictions) == (True, (Restriction(rate=1),))
     decide(granted(keep), name="/stop").require_unrestricted()
     assert not decide(granted(keep, plain), name="/stop").keep_when_stale
+
+
+def test_a_near_miss_never_says_that_a_right_is_not_itself() -> None:
+    given = [Right.SUBSCRIBE, Right.PUBLISH | Right.SUBSCRIBE, Right.PUBLISH]
+    grants = [granted(Permission("/a", right)) for right in given]
+    lines = near_misses(grants, Right.SUBSCRIBE, "/a")
+    assert lines == (f"grant {grants[2].short_id} gives publish, not subscribe, on /a",)

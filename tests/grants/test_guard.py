@@ -290,6 +290,21 @@ def test_the_longest_slot_and_the_lowest_rate_apply_together() -> None:
     assert [now - NOW for now in times if guard(b"", now)] == [20, 60]
 
 
+def test_slots_of_many_lengths_tell_no_more_than_the_longest() -> None:
+    """Whoever may narrow its right makes as many as it likes, and may present one after another."""
+    memory, end = Memory(), NOW + 10**6
+    guards = [
+        Guard(None, replace(decision(Restriction(slot=slot)), expires=end), None, lambda _: memory)
+        for slot in range(600, 630)
+    ]
+    times = range(NOW, NOW + 40_000)
+    passed = {now for now in times for guard in guards if guard(b"", now)}
+    assert 50 < len(passed) < 40_000 / 600 + 1
+    later = range(NOW + 42_000, NOW + 45_000)  # the longer ones are not presented any more
+    assert len([now for now in later if guards[0](b"", now)]) >= 3
+    assert len([now for now in range(NOW - 10**5, NOW - 10**5 + 3000) if guards[0](b"", now)]) >= 3
+
+
 def test_a_message_in_a_slot_goes_to_all_connections_of_a_key() -> None:
     memory = Memory()
     guards = [Guard(None, decision(Restriction(slot=10)), None, lambda _: memory) for _ in "ab"]

@@ -11,6 +11,8 @@ from grants.errors import MemoryExhausted
 from grants.memory import Memory, MemoryScope, MemoryStore
 from grants.model import Right
 
+GROUP = (False, "/a")
+
 
 def decision(holder: int = 1, name: str = "/a", right: Right = Right.SUBSCRIBE) -> Decision:
     grant: Any = SimpleNamespace(holder=bytes([holder]) * 32, chain=())
@@ -64,10 +66,11 @@ def test_a_memory_is_fresh_when_its_buckets_are_full_and_no_value_is_stored() ->
     assert memory.is_fresh(0)
     assert admitted(memory, 0.5, 10)
     assert [memory.is_fresh(now) for now in (10, 11, 12)] == [False, False, True]
-    state = memory.hysteresis(("x", 1))
+    state = memory.common(GROUP).hysteresis(("x", 1))
     assert memory.is_fresh(10_000), "nothing was rounded yet"
     state.value = 0.0
-    assert not memory.is_fresh(20_000), "a stored value never expires"
+    assert memory.is_fresh(20_000), "what is common to others stays by itself"
+    assert not memory.common(GROUP).is_fresh
 
 
 def test_one_memory_is_bounded() -> None:
@@ -78,10 +81,10 @@ def test_one_memory_is_bounded() -> None:
         memory.bucket(65)
     assert "wait until the rates" in caught.value.hint
     for number in range(4096):
-        memory.hysteresis((number,))
+        memory.common(GROUP).hysteresis((number,))
     with pytest.raises(MemoryExhausted, match="4096 fields with hysteresis"):
-        memory.hysteresis(("more",))
-    assert memory.hysteresis((0,)) is memory.hysteresis((0,))
+        memory.common(GROUP).hysteresis(("more",))
+    assert memory.common(GROUP).hysteresis((0,)) is memory.common(GROUP).hysteresis((0,))
 
 
 def test_memories_are_separate_by_scope_key_right_and_name() -> None:
@@ -96,11 +99,42 @@ def test_memories_are_separate_by_scope_key_right_and_name() -> None:
     assert len(scope.store) == 6
 
 
+def test_hysteresis_is_common_to_all_holders_and_to_a_body() -> None:
+    scope = MemoryScope(MemoryStore(lambda: 0), ("/node",))
+    assert scope(decision(1)).common(GROUP) is scope(decision(2)).common(GROUP)
+    assert scope(decision(1, "/b")).common((False, "/b")) is not scope(decision(1)).common(GROUP)
+    body = (True, "robot")
+    one, two = scope(decision(1, "/a")), scope(decision(2, "/b"))
+    assert one.common(body) is two.common(body)
+    assert one.common(body) is not one.common(GROUP)
+    publishing = decision(1, right=Right.PUBLISH)
+    assert scope(publishing).common(body) is not one.common(body)
+
+
+def test_a_memory_is_part_of_few_bodies() -> None:
+    memory = Memory()
+    for number in range(64):
+        memory.common((True, str(number)))
+    with pytest.raises(MemoryExhausted, match="64 bodies are stored already"):
+        memory.common((True, "more"))
+
+
+def test_what_is_common_is_bounded_and_kept_while_a_value_is() -> None:
+    scope = MemoryScope(MemoryStore(lambda: 0, limit=2), ("/node",))
+    memory = scope(decision(1))
+    memory.common(GROUP).hysteresis(("x",)).value = 0.0
+    memory.common((False, "/unused"))
+    memory.common((False, "/b")).hysteresis(("x",)).value = 0.0
+    assert scope(decision(2)).common(GROUP) is memory.common(GROUP)
+    with pytest.raises(MemoryExhausted, match="2 topics with hysteresis are stored already"):
+        scope(decision(2)).common((False, "/c"))
+
+
 def test_only_fresh_memories_are_evicted() -> None:
     now = [0]
     scope = MemoryScope(MemoryStore(lambda: now[0], limit=2), ("/node",))
     assert admitted(scope(decision(1)), 0.5, 0)
-    scope(decision(2)).hysteresis(("x",)).value = 0.0
+    scope(decision(2)).gate(86_400).note(object(), 0)
     for _ in range(2):
         with pytest.raises(MemoryExhausted, match="2 limited rights are stored already"):
             scope(decision(3))
@@ -116,21 +150,20 @@ def test_memories_in_use_are_not_evicted() -> None:
     now = [10]
     scope = MemoryScope(MemoryStore(lambda: now[0], limit=1), ("/node",))
     used = scope(decision(1))
-    state = used.hysteresis(("x",))
+    state = used.common(GROUP).hysteresis(("x",))
     with pytest.raises(MemoryExhausted, match="1 limited rights are stored already"):
         scope(decision(2))
     assert admitted(used, 0.5, 10)
     state.value = 4.0
     del used
     gc.collect()
-    assert scope(decision(1)).hysteresis(("x",)) is state
+    assert scope(decision(1)).common(GROUP).hysteresis(("x",)) is state
     now[0] += 100
-    with pytest.raises(MemoryExhausted):
-        scope(decision(2))
+    assert scope(decision(2)).common(GROUP).hysteresis(("x",)) is state, "a value never expires"
 
 
 def test_an_unused_memory_without_values_is_evicted() -> None:
     scope = MemoryScope(MemoryStore(lambda: 0, limit=1), ("/node",))
-    scope(decision(1)).hysteresis(("x",))
+    scope(decision(1)).common(GROUP).hysteresis(("x",))
     scope(decision(2))
     assert len(scope.store) == 1

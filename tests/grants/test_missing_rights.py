@@ -41,9 +41,12 @@ def test_the_rule_that_is_named_can_be_written_so() -> None:
 
 def test_all_that_a_node_lacks_is_one_line() -> None:
     one = refusal("/a", [(Right.CALL, "/s")])
-    assert one == "/a may not call /s: an allow rule for /a with call: [/s] would change it"
+    assert one == (
+        "/a may not call /s: an allow rule for /a with call: [/s] would change it,"
+        " or rossec grant sign /a --call /s"
+    )
     several = refusal("/a", [(Right.CALL, "/s"), (Right.CALL, "/t"), (Right.CALL, "/s")])
     assert several == (
         "/a may not do all that it asks for: an allow rule for /a with call: [/s, /t]"
-        " would change it"
+        " would change it, or rossec grant sign /a --call /s --call /t"
     )

@@ -169,6 +169,25 @@ def test_limits_as_text() -> None:
     ]  # fmt: skip
     assert Restriction(slot=60).lines() == ["one message at the start of each 60 s"]
     assert Restriction(slot=60).restricts_messages
+    assert Restriction(slot=60, body="robot").lines() == [
+        "one message at the start of each 60 s", "with all topics of the body robot",
+    ]  # fmt: skip
+
+
+def test_padding_is_for_what_is_subscribed_to_alone() -> None:
+    padded = Restriction(pad=256)
+    assert padded.lines() == ["padded to multiples of 256 bytes"]
+    assert padded.restricts_messages
+    assert Permission("/a", Right.SUBSCRIBE, padded).restriction == padded
+    for rights in (Right.PUBLISH, Right.CALL, Right.SUBSCRIBE | Right.PUBLISH):
+        with pytest.raises(GrantMalformed, match="on /a cannot be padded"):
+            Permission("/a", rights, padded)
+
+
+@pytest.mark.parametrize("pad", [0, 31, 65_537, -64])
+def test_padding_has_bounds(pad: int) -> None:
+    with pytest.raises(GrantMalformed, match="padded to 32 to 65536 bytes"):
+        Restriction(pad=pad)
 
 
 @pytest.mark.parametrize("slot", [9, 86_401, 0, -60])

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.patterns import check_pattern
-from grants.model import ALL_RIGHTS, Permission, Right
+from grants.model import ALL_RIGHTS, Permission, Restriction, Right
 from grants.reach import Reach
 from tests.ca.test_patterns import COVERED, NOT_COVERED
 
@@ -102,3 +102,42 @@ def test_exactly_one_right_can_be_checked() -> None:
     for right in (Right(0), Right.PUBLISH | Right.SUBSCRIBE, Right(256)):
         assert not reach.covers(right, "/a")
     assert not Reach([]).covers(Right.PUBLISH, "/a")
+
+
+def in_slots(name: str, slot: int, rights: Right = Right.SUBSCRIBE) -> Permission:
+    return Permission(name, rights, Restriction(slot=slot))
+
+
+SEEN = Right.SUBSCRIBE | Right.PUBLISH | Right.GRAPH
+
+
+@pytest.mark.parametrize(
+    ("held", "slot"),
+    [
+        ([in_slots("/a", 60)], 60),
+        ([in_slots("/a", 60), in_slots("/a", 30), in_slots("/b", 10)], 30),
+        ([in_slots("/a", 60), Permission("/a", Right.SUBSCRIBE)], 0),
+        ([in_slots("/a", 60), Permission("/**", Right.GRAPH)], 0),
+        ([in_slots("/a", 60), Permission("/b", Right.PUBLISH)], 60),
+        ([in_slots("/a", 60), Permission("/a", Right.PARAM_GET)], 60),
+        ([in_slots("/a", 60, Right.SUBSCRIBE | Right.PUBLISH)], 0),
+        ([in_slots("/b", 60)], 0),
+        ([], 0),
+    ],
+)  # fmt: skip
+def test_the_slot_of_a_name_is_the_shortest_by_which_it_is_seen(
+    held: list[Permission], slot: int
+) -> None:
+    assert Reach(held).slot(SEEN, "/a") == slot
+
+
+def test_of_a_chain_the_longest_slot_counts() -> None:
+    links = [Reach([Permission("/**", SEEN)]), Reach([in_slots("/a", 60)])]
+    chained = Reach([], [links])
+    assert chained.has_slots
+    assert chained.slot(SEEN, "/a") == 60
+    assert chained.slot(SEEN, "/b") == 0
+    assert Reach([], [[*links, Reach([in_slots("/a", 90)])]]).slot(SEEN, "/a") == 90
+    assert Reach([in_slots("/a", 30)], [links]).slot(SEEN, "/a") == 30
+    assert Reach([Permission("/a", Right.SUBSCRIBE)], [links]).slot(SEEN, "/a") == 0
+    assert Reach([in_slots("/c", 30)], [[Reach([Permission("/a", SEEN)])]]).slot(SEEN, "/a") == 0

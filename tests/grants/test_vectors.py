@@ -1,6 +1,7 @@
 """The vectors of grants: each gives exactly its result or its named error."""
 
 import json
+import struct
 from typing import Any
 
 import pytest
@@ -12,9 +13,13 @@ from grants.filters.layout import parse
 from grants.model import filter_rules
 from grants.renewal import open_delegation, renew
 from grants.token import Verifier
+from tests.grants.filters.test_pictures import IMAGE
 from tests.vectors import make_grants
 
 Vectors = list[dict[str, Any]]
+
+
+IMAGE_LAYOUT = parse("sensor_msgs/Image", IMAGE)
 
 
 def load(stem: str) -> Vectors:
@@ -28,6 +33,7 @@ def key(encoded: str) -> ec.EllipticCurvePublicKey:
 
 VALID, REFUSED, RENEWALS = (load(stem) for stem in ("valid", "refused", "renewals"))
 TOKENS, FILTERS, TRUNCATIONS = (load(stem) for stem in ("tokens", "filters", "truncations"))
+PICTURES = load("pictures")
 
 
 def test_the_number_of_vectors() -> None:
@@ -117,3 +123,19 @@ def test_truncations(vector: dict[str, Any]) -> None:
         return
     left = bytes.fromhex(vector["result"])
     assert b"".join(truncate(message)) == len(left).to_bytes(4, "little") + left
+
+
+@pytest.mark.parametrize("vector", PICTURES, ids=lambda vector: vector["name"])
+def test_pictures(vector: dict[str, Any]) -> None:
+    parameters, result = vector["parameters"], vector["result"]
+    pixelate = compile_filter(IMAGE_LAYOUT, filter_rules({"data": {"pixelate": parameters}}))
+    encoding = vector["encoding"].encode()
+    head = bytes(12) + bytes(4) + struct.pack("<II", vector["height"], vector["width"])
+    head += struct.pack("<I", len(encoding)) + encoding + struct.pack("<BI", 0, vector["step"])
+    data = bytes.fromhex(vector["data"])
+    message = head + struct.pack("<I", len(data)) + data
+    if result is None:
+        with pytest.raises(errors.MessageRefused):
+            pixelate(message)
+        return
+    assert b"".join(pixelate(message)) == message[: -len(data)] + bytes.fromhex(result)

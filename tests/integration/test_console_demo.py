@@ -18,6 +18,7 @@ import pytest
 from tests.support.ports import free_port
 
 ROSSEC = str(Path(sys.executable).parent / "rossec")
+CODE = re.compile(r"^ROSSEC:.*\S")
 LINK = re.compile(r"http://localhost:\d+/login#\S+")
 
 
@@ -28,6 +29,7 @@ class Demo:
     process: subprocess.Popen[str]
     directory: Path
     link: str
+    code: str = ""
 
     def ask(
         self, path: str, form: dict[str, str] | None = None, cookie: str = ""
@@ -86,7 +88,7 @@ def started(directory: Path) -> Iterator[Demo]:
         stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
     try:
-        yield Demo(process, directory, read_link(process))
+        yield Demo(process, directory, read(process, LINK), read(process, CODE))
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
@@ -95,12 +97,12 @@ def started(directory: Path) -> Iterator[Demo]:
             process.stdout.close()
 
 
-def read_link(process: subprocess.Popen[str]) -> str:
+def read(process: subprocess.Popen[str], wanted: re.Pattern[str]) -> str:
     said = []
     assert process.stdout is not None
     for line in process.stdout:
         said.append(line)
-        if found := LINK.search(line):
+        if found := wanted.search(line):
             return found[0]
     raise AssertionError("".join(said))
 
@@ -109,14 +111,22 @@ def test_the_demo_shows_its_story_and_leaves_nothing(demo: Demo) -> None:
     cookie = demo.log_in()
     status, _, page = demo.ask("/", cookie=cookie)
     assert status == 200
-    for name in ("/robot", "/doctor", "/heating"):
+    for name in ("/robot", "/doctor", "/heating", "/lamp"):
         assert name in page
+    assert "One thing waits for you" in page
+    assert "to light the room that the robot is in" in page
+    assert "Dr. Meier" in page
+    question = re.search(r'href="(/ask/[^"]+)"', page)
+    assert question is not None
+    assert "Only roughly where it is" in demo.ask(question[1], cookie=cookie)[2]
     link = re.search(r'href="(/see/[^"]*pose)"', page)
     assert link is not None
     status, _, page = demo.ask(link[1], cookie=cookie)
     assert status == 200
     assert "<svg" in page
     assert demo.ask("/login", {"code": urlsplit(demo.link).fragment})[0] != 303  # once
+    status, _, _ = demo.ask("/add", {"code": demo.code}, cookie=cookie)
+    assert status == 303, "a code to scan"
     assert processes_in(demo.directory)
     assert demo.stop(signal.SIGINT) == 0
     end = time.monotonic() + 10

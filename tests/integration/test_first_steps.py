@@ -232,7 +232,7 @@ SUBSCRIBE: Final = (*SIGN, "--subscribe", "/robot/pose")
     ("error", "hint", "words"),
     [
         ("fram_id", "frame_id", (*SUBSCRIBE, "--type", POSE, "--clear", "header.fram_id")),
-        ("Poze", "PoseStamped", (*SUBSCRIBE, "--type", "geometry_msgs/Poze", "--clear", "x")),
+        ("Poze", "_msgs/Pose", (*SUBSCRIBE, "--type", "geometry_msgs/Poze", "--clear", "x")),
         ("message type", "--type", (*SUBSCRIBE, "--clear", "header.frame_id")),
         ("no step", "pose.position=2.0", (*SUBSCRIBE, "--type", POSE, "--round", "pose.position")),
         ("", "", (*SUBSCRIBE, "--type", POSE, "--round", "pose.position=-1")),

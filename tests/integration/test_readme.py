@@ -38,7 +38,7 @@ def test_the_commands_of_the_readme_work_as_printed(tmp_path: Path) -> None:
     typed = [sys.executable, "-m", "tests.support.terminal", *ANSWERS, "--"]
     done = subprocess.run(
         [*typed, "/bin/bash", str(script)],
-        env=env, cwd=ROOT, text=True, capture_output=True, timeout=100, check=False,
+        env=env, cwd=ROOT, text=True, capture_output=True, timeout=160, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr

@@ -34,7 +34,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         world.enroll("/talker", publish="/chatter", provide="/talker/say")
         world.enroll("/listener", subscribe="/chatter", provide="/listener/say")
         world.enroll("/rostopic", wildcard=True, subscribe="/**", publish="/far", graph="/**")
-        world.enroll("/rosnode", graph="/**", admin="/victim", call="/victim/**")
+        world.enroll("/rosnode", graph="/**", admin="/victim")
         world.enroll("/rosservice", wildcard=True, call="/**", graph="/**")
         world.enroll("/rosparam", wildcard=True, param_set="/talker/** /here/**")
         with world.master():
@@ -54,6 +54,16 @@ def test_a_roscpp_listener_receives_a_roscpp_talker(
     done = world.run(world.hosts.far, probe, "listener", "/chatter", "5")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("HEARD hello") == 5
+
+
+def test_a_roscpp_node_finds_parameters_upwards(world: World, probe: str) -> None:
+    """`searchParam` names the namespace of its node as the caller: robot_state_publisher ended."""
+    world.tool("rosparam", "set", "/here/lamp", "1")
+    for name, found in (("/here/searcher", "FOUND /here/lamp\n"), ("/searcher", "")):
+        world.enroll(name)
+        space = name.removesuffix("searcher")
+        done = world.run(world.hosts.near, probe, "searcher", "lamp", f"__ns:={space}")
+        assert done.stdout == found, done.stderr
 
 
 def test_rostopic_works(world: World, talker: Running) -> None:

@@ -15,6 +15,8 @@ from typing import Final
 
 import pytest
 
+from grants.model import Restriction
+from rossec.channel.records import TAG
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support.fleet import SECURE
 from tests.support.hosts import Hosts, two_hosts
@@ -26,6 +28,7 @@ each_kind = pytest.mark.parametrize("kind", KINDS)
 KBIT: Final = 800
 BURST: Final = 100  # messages of 10 kB: ten seconds of the line
 RATE: Final = 2.0
+PAD: Final = 512
 
 _ROSPY_SPEAKER: Final = """
 import os, sys, time, rospy
@@ -35,10 +38,12 @@ rospy.init_node(f"{kind}_speaker")
 burst = rospy.Publisher(f"/{kind}/burst", String, queue_size=2 * count)
 steady = rospy.Publisher(f"/{kind}/steady", String, queue_size=100)
 text = rospy.Publisher(f"/{kind}/text", String, queue_size=10)
+words = rospy.Publisher(f"/{kind}/words", String, queue_size=10)
 print("READY", flush=True)
 number, due = 0, True
 while not rospy.is_shutdown():
     steady.publish(f"{number}")
+    words.publish("x" * (number % 200))
     if number % 20 == 0:
         text.publish("over and over " * 2000)
     if due and os.path.exists(begin) and burst.get_num_connections() == 2:
@@ -56,10 +61,12 @@ async def main(kind, begin, count):
         burst = await node.publisher(f"/{kind}/burst", "std_msgs/String", queue_size=2 * count)
         steady = await node.publisher(f"/{kind}/steady", "std_msgs/String", queue_size=100)
         text = await node.publisher(f"/{kind}/text", "std_msgs/String")
+        words = await node.publisher(f"/{kind}/words", "std_msgs/String")
         print("READY", flush=True)
         number, due = 0, True
         while True:
             steady.publish(steady.create(data=f"{number}"))
+            words.publish(words.create(data="x" * (number % 200)))
             if number % 20 == 0:
                 text.publish(text.create(data="over and over " * 2000))
             if due and os.path.exists(begin) and len(burst.links) == 2:
@@ -84,6 +91,7 @@ rospy.spin()
 """
 _WISHING: Final = """
 import asyncio, sys, time
+from rossec.channel.connection import Connection
 from rossec.node import Node, subscriber
 from rossec.participant.wishes import taken_wishes
 followed = subscriber.wished_messages
@@ -93,12 +101,20 @@ def tell(asked, answer, limit):
         print("TAKEN", answer["topic"].decode(), asked == said, flush=True)
     return followed(asked, answer, limit)
 subscriber.wished_messages = tell
+take_padded = Connection._on_padded_end
+def padded(self, head, body):
+    print("PADDED", self._peer.name, len(body), flush=True)
+    return take_padded(self, head, body)
+Connection._on_padded_end = padded
 async def hear(topic, about):
     async for message in topic:
         number = message.data.partition(" ")[0]
         print("HEARD", about, number, len(message.data), time.monotonic(), flush=True)
 async def main(kinds, rate):
-    async with Node("/wishing") as wishing, Node("/plain") as plain, asyncio.TaskGroup() as group:
+    async with (
+        Node("/wishing") as wishing, Node("/plain") as plain, Node("/padded") as unseen,
+        asyncio.TaskGroup() as group,
+    ):
         async def follow(node, topic, about, **wishes):
             found = await node.subscriber(topic, "std_msgs/String", queue_size=1000, **wishes)
             group.create_task(hear(found, about))
@@ -107,6 +123,7 @@ async def main(kinds, rate):
             await follow(plain, f"/{kind}/burst", f"{kind} oldest")
             await follow(wishing, f"/{kind}/steady", f"{kind} rate", rate=rate)
             await follow(wishing, f"/{kind}/text", f"{kind} deflated", deflate=True)
+            await follow(unseen, f"/{kind}/words", f"{kind} padded", deflate=True)
         print("READY", flush=True)
 asyncio.run(main(sys.argv[2].split(), float(sys.argv[3])))
 """
@@ -153,6 +170,8 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
             world.enroll(f"/{kind}_speaker", publish=f"/{kind}/*")
         for name in ("/wishing", "/plain", *(f"/{kind}_listener" for kind in LISTENERS)):
             world.enroll(name, subscribe="/*/*")
+        world.enroll("/padded")
+        world.site.subscribe("/padded", "/*/words", Restriction(pad=PAD))
         stack.enter_context(world.master())
         begin, kinds = directory / "begin", " ".join(KINDS)
 
@@ -167,7 +186,7 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
         wishing = start("far", "builtin", _WISHING, kinds, str(RATE))
         found = Cast(wishing, others)
         wishing.wait_for("READY")
-        wait(lambda: wishing.said.count("TAKEN") >= 3 * len(KINDS))
+        wait(lambda: wishing.said.count("TAKEN") >= 4 * len(KINDS))
         wait(lambda: all(found.heard(kind, "rate") for kind in KINDS))
         slow(hosts)
         begin.touch()
@@ -210,6 +229,16 @@ def test_deflated_messages_are_whole(cast: Cast, kind: str) -> None:
     assert {length for _, length, _ in cast.heard(kind, "deflated")} == {
         len("over and over " * 2000)
     }
+
+
+@each_kind
+def test_every_form_pads_what_the_grant_says(cast: Cast, kind: str) -> None:
+    """And does not deflate it: `False` says that this wish was not taken."""
+    wait(lambda: len({length for _, length, _ in cast.heard(kind, "padded")}) >= 10)
+    assert f"TAKEN /{kind}/words False" in cast.wishing.said
+    sizes = re.findall(rf"PADDED /{kind}_speaker (\d+)\n", cast.wishing.said)
+    assert len(sizes) >= 10
+    assert {int(size) for size in sizes} <= {PAD + TAG, 2 * PAD + TAG}
 
 
 @pytest.mark.parametrize("sink", LISTENERS)

@@ -1,4 +1,6 @@
+import ctypes
 import errno
+import fcntl
 import os
 import resource
 import stat
@@ -169,3 +171,105 @@ def test_other_errors_are_not_disk_errors(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file") as caught:
         files.replace(tmp_path / "missing" / "file", b"x")
     assert caught.value.errno == errno.ENOENT
+
+
+def test_two_directories_are_exchanged_in_one_step(tmp_path: Path) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    for each in (one, other):
+        each.mkdir()
+        (each / "name").write_text(each.name)
+    files.exchange(one, other)
+    assert [(each / "name").read_text() for each in (one, other)] == ["other", "one"]
+    with pytest.raises(FileNotFoundError):
+        files.exchange(one, tmp_path / "none")
+    assert (one / "name").exists()
+
+
+class _Library:
+    """A C library as on systems that cannot."""
+
+    def renameat2(self, *_: object) -> int:
+        ctypes.set_errno(errno.EINVAL)
+        return -1
+
+
+@pytest.mark.parametrize("library", [_Library(), object()], ids=["refuses", "has no such call"])
+def test_a_file_system_that_cannot_exchange_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: object
+) -> None:
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: library)
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.mkdir()
+    other.mkdir()
+    with pytest.raises(ConfigurationError, match="cannot exchange") as caught:
+        files.exchange(one, other)
+    assert str(other) in caught.value.hint
+
+
+def test_what_an_owner_declares_is_about_whole_paths() -> None:
+    owned = files.Owned(r"[a-z]\.key|b")
+    assert [owned.names(path) for path in ("a.key", "b", "a.keys", "x/b", "")] == [
+        True, True, False, False, False,
+    ]  # fmt: skip
+    below = owned.below("x.y")
+    assert [below.names(path) for path in ("x.y/a.key", "x.y/b", "xzy/b", "b")] == [
+        True, True, False, False,
+    ]  # fmt: skip
+
+
+def test_a_directory_takes_the_place_of_another_that_is_kept_aside(tmp_path: Path) -> None:
+    new, target, aside = tmp_path / "new", tmp_path / "target", tmp_path / "aside"
+    for each in (new, target):
+        each.mkdir()
+        (each / "name").write_text(each.name)
+    files.replace_directory(new, target, aside)
+    assert (target / "name").read_text() == "new"
+    assert (aside / "name").read_text() == "target"
+    assert not new.exists()
+    target.rename(tmp_path / "new")
+    with pytest.raises(FileNotFoundError):
+        files.replace_directory(new, target, tmp_path / "aside2")
+    assert (new / "name").read_text() == "new", "it is where it was"
+
+
+def test_what_replaces_a_file_may_keep_its_mode(tmp_path: Path) -> None:
+    path = tmp_path / "policy.yaml"
+    path.write_text("old")
+    path.chmod(0o644)
+    files.replace(path, b"new", keep=True)
+    assert (path.read_text(), mode(path)) == ("new", 0o644)
+    files.replace(path, b"newer")
+    assert mode(path) == 0o600
+
+
+def test_a_directory_is_locked_for_one_at_a_time(tmp_path: Path) -> None:
+    with files.locked_directory(tmp_path):
+        descriptor = os.open(tmp_path, os.O_RDONLY)
+        with pytest.raises(BlockingIOError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.close(descriptor)
+    with files.locked_directory(tmp_path):
+        pass
+
+
+def test_a_log_is_its_owners_and_appended_to(tmp_path: Path) -> None:
+    path = tmp_path / "audit.log"
+    for text in (b"one\n", b"two\n"):
+        descriptor = files.append_own(path)
+        os.write(descriptor, text)
+        os.close(descriptor)
+    assert (path.read_bytes(), mode(path)) == (b"one\ntwo\n", 0o600)
+    path.chmod(0o666)
+    with pytest.raises(PathRefused):
+        files.append_own(path)
+
+
+def test_text_is_read_from_plain_files_alone(tmp_path: Path) -> None:
+    (tmp_path / "text").write_bytes(b"caf\xe9\n")
+    with files.open_text(tmp_path / "text", MISSING) as file:
+        assert file.read() == "caf\ufffd\n"
+    with pytest.raises(ConfigurationError, match="there is none"):
+        files.open_text(tmp_path / "none", MISSING)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigurationError, match="not a regular file"):
+        files.open_text(tmp_path / "pipe", MISSING)

@@ -66,8 +66,12 @@ def test_an_existing_key_is_not_replaced(tmp_path: Path) -> None:
     before = content(tmp_path)
     with pytest.raises(KeyRefused, match="/robot1/camera has a key already") as caught:
         home.create_request("home")
-    assert str(home.request_path) in caught.value.hint
+    assert "rossec ca renew --expired /robot1/camera" in caught.value.hint
     assert content(tmp_path) == before
+    (home.path / "node.pem").unlink()
+    with pytest.raises(KeyRefused) as caught:
+        home.create_request("home")
+    assert str(home.request_path) in caught.value.hint
 
 
 def test_errors_say_which_command_comes_next(tmp_path: Path) -> None:
@@ -81,7 +85,8 @@ def test_errors_say_which_command_comes_next(tmp_path: Path) -> None:
         with pytest.raises(ConfigurationError, match="/robot1/camera has no") as caught:
             ask()
         sign = f"rossec ca sign {home.request_path}, then rossec node install FILE"
-        assert caught.value.hint == f"next: {sign}"
+        on = "or go on with an invitation: rossec node join"
+        assert caught.value.hint == f"next: {sign}; {on}"
 
 
 def test_an_enrolled_node(tmp_path: Path) -> None:
@@ -227,7 +232,8 @@ def test_the_hint_for_an_anonymous_node_without_an_identity(tmp_path: Path, name
     with pytest.raises(ConfigurationError) as caught:
         NodeHome.find(tmp_path, name).credentials()
     assert caught.value.hint == (
-        f"next: rossec node request {name}, or for all such nodes /rviz --anonymous"
+        f"next: rossec node request {name},"
+        " or for all such nodes rossec node request /rviz --anonymous"
     )
 
 

@@ -1,5 +1,6 @@
 """What `import rossec` promises: no foreign sibling, and nothing loaded before it is used."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,19 @@ def test_a_foreign_package_ends_the_program(
     lines = done.stderr.splitlines()
     assert lines[0].startswith(f"rossec: error: a foreign package {package!r} ({tmp_path}")
     assert "PYTHONPATH" in lines[1]
+
+
+def test_an_older_python_is_told_of_the_sidecar() -> None:
+    """Python 3.8 of Ubuntu 20.04 reads this file, and must not read any other."""
+    older = "import sys; sys.version_info = (3, 8, 10); import rossec"
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", older], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    error, hint = done.stderr.splitlines()
+    assert error == "rossec: error: Python 3.11 or newer is needed, and this is Python 3.8"
+    assert "sidecar" in hint
+    ast.parse(Path(rossec.__file__).read_text(), feature_version=(3, 8))
 
 
 def test_a_program_that_only_imports_it_loads_nothing_else() -> None:

@@ -88,3 +88,34 @@ def test_facts_are_kept_where_a_document_is_made(capsys: pytest.CaptureFixture[s
     terminal.say_secret("S3CRET")
     assert capsys.readouterr().out == "S3CRET\n"
     assert terminal.to_json({"b": 1, "a": None}) == '{"a": null, "b": 1}'
+
+
+def test_pictures_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    picture = "\x1b[7m  \x1b[0m"
+    terminal.say_picture(picture)
+    terminal.say_picture(picture, is_secret=True)
+    terminal.note_picture(picture)
+    assert capsys.readouterr() == (f"{picture}\n{picture}\n", f"{picture}\n")
+
+
+def test_with_a_document_a_picture_goes_to_stderr_and_a_secret_one_nowhere(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    token = terminal.FACTS.set({})
+    try:
+        terminal.say_picture("blocks")
+        terminal.say_picture("secret", is_secret=True)
+    finally:
+        terminal.FACTS.reset(token)
+    assert capsys.readouterr() == ("", "blocks\n")
+
+
+def test_what_is_temporary_is_taken_away_before_a_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[str] = []
+    monkeypatch.setattr(terminal, "TEMPORARY", [lambda: taken.append("progress")])
+    terminal.note("done")
+    assert taken == ["progress"]
+    assert capsys.readouterr().err == "rossec: done\n"
+    assert terminal.state("ok") == "ok"

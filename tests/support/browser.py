@@ -7,6 +7,7 @@ of the content security policy, requests that failed, answers of 500 and above.
 import contextlib
 import io
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -103,6 +104,21 @@ class Window:
         _again_if_overtaken(lambda: self.page.goto(url))
         return self.page
 
+    def read(self, script: str) -> Any:
+        """What `script` finds in one look at a whole page, which may load itself again meanwhile.
+
+        The script finds nothing (`null`) until the page has come.
+        """
+        end = time.monotonic() + WAIT_MS / 1000
+        while True:
+            with contextlib.suppress(Error):  # the page went away under the script
+                self.page.wait_for_load_state("domcontentloaded")
+                found = self.page.evaluate(script)
+                if found is not None:
+                    return found
+            assert time.monotonic() < end, f"nothing found: {script}"
+            self.page.wait_for_timeout(50)
+
     def back(self) -> None:
         """Go back to the page before."""
         _again_if_overtaken(self.page.go_back)
@@ -165,7 +181,7 @@ class Window:
     def evaluate_apart(self, *expressions: str) -> Any:
         """The value of the last expression, in a world of its own: scripts of the page see none."""
         for _ in range(_TRIES):  # a live page loads itself again, and its worlds end
-            with contextlib.suppress(Error):
+            with contextlib.suppress(Error, AssertionError):  # a page half loaded has no body
                 return self._evaluated(expressions)
             self.page.wait_for_timeout(300)
         return self._evaluated(expressions)

@@ -18,6 +18,7 @@ from rossec.authority.console.views import (
     NodeView,
     Status,
 )
+from rossec.console.endings import Heard
 from rossec.console.matrix import HeldGrant, Matrix, build, held_grants
 from rossec.console.sentences import Known
 from tests.support import consoleservice
@@ -67,6 +68,7 @@ class FakeHome:
     denials: list[DenialView] = field(default_factory=list)
     questions: list[GrantQuestion] = field(default_factory=list)
     status: Status = STATUS
+    heard: Heard = field(default_factory=lambda: Heard(NOW))  # every node knows what was ended
 
     def node(self, name: str, revoked_at: int = 0, reason: str = "") -> NodeView:
         made = NodeView(
@@ -108,7 +110,7 @@ class FakeHome:
 
     @property
     def held(self) -> tuple[HeldGrant, ...]:
-        return held_grants(self.nodes, self.grants, NOW)
+        return held_grants(self.nodes, self.grants, NOW, self.heard)
 
     @property
     def matrix(self) -> Matrix:

@@ -30,6 +30,8 @@ class MemoryClient(ConsoleClient):
 class Browser(TestClient):
     """A browser at the console's address, whose time is `now`; it follows no redirect by itself.
 
+    The clock that cannot be set is at `elapsed`; None: at `now` as well.
+
     `home` is what the service shows; `context` is the console.
     """
 
@@ -38,16 +40,18 @@ class Browser(TestClient):
     ) -> None:
         self.home = home or FakeHome()
         self.now = int(time.time())
+        self.elapsed: float | None = None
         self.context = ConsoleContext(
             MemoryClient(self.home), settings or Settings("home", (ORIGIN,)),
-            clock=lambda: self.now, **context,
+            clock=lambda: self.now,
+            elapsed=lambda: self.now if self.elapsed is None else self.elapsed, **context,
         )  # fmt: skip
         super().__init__(create_app(self.context), ORIGIN, follow_redirects=False)
         self.headers["Origin"] = ORIGIN
 
     def log_in(self, phone: str = "Anna's phone") -> "Browser":
         """Have a session, without the pages that begin one; an empty name: to look."""
-        value = self.context.sessions.begin(b"s" * COOKIE_SIZE, phone, self.now)
+        value = self.context.sessions.begin(b"s" * COOKIE_SIZE, phone, self.context.elapsed())
         self.headers["Cookie"] = f"{COOKIE}={value}"
         return self
 

@@ -40,10 +40,12 @@ from rossec.authority.console.views import (
     NodeView,
     Outcome,
     PhoneView,
+    PolicyName,
     PolicyRight,
     PolicyView,
     Prepared,
     Proposal,
+    QuestionAnswer,
     Status,
 )
 from rossec.authority.keyservice.server import KeyServer, SocketRules
@@ -104,7 +106,7 @@ class FakeHome:
         self.questions = [
             GrantQuestion(
                 b"\3" * 16, "/map", key, "to draw <b>where</b> it was",
-                self.now, self.now + 600, 7 * DAY, ("coarse", "room"), self.rights,
+                self.now, self.now + 600, 7 * DAY, ("coarse", "room"), self.rights, b"\3" * 16,
             )
         ]  # fmt: skip
         self.invitations = [
@@ -136,6 +138,8 @@ class FakeHome:
         gives = (PolicyRight("/map", int(Right.SUBSCRIBE), "/robot/pose", "", "7d"),)
         self.policy = PolicyView("/home/anna/ca/policy.yaml", b"\x08" * 32, gives, (), 3, ())
         self.standing = ListStanding(1, 4, True, True, 3, 3)
+        self.names: list[PolicyName] = []
+        self.answers: dict[bytes, list[QuestionAnswer]] = {}
 
     def grant(self, to: EnrolledNode, permission: Permission, rules: str = "") -> GrantView:
         """A real grant, recorded."""
@@ -155,7 +159,7 @@ class FakeHome:
         return {name: self._handler(name) for name in messages.OPERATIONS}
 
     def _handler(self, name: str) -> Callable[..., Value]:
-        lists = {"identity-requests": "requests"}
+        lists = {"identity-requests": "requests", "policy-names": "names"}
         made: Callable[..., Any] | None = getattr(self, f"_do_{name.replace('-', '_')}", None)
 
         def handle(*arguments: Value) -> Value:
@@ -188,14 +192,18 @@ class FakeHome:
         found = [each for each in self.events if not before or each.number < before]
         return found[::-1][:count]
 
-    def _do_standing(self, *_: int) -> ListStanding:
-        return self.standing
-
     def _do_deny_request(self, number: bytes, _: str) -> None:
         self._drop(self.requests, number)
 
-    def _do_deny_question(self, number: bytes, _: str) -> None:
+    def _do_deny_question(self, number: bytes, reason: str) -> None:
+        question = self.questions[self._one(self.questions, number)]
         self._drop(self.questions, number)
+        (right,) = question.rights
+        given = question.node, right.right, right.pattern, "denied", reason, self.now
+        self.answers[number] = [QuestionAnswer(*given)]
+
+    def _do_question_answers(self, number: bytes) -> list[QuestionAnswer]:
+        return self.answers.get(number, [])
 
     def _do_revoke_grant(self, number: bytes, reason: str) -> tuple[int, int]:
         place = self._one(self.grants, number)
@@ -219,7 +227,10 @@ class FakeHome:
         self.phones[place] = self.phones[place]._replace(ended=reason)
         self.number += 1
 
-    def _do_prepare(self, kind: str, arguments: list[Value]) -> Prepared:
+    def _do_end_proposal(self, number: bytes) -> None:
+        self._drop(self.proposals, number)
+
+    def _do_prepare(self, kind: str, arguments: list[Value], _owner: str = "") -> Prepared:
         number = secrets.token_bytes(16)
         statement = encode(["rossec-approval-v1", kind, number, arguments])
         self.prepared[number] = kind, arguments
@@ -279,7 +290,7 @@ class FakeHome:
         self.number += 1
         return proposal
 
-    def _do_phone_link(self) -> str:
+    def _do_phone_link(self, _owner: str = "") -> str:
         return self.add_code()
 
     def add_code(self) -> str:

@@ -3,6 +3,7 @@
 //   listener TOPIC [COUNT]     prints what it hears, the first 40 characters
 //   both TOPIC [COUNT]         subscribes to what it publishes itself
 //   caller SERVICE COUNT       calls a ~say: once, then so often over one connection
+//   searcher KEY               prints where the parameter KEY is, from its namespace upwards
 // All offer the service ~say; not one of roscpp's own, which crash with Debian's log4cxx.
 #include <ros/ros.h>
 #include <roscpp/SetLoggerLevel.h>
@@ -37,8 +38,14 @@ static int call(ros::NodeHandle& node, const std::string& name, int count) {
 
 int main(int argc, char** argv) {
   const std::string mode = argc > 1 ? argv[1] : "";
-  ros::init(argc, argv, mode == "listener" || mode == "caller" ? mode : "talker");
+  ros::init(argc, argv, mode == "both" ? "talker" : mode);
   ros::NodeHandle node, own("~");
+  if (mode == "searcher") {
+    std::string found;
+    if (!node.searchParam(argv[2], found)) return 8;
+    std::printf("FOUND %s\n", found.c_str());
+    return 0;
+  }
   const std::string topic = argc > 2 ? argv[2] : "/chatter";
   ros::ServiceServer service = own.advertiseService("say", say);
   if (mode == "caller") return call(node, topic, std::atoi(argv[3]));

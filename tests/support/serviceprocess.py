@@ -4,17 +4,24 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE
 
 
 class ServiceProcess:
-    """An authority with `/master` below `root`, and its service; ended by `close`."""
+    """An authority with `/master` below `root`, and its service; ended by `close`.
 
-    def __init__(self, root: Path) -> None:
+    Args:
+        root: ROSSEC_HOME.
+        begun: when the authority was made, and `/master` enrolled for 30 days; 0: now.
+    """
+
+    def __init__(self, root: Path, begun: int = 0) -> None:
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.root, self.directory = root, root / "ca"
         self.secret = root / "passphrase"
@@ -24,7 +31,18 @@ class ServiceProcess:
         self.environ = {**base, "ROSSEC_HOME": str(root), "ROS_IP": "127.0.0.1"}
         self.environ["ROS_MASTER_URI"] = "http://127.0.0.1:1/"
         self.process: subprocess.Popen[str] | None = None
-        self.run("ca", "init", "home", "--master", "--passphrase-file", str(self.secret))
+        if begun:
+            self._make(begun)
+        else:
+            self.run("ca", "init", "home", "--master", "--passphrase-file", str(self.secret))
+
+    def _make(self, begun: int) -> None:
+        home = AuthorityHome.create(self.root, "home", PASSPHRASE, begun)
+        master = NodeHome.of(self.root, "/master")
+        master.create_request("home")
+        authority = home.unlock(PASSPHRASE)
+        with closing(authority.store):
+            master.install(authority.issue(master.request(), begun), begun)
 
     @property
     def home(self) -> AuthorityHome:

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from ca.errors import CAError
 from ca.keys.signer import KeySigner
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials, Renews
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.opening import WireProtocol
@@ -23,7 +23,8 @@ from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelError
 
 NOW = 1_800_000_000
-NOT_AFTER = NOW + 30 * 86400
+DAY = 86400
+NOT_AFTER = NOW + 30 * DAY
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,22 @@ def trust(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
     certificate = chain[0]
     try:
         key = ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), certificate[:65])
-        name = certificate[65:].decode()
+        name, _, times = certificate[65:].decode().partition("#")
     except ValueError:
         raise CAError("not a certificate") from None
     if name == "/stranger":
         raise CAError("not signed by this site's authority", "enroll the node")
-    return FakeIdentity(name, key, certificate)
+    return FakeIdentity(name, key, certificate, NOT_AFTER + DAY * int(times or 0))
+
+
+def renewed(credentials: Credentials, times: int = 1) -> tuple[bytes, ...]:
+    """The chain of a node after its certificate was renewed so many times."""
+    return (credentials.chain[0] + b"#%d" % times,)
+
+
+def renews(new: FakeIdentity, old: FakeIdentity) -> bool:
+    """As `Identity.renews`."""
+    return (new.name, new.public_key) == (old.name, old.public_key)
 
 
 def dice(seed: str) -> Callable[[int], bytes]:
@@ -80,6 +91,7 @@ def alice(
     known: KnownCertificates | None = None,
     request_x5t: bool = False,
     own_dials: OwnDials | None = None,
+    renews: Renews[FakeIdentity] | None = None,
 ) -> Connection[FakeIdentity]:
     """An initiator."""
     return Connection[FakeIdentity].initiator(
@@ -93,6 +105,7 @@ def alice(
         known=known,
         request_x5t=request_x5t,
         own_dials=own_dials,
+        renews=renews,
     )
 
 
@@ -103,6 +116,7 @@ def bob(
     accept: frozenset[WireProtocol] = frozenset(WireProtocol),
     known: KnownCertificates | None = None,
     own_dials: OwnDials | None = None,
+    renews: Renews[FakeIdentity] | None = None,
 ) -> Connection[FakeIdentity]:
     """A responder."""
     return Connection[FakeIdentity].responder(
@@ -115,6 +129,7 @@ def bob(
         accept=accept,
         known=known,
         own_dials=own_dials,
+        renews=renews,
     )
 
 

@@ -17,6 +17,7 @@ from grants import document
 from grants.model import ALL_RIGHTS, Draft, Permission, Restriction, Right, filter_rules
 from grants.renewal import TICKET, Delegation, Ticket, sign_delegation, sign_ticket
 from tests.vectors.narrowings import FixedSigner, chains
+from tests.vectors.pictures import pictures
 
 FOLDER = Path(__file__).parent / "grants"
 NOW = 1_800_000_000
@@ -50,6 +51,9 @@ VALID = {
     "only a rate": replace(DRAFT, permissions=(Permission("/a", Right.CALL, Restriction(rate=5)),)),
     "a rate and a slot": replace(
         DRAFT, permissions=(Permission("/a", Right.SUBSCRIBE, Restriction(rate=5, slot=60)),)
+    ),
+    "padding": replace(
+        DRAFT, permissions=(Permission("/a", Right.SUBSCRIBE, Restriction(pad=256)),)
     ),
     "a domain of 255 bytes": replace(DRAFT, domain="a" * 255),
     "names of anonymous nodes": replace(
@@ -165,6 +169,8 @@ _GOOD_FILTERS: Final[dict[str, dict[str, Any]]] = {
     "hash for each receiver": {"a": {"hash": {"key": "k", "per": "receiver"}}},
     "pixelate": {"data": {"pixelate": {"block": 2}}},
     "pixelate in grey": {"data": {"pixelate": {"block": 32, "levels": 8}}},
+    "pixelate by the number of squares": {"data": {"pixelate": {"across": 16, "levels": 8}}},
+    "pixelate by both": {"data": {"pixelate": {"across": 65535, "block": 65535}}},
     "rooms": {
         "a": {"rooms": {"kitchen": "0 0, 4 3", "hall": "4 0,9.5 0, 9 -6.125", "b_2": "0 3, 1 4"}}
     },
@@ -212,6 +218,12 @@ _BAD_FILTERS: Final[dict[str, dict[str, Any]]] = {
     "a hash of no digit": {"a": {"hash": {"key": "k", "length": 0}}},
     "a block of 1": {"data": {"pixelate": {"block": 1}}},
     "a block of 65536": {"data": {"pixelate": {"block": 65536}}},
+    "no square": {"data": {"pixelate": {"across": 0}}},
+    "65536 squares": {"data": {"pixelate": {"across": 65536}}},
+    "squares in half": {"data": {"pixelate": {"across": 1.5}}},
+    "squares that are text": {"data": {"pixelate": {"across": "16"}}},
+    "squares and a block of 1": {"data": {"pixelate": {"across": 16, "block": 1}}},
+    "neither squares nor a block": {"data": {"pixelate": {"levels": 8}}},
     "one level of grey": {"data": {"pixelate": {"block": 2, "levels": 1}}},
     "257 levels of grey": {"data": {"pixelate": {"block": 2, "levels": 257}}},
     "a hash for somebody else": {"a": {"hash": {"key": "k", "per": "node"}}},
@@ -324,7 +336,7 @@ def build() -> dict[str, list[dict[str, object]]]:
     ]
     return {
         "valid": valid, "refused": refused, "renewals": renewals(), "tokens": tokens(),
-        "filters": filters(), "truncations": truncations(),
+        "filters": filters(), "pictures": pictures(), "truncations": truncations(),
     }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from rossec.channel.edhoc.messages import (
     suites_item,
 )
 from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, WireProtocol, first_bytes
-from rossec.channel.records import ChannelLimits, Frame
+from rossec.channel.records import ChannelLimits, Frame, padded
 from rossec.participant.token_opening import MAX_GRANTS
 from rossec.ros import header
 from rossec.ros.xmlrpc import dump_call
@@ -253,6 +253,22 @@ def presented() -> Vectors:
     ]
 
 
+def paddings() -> Vectors:
+    """Plaintexts of PADDED_END: data and what it is padded to; and those that are refused."""
+    made: Vectors = []
+    for data, multiple in ((b"a", 32), (b"a" * 31, 32), (b"a" * 32, 32), (b"a\1\0", 64)):
+        plaintext = padded(data, multiple)
+        assert plaintext is not None
+        made.append({"data": data.hex(), "multiple": multiple, "plaintext": plaintext.hex()})
+    return [
+        *made,
+        *(
+            {"data": None, "plaintext": odd.hex()}
+            for odd in (bytes(32), b"\1".ljust(32, b"\0"), b"ab")
+        ),
+    ]
+
+
 def build() -> dict[str, Vectors]:
     """The content of the files, by name."""
     return {
@@ -263,6 +279,7 @@ def build() -> dict[str, Vectors]:
         "rekey": renewals(),
         "units": units(),
         "presented": presented(),
+        "padding": paddings(),
     }
 
 

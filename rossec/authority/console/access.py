@@ -59,6 +59,7 @@ class Access:
             "phone-link": self.phone_link,
             "propose-passkey": self.propose_passkey,
             "proposals": self.all_proposals,
+            "end-proposal": self.end_proposal,
         }
 
     def counter(self, passkey: bytes) -> int:
@@ -110,12 +111,13 @@ class Access:
             PasskeyUnknown: it is not registered, or was removed.
             ApprovalRefused: as `ca.approvals.assertion.verify`.
         """
-        challenge = self._challenges.take(Purpose.LOGIN, number)
+        challenge = self._challenges.open(Purpose.LOGIN, number)
         signed = Assertion(*assertion)
         with self._store() as store:
             passkey = store.passkeys.get(signed.credential)
             last = max(self.counter(passkey.id), store.approvals.counter(passkey.id))
         counter = verify(signed, passkey, challenge.digest, last)
+        self._challenges.use(challenge)
         self._audit(f"the phone {passkey.name!a} logged in at the console")
         self._counters[passkey.id] = counter
         self._logins[passkey.id] = self._work.now()
@@ -151,14 +153,14 @@ class Access:
             self._codes.use(code, CodeUse.TERMINAL)
         return to_value(PhoneView(passkey.id, name, passkey.at, 0, "", ""))
 
-    def phone_link(self) -> Value:
+    def phone_link(self, owner: str = "") -> Value:
         """A code with which one phone may propose its passkey.
 
         Raises:
-            KeyServiceRefused: the audit cannot be written.
+            KeyServiceRefused: the audit cannot be written, or others have all the codes there are.
         """
         self._audit("makes a link at the console, for another phone")
-        return self._codes.make(CodeUse.PHONE)
+        return self._codes.make(CodeUse.PHONE, owner)
 
     def propose_passkey(self, number: bytes, code: str, name: str, *registration: bytes) -> Value:
         """Keep a passkey until a phone approves it; returns the proposal.
@@ -168,7 +170,7 @@ class Access:
             KeyServiceRefused: too many wait.
         """
         passkey = self._register(number, code, CodeUse.PHONE, name, registration)
-        proposal = self.proposals.add(passkey, passkey.at)
+        proposal = self.proposals.add(passkey, passkey.at, self._codes.owner(code))
         self._codes.use(code, CodeUse.PHONE)
         self._audit(f"the phone {name!a} asks at the console to be added")
         return to_value(proposal)
@@ -177,13 +179,25 @@ class Access:
         """The passkeys that wait for an approval."""
         return to_value(self.proposals.all())
 
+    def end_proposal(self, number: bytes) -> Value:
+        """Refuse a passkey that waits: its digits differ.
+
+        Raises:
+            PasskeyUnknown: none waits with this id.
+        """
+        self.proposals.get(number)
+        self.proposals.drop(number)
+        return None
+
     def _register(
         self, number: bytes, code: str, use: CodeUse, name: str, registration: tuple[bytes, ...]
     ) -> Passkey:
         """The passkey in a registration. The code is looked at before anything is parsed."""
         self._codes.check(code, use)
-        challenge = self._challenges.take(Purpose.PASSKEY, number)
-        return register(Registration(*registration), challenge, name, self._work.now())
+        challenge = self._challenges.open(Purpose.PASSKEY, number)
+        passkey = register(Registration(*registration), challenge, name, self._work.now())
+        self._challenges.use(challenge)
+        return passkey
 
     def _make(self, purpose: Purpose, origin: str, rp_id: str) -> Challenge:
         domain = self._work.home().domain

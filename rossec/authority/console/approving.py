@@ -23,6 +23,7 @@ from ca.store.lifecycle import DAY
 from ca.store.record import Store
 from rossec import clock
 from rossec.authority.console.acts import Act, Approved
+from rossec.authority.console.lookers import LookersRequests
 from rossec.authority.console.records import to_value
 from rossec.authority.console.statements import PreparedStatement, Statements
 from rossec.authority.console.views import Outcome, Prepared
@@ -81,6 +82,7 @@ class Approving:
         self._acts = acts
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._statements = Statements(self._elapsed)
+        self._lookers = LookersRequests()
         self._carrying_out = threading.Lock()
         self._ends: dict[bytes, float] = {}  # by the clock that cannot be set
 
@@ -88,8 +90,8 @@ class Approving:
         """By the operation."""
         return {"prepare": self.prepare, "approve": self.approve, "outcome": self.outcome}
 
-    def prepare(self, name: str, arguments: list[Value]) -> Value:
-        """Make a statement, with all that it would give away.
+    def prepare(self, name: str, arguments: list[Value], owner: str = "") -> Value:
+        """Make a statement for `owner`, with all that it would give away.
 
         Raises:
             PasskeyUnknown: there is no phone that could approve it.
@@ -97,6 +99,8 @@ class Approving:
         """
         kind, given, at = KINDS[name], tuple(arguments), self._work.now()
         with self._work.service(_PREPARING) as service:
+            if kind is Kind.ENROLL:
+                self._lookers.check(service.home, given, owner, at)
             wanted = self._acts[kind].prepare(service, given, at)
             with closing(service.home.store()) as store:
                 phones = store.passkeys.active()
@@ -107,7 +111,7 @@ class Approving:
                     )
                 statement = _state(store, kind, service.home.domain, at, wanted.what)
         statement.check_payload(wanted.payload)
-        self._statements.add(PreparedStatement(statement, wanted.payload, given))
+        self._statements.add(PreparedStatement(statement, wanted.payload, given), owner)
         return to_value(
             Prepared(
                 statement.id, statement.to_bytes(), statement.challenge, statement.until,
@@ -162,16 +166,22 @@ class Approving:
             waiting = store.approvals.waiting()
         for approval in waiting:
             approved = Approved(approval, approval.read())
-            if self._is_over(approved):
+            is_late = self._work.now() > approved.statement.until + WAITS
+            if self._is_over(approved, is_late=is_late):
                 self._end(approved, ApprovalState.EXPIRED, "it waited for the key too long")
-            elif not self._work.is_locked:
+            elif not is_late and not self._work.is_locked:
                 self._carry_out(approved)
 
-    def _is_over(self, approved: Approved) -> bool:
-        now, last = self._work.now(), approved.statement.until + WAITS
-        left = max(0, last - now)
+    def _is_over(self, approved: Approved, *, is_late: bool) -> bool:
+        """Whether it has ended for good: by a count of seconds, as a clock may be ahead for once.
+
+        What another process of the service recorded is counted from when this one first saw it.
+        """
+        left = LIFETIME + WAITS
+        if not is_late:
+            left = min(left, approved.statement.until + WAITS - self._work.now())
         end = self._ends.setdefault(approved.id, self._elapsed() + left)
-        return now > last or self._elapsed() > end
+        return self._elapsed() > end
 
     def _carry_out(self, approved: Approved) -> None:
         """Carry out, unless that is not possible now."""

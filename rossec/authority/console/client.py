@@ -10,7 +10,7 @@ directory, which nobody else can write.
 import asyncio
 import os
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -32,9 +32,11 @@ from rossec.authority.console.views import (
     NodeView,
     Outcome,
     PhoneView,
+    PolicyName,
     PolicyView,
     Prepared,
     Proposal,
+    QuestionAnswer,
     Status,
 )
 from rossec.authority.keyservice import messages as frames
@@ -44,6 +46,10 @@ from rossec.net.host.peeruid import require_user
 from rossec.operation.unix_socket import raw_socket
 
 CONNECTIONS: Final = 4
+STRANGERS: Final = 1  # of them are used at a time for what anybody on the network may ask
+OF_STRANGERS: Final = frozenset(
+    {"login-challenge", "login", "redeem", "new-passkey", "add-passkey", "propose-passkey"}
+)
 TIMEOUT: Final = 60.0  # seconds for an answer: the master is called within 30
 _HINT: Final = "see: rossec ca status; start it with: rossec ca serve"
 _NEWER: Final = "are the service and the console of one version of rossec?"
@@ -85,6 +91,7 @@ class ConsoleClient:
         self._timeout = timeout
         self._free: list[_Connection] = []
         self._places = asyncio.Semaphore(CONNECTIONS)
+        self._strangers = asyncio.Semaphore(STRANGERS)
 
     async def close(self) -> None:
         """End the connections."""
@@ -95,7 +102,8 @@ class ConsoleClient:
     async def ask(self, operation: str, *arguments: Value) -> Value:
         """Send a request, and return what its answer says."""
         data = frames.write_request(Request(operation, arguments))
-        async with self._places:
+        lane = self._strangers if operation in OF_STRANGERS else nullcontext()
+        async with lane, self._places:
             try:
                 async with asyncio.timeout(self._timeout):
                     try:
@@ -132,6 +140,10 @@ class ConsoleClient:
         """What would be granted, through the filter `coarse`, for `seconds` (0: as asked)."""
         return many(AskedRight, await self.ask("consider", question, coarse, seconds))
 
+    async def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]:
+        """How a question was answered; nothing while it waits."""
+        return many(QuestionAnswer, await self.ask("question-answers", question))
+
     async def invitations(self) -> tuple[InvitationView, ...]:
         """The join codes."""
         return many(InvitationView, await self.ask("invitations"))
@@ -164,6 +176,10 @@ class ConsoleClient:
         """The policy file, compared with the grants in force."""
         return from_value(PolicyView, await self.ask("policy"))
 
+    async def policy_names(self) -> tuple[PolicyName, ...]:
+        """What the policy calls nodes and topics, and the types of these."""
+        return many(PolicyName, await self.ask("policy-names"))
+
     async def standing(self, epoch: int, seq: int) -> ListStanding:
         """How far a revocation list has come."""
         return from_value(ListStanding, await self.ask("standing", epoch, seq))
@@ -192,9 +208,13 @@ class ConsoleClient:
         """End a passkey: it approves nothing more."""
         await self.ask("remove-phone", phone, reason)
 
-    async def prepare(self, kind: str, *arguments: Value) -> Prepared:
-        """Have a statement made, to be approved; the arguments are those of `PREPARED`."""
-        return from_value(Prepared, await self.ask("prepare", kind, [*arguments]))
+    async def end_proposal(self, proposal: bytes) -> None:
+        """Refuse a phone that waits to be approved."""
+        await self.ask("end-proposal", proposal)
+
+    async def prepare(self, kind: str, *arguments: Value, owner: str = "") -> Prepared:
+        """Have a statement made for `owner`, to be approved; the arguments are of `PREPARED`."""
+        return from_value(Prepared, await self.ask("prepare", kind, [*arguments], owner))
 
     async def approve(self, statement: bytes, assertion: Assertion) -> Outcome:
         """Approve the statement with this id."""
@@ -228,9 +248,9 @@ class ConsoleClient:
         """Propose a passkey, with a code of `phone_link`; a phone approves it."""
         return from_value(Proposal, await self.ask("propose-passkey", *registration))
 
-    async def phone_link(self) -> str:
-        """A code for one proposal."""
-        return from_value(str, await self.ask("phone-link"))
+    async def phone_link(self, owner: str = "") -> str:
+        """A code for one proposal, made for `owner`."""
+        return from_value(str, await self.ask("phone-link", owner))
 
     async def _exchange(self, data: bytes) -> Value:
         async with self._connection() as (reader, writer):

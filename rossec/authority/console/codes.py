@@ -18,12 +18,14 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 from rossec import clock
-from rossec.errors import PhoneCodeRefused
+from rossec.authority.console import owners
+from rossec.errors import KeyServiceRefused, PhoneCodeRefused
+from rossec.shares import SharedTable
 
 LIFETIME: Final = 120.0  # seconds
 MAX_FAILURES: Final = 5
 PERIOD: Final = 60.0  # seconds in which failures count, and for which they lock
-MAX_CODES: Final = 16  # outstanding; one more ends the oldest
+MAX_CODES: Final = 16  # outstanding, of one use
 _SIZE: Final = 16  # bytes
 
 
@@ -36,8 +38,8 @@ class CodeUse(StrEnum):
 
 class _Code(NamedTuple):
     digest: bytes
-    use: CodeUse
     end: float
+    owner: str
 
 
 class Codes:
@@ -51,16 +53,31 @@ class Codes:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._lock = threading.Lock()  # guards what follows
-        self._codes: deque[_Code] = deque(maxlen=MAX_CODES)
+        self._codes: dict[CodeUse, SharedTable[bytes, _Code]] = {
+            use: SharedTable(MAX_CODES) for use in CodeUse
+        }
         self._failures: deque[float] = deque(maxlen=MAX_FAILURES)
         self._locked_until = float("-inf")
 
-    def make(self, use: CodeUse) -> str:
-        """A new code, base64url."""
+    def make(self, use: CodeUse, owner: str = "") -> str:
+        """A new code, base64url; the oldest of the owner who has most makes room.
+
+        Raises:
+            KeyServiceRefused: others have all of them, and none more than one.
+        """
         text = base64.urlsafe_b64encode(self._random(_SIZE)).rstrip(b"=").decode()
+        code = _Code(_digest(text), self._elapsed() + LIFETIME, owner)
         with self._lock:
-            self._codes.append(_Code(_digest(text), use, self._elapsed() + LIFETIME))
+            self._drop_old()
+            if self._codes[use].add(code.digest, code, owner, owners.rank(owner)) is None:
+                raise KeyServiceRefused(f"{MAX_CODES} codes were made already", "use them, or wait")
         return text
+
+    def owner(self, text: str) -> str:
+        """For whom a code for a phone was made; empty: it is none."""
+        with self._lock:
+            found = self._codes[CodeUse.PHONE].get(_digest(text))
+        return "" if found is None else found.owner
 
     def check(self, text: str, use: CodeUse) -> None:
         """Return if `text` is a code for this use; it stays one.
@@ -74,12 +91,20 @@ class Codes:
     def use(self, text: str, use: CodeUse) -> None:
         """As `check`, and it is used up."""
         with self._lock:
-            self._codes.remove(self._find(text, use))
+            self._codes[use].pop(self._find(text, use).digest)
+
+    def _drop_old(self) -> None:
+        now = self._elapsed()
+        for table in self._codes.values():
+            for digest, code in table.items():
+                if now >= code.end:
+                    table.pop(digest)
 
     def _find(self, text: str, use: CodeUse) -> _Code:
         now, given = self._elapsed(), _digest(text)
-        found = [code for code in self._codes if hmac.compare_digest(code.digest, given)]
-        if found and found[0].use is use and now < found[0].end:
+        known = [code for _, code in self._codes[use].items()]
+        found = [code for code in known if hmac.compare_digest(code.digest, given)]
+        if found and now < found[0].end:
             return found[0]
         if now < self._locked_until:
             raise PhoneCodeRefused(

@@ -23,10 +23,12 @@ from rossec.authority.approvals import (
     ApprovalQueue,
 )
 from rossec.authority.console.acts import Approved, Arguments, Conclude, ToApprove
-from rossec.authority.console.questions import changed_by, pending_of
+from rossec.authority.console.questions import changed_by, is_about, longest, pending_of
+from rossec.authority.console.sentences import given
 from rossec.authority.policyfile import PolicyFile
 from rossec.authority.requests import GrantRequestStore
 from rossec.authority.service import AuthorityService
+from rossec.clock import format_duration
 from rossec.errors import ConfigurationError, KeyServiceRefused
 
 _MALFORMED: Final = "the payload of an approval is malformed", "restore a backup"
@@ -78,6 +80,7 @@ class GrantAct:
         change = changed_by(file, coarse, seconds, now)
         with closing(ApprovalQueue(service.home, file, now)) as queue:
             found = pending_of(queue, question)
+            check_seconds(seconds, min(longest(each.verdict) for each in found))
             made = queue.drafts(service.home.domain, found, change)
         issuer = thumbprint(service.home.own_key())
         answer = Answer(
@@ -98,7 +101,7 @@ class GrantAct:
         found = {
             (int(each.requested.right), each.requested.pattern): each
             for each in table.unanswered()
-            if each.request.id == question
+            if is_about(each, question)
         }
         for right in answer.rights:
             if right not in found:
@@ -122,14 +125,17 @@ class GrantAct:
                 held = authority.store.valid_certificate(draft.subject, now)
                 if held.thumbprint != draft.holder:
                     raise StoreError(f"{draft.subject} has another key now", "it has to ask again")
-            conclude(authority.store, f"{drafts[0][0].subject} has what it asked for")
+            conclude(authority.store, given([body for body, _ in answer.grants]))
 
         for data in authority.issue_grants(drafts, now, check):
             service.store_grant(data)
 
-    def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
-        """Nothing: grants are delivered."""
-        return b""
+    def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
+        """The claims of the grants, as a CBOR list: what the node was given, and until when."""
+        bodies: list[Value] = [
+            body for body, _ in Answer.from_bytes(approved.approval.payload).grants
+        ]
+        return encode(bodies)
 
     def _check_policy(self, answer: Answer) -> None:
         """Return if the policy is the one by which the grants were made.
@@ -140,6 +146,20 @@ class GrantAct:
         file = PolicyFile.read(self._policy, own=True)
         if sha256(file.text.encode()).digest() != answer.policy:
             raise ConfigurationError("the policy was changed meanwhile", "look at it again")
+
+
+def check_seconds(seconds: int, most: int) -> None:
+    """Return if the policy allows a grant for so long; 0: as long as it allows.
+
+    What was approved is what is signed: a month is not made seven days without a word.
+
+    Raises:
+        KeyServiceRefused: it does not.
+    """
+    if seconds > most:
+        raise KeyServiceRefused(
+            f"the policy allows this for {format_duration(most)} at most", "choose a shorter time"
+        )
 
 
 def _right(value: Value) -> tuple[int, str]:

@@ -72,7 +72,7 @@ class EnrollAct:
         """Sign the identity; the node then gets what the policy gives its name."""
         what, authority = _enrolled(approved), service.unlock()
         with authority.store.transaction():
-            _check_unchanged(authority.store, what)
+            _check_unchanged(authority.store, what, now)
             authority.issue(
                 approved.approval.payload, now, what.lifetime,
                 replace_key=what.name if what.replaces else None, wildcard=what.wildcard,
@@ -154,7 +154,7 @@ def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
     store.requests.approve(what.csr, at, reason, replace_key=replaced, wildcard=what.wildcard)
 
 
-def _check_unchanged(store: Store, what: Enroll) -> None:
+def _check_unchanged(store: Store, what: Enroll, now: int) -> None:
     """Return if the request is still approved as it was, or was answered before.
 
     Raises:
@@ -163,9 +163,10 @@ def _check_unchanged(store: Store, what: Enroll) -> None:
     if store.identities.issued_for(what.csr) is not None:
         return
     row = store.requests.find(what.csr)
-    if row is None or row.state is not RequestState.APPROVED:
-        state = "has expired" if row is None else f"was {row.state}"
-        because = "" if row is None or not row.reason else f": {row.reason}"
+    expired = row is None or now > row.expires
+    if row is None or expired or row.state is not RequestState.APPROVED:
+        state = "has expired" if row is None or expired else f"was {row.state}"
+        because = "" if row is None or expired or not row.reason else f": {row.reason}"
         raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
     if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
         raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")

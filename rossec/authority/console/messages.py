@@ -12,8 +12,19 @@ from ca.encoding import Value
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.messages import Request
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
+from rossec.files import Owned
 
 SOCKET: Final = "console.sock"  # in the authority's directory
+# What the console has there. Who restores an authority makes a new TLS key for browsers.
+DIRECTORY: Final = "console"
+ADDRESS: Final = f"{DIRECTORY}/address"
+LOCK: Final = f"{DIRECTORY}/lock"
+TLS_KEY: Final = "tls.key"
+TLS_CERTIFICATE: Final = "tls.pem"
+OWNED: Final = (
+    Owned(rf"{DIRECTORY}/(?:address|lock)", kept=False),
+    Owned(rf"{DIRECTORY}/tls\.(?:key|key\.[0-9a-f]{{16}}|pem)", kept=False),
+)
 MAX_REQUEST: Final = 64 * 1024
 MAX_ANSWER: Final = 4 * 1024 * 1024
 
@@ -37,6 +48,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "identity-requests": (),  # [IdentityRequestView]
     "questions": (),  # [GrantQuestion]
     "consider": (bytes, str, int),  # as "grant" below: [AskedRight] that would be granted
+    "question-answers": (bytes,),  # id: [QuestionAnswer], none while it waits
     "invitations": (),  # [InvitationView]
     "phones": (),  # [PhoneView]
     "proposals": (),  # [Proposal]
@@ -45,6 +57,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "denials": (),  # [DenialView] of the last day, newest first; raises if there is no master
     "graph": (),  # [FactView]; raises if there is no master
     "policy": (),  # PolicyView
+    "policy-names": (),  # [PolicyName]: titles and types
     "standing": (int, int),  # epoch, seq: ListStanding
     # taking away; a list number [epoch, seq], [0, 0] while the key is locked
     "deny-request": (bytes, str),  # id, reason: nothing
@@ -53,8 +66,9 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "revoke-node": (str, str),  # name, reason: [epoch, seq]; not of a master
     "end-invitation": (bytes, str),  # id, reason: nothing
     "remove-phone": (bytes, str),  # id, reason: nothing
+    "end-proposal": (bytes,),  # id of a phone that waits: nothing
     # approving
-    "prepare": (str, list),  # kind, arguments as in PREPARED: Prepared
+    "prepare": (str, list, str),  # kind, arguments as in PREPARED, for whom (`owners`): Prepared
     "approve": (bytes, bytes, bytes, bytes, bytes),
     # id, credential, client data, authenticator data, signature: Outcome
     "outcome": (bytes,),  # id: Outcome
@@ -66,7 +80,7 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     "add-passkey": (bytes, str, str, bytes, bytes),
     # challenge id, code from the terminal, name, client data, attestation object: PhoneView
     "propose-passkey": (bytes, str, str, bytes, bytes),  # as above, code of "phone-link": Proposal
-    "phone-link": (),  # a one-time code for "propose-passkey", text
+    "phone-link": (str,),  # for whom: a one-time code for "propose-passkey", text
 }
 
 
@@ -78,7 +92,7 @@ def read_request(body: bytes) -> Request:
     """
     request = messages.read_request(body, OPERATIONS, MAX_REQUEST)
     match request:
-        case Request("prepare", (str() as kind, list() as arguments)) if tuple(
+        case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
             map(type, arguments)
         ) != PREPARED.get(kind):
             raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Final
 
 from ca.approvals.statement import Delegate, Kind, PolicyChange
-from ca.errors import StoreError
+from ca.errors import HintedError, StoreError
 from ca.store.approvals import ApprovalState
 from ca.store.record import Store
 from grants.model import ID_SIZE
-from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
+from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
 from rossec.authority.console.acts import Approved, Arguments, Conclude, ToApprove
+from rossec.authority.grantable import OF_ALL
 from rossec.authority.master_call import MasterCall
 from rossec.authority.policy_plan import PolicyPlan
 from rossec.authority.policyfile import PolicyFile
@@ -72,11 +73,14 @@ class PolicyAct:
         if plan.effect(authority.domain) != what.effect:
             raise StoreError("what this policy would change is not what was approved", _AGAIN)
         signed = _put_in_force(authority, plan, approved, conclude, now)
-        for data in signed:
-            service.store_grant(data)
-        if plan.revoke:
-            service.deposit(signed)
-            service.publish()
+        try:
+            if plan.revoke:
+                service.deposit(signed)
+            for data in signed:
+                service.try_to_store(data)
+        finally:  # a grant that cannot be delivered holds no revocation back
+            if plan.revoke:
+                service.publish()
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
         """Nothing: grants are delivered."""
@@ -136,6 +140,8 @@ class DelegateAct:
         service.deliver(
             MasterCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER)
         )
+        given = open_delegation(data, authority.signer.public_key)
+        service.home.confirm_delegation(given.id, now)
         conclude(authority.store, f"{MASTER} may renew grants")
 
     def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
@@ -181,11 +187,47 @@ def _put_in_force(
             authority.store.revoke(entry, f"policy, {approved.reason}", now)
         conclude(
             authority.store,
-            f"{plan.signs} grant{'' if plan.signs == 1 else 's'} signed, {len(revoked)} revoked",
+            _done(plan.signs, len(revoked), plan),
         )
 
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
-    return authority.issue_grants(drafts, now, check)
+    try:
+        return authority.issue_grants(drafts, now, check)
+    except OF_ALL:
+        raise
+    except HintedError as error:
+        return _put_in_force_by_node(authority, plan, approved, conclude, now, error)
+
+
+def _put_in_force_by_node(
+    authority: SigningAuthority,
+    plan: PolicyPlan,
+    approved: Approved,
+    conclude: Conclude,
+    now: int,
+    refusal: HintedError,
+) -> list[bytes]:
+    """As `_put_in_force`, without what is refused: of one node it holds up no other."""
+    from rossec.authority import policy_apply  # noqa: PLC0415 - an apply needs more
+
+    with authority.store.transaction():
+        signed, left = policy_apply.sign_each(authority, plan, now)
+        if not signed and not left.revoke:
+            raise refusal
+        for grant in left.revoke:
+            authority.store.revoke(grant.id, f"policy, {approved.reason}", now)
+        authority.refresh_list(now)
+        conclude(authority.store, _done(len(signed), len(left.revoke), left))
+    return [data for _, data in signed]
+
+
+def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
+    """What was done, and what of the policy is in no grant."""
+    done = f"{signed} grant{'' if signed == 1 else 's'} signed, {revoked} revoked"
+    if not plan.refused:
+        return done
+    more = f" (and {len(plan.refused) - 1} more)" if len(plan.refused) > 1 else ""
+    return f"{done}; not granted: {plan.refused[0]}{more}"
 
 
 def _check_holder(store: Store, approved: Approved, now: int) -> None:

@@ -17,6 +17,7 @@ from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError
 
 PURPOSE: Final = "a look at the policy"
+MAX_REFUSED: Final = 64
 _NOT_GIVEN: Final = frozenset({Kind.KEPT, Kind.GONE})
 
 
@@ -54,6 +55,7 @@ class PolicyLook:
                 gives=tuple(_right(each) for each in changes if each.kind not in _NOT_GIVEN),
                 takes=tuple(_right(each) for each in changes if each.kind is Kind.GONE),
                 keeps=len(kept),
+                refused=plan.refused[:MAX_REFUSED],
             )
         )
 

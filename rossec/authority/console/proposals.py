@@ -14,8 +14,10 @@ from typing import Final, NamedTuple
 from ca.approvals.assertion import Passkey
 from ca.errors import PasskeyUnknown
 from rossec import clock
+from rossec.authority.console import owners
 from rossec.authority.console.views import Proposal
 from rossec.errors import KeyServiceRefused
+from rossec.shares import SharedTable
 
 LIFETIME: Final = 300  # seconds
 MAX_PROPOSALS: Final = 4
@@ -39,30 +41,35 @@ class Proposals:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._lock = threading.Lock()
-        self._proposed: dict[bytes, _Proposed] = {}
+        self._proposed: SharedTable[bytes, _Proposed] = SharedTable(MAX_PROPOSALS)
 
-    def add(self, passkey: Passkey, now: int) -> Proposal:
-        """Keep a passkey that was registered and not approved.
+    def add(self, passkey: Passkey, now: int, owner: str = "") -> Proposal:
+        """Keep a passkey that was registered by a link of `owner`, and not approved.
+
+        Where there are too many, the oldest by a link of a looker makes room for one by a phone's.
 
         Raises:
             KeyServiceRefused: too many wait.
         """
+        rank = owners.rank(owner)
         with self._lock:
             self._drop_old()
-            if len(self._proposed) >= MAX_PROPOSALS:
+            waiting = [self._proposed.owner(number) for number, _ in self._proposed.items()]
+            if len(waiting) >= MAX_PROPOSALS and all(each and each[1] >= rank for each in waiting):
                 raise KeyServiceRefused(
                     f"{MAX_PROPOSALS} phones wait to be approved", "approve them, or wait"
                 )
             number = self._random(16)
             shown = Proposal(number, passkey.name, digits_of(number, passkey), now + LIFETIME)
-            self._proposed[number] = _Proposed(passkey, shown, self._elapsed() + LIFETIME)
+            proposed = _Proposed(passkey, shown, self._elapsed() + LIFETIME)
+            self._proposed.add(number, proposed, owner, rank)
         return shown
 
     def all(self) -> tuple[Proposal, ...]:
         """Those that wait, oldest first."""
         with self._lock:
             self._drop_old()
-            return tuple(each.shown for each in self._proposed.values())
+            return tuple(each.shown for _, each in self._proposed.items())
 
     def get(self, number: bytes) -> Passkey:
         """The passkey of one proposal, to be approved.
@@ -81,13 +88,15 @@ class Proposals:
         return found.passkey
 
     def drop(self, number: bytes) -> None:
-        """Forget one: it was approved."""
+        """Forget one: it was approved, or refused."""
         with self._lock:
-            self._proposed.pop(number, None)
+            self._proposed.pop(number)
 
     def _drop_old(self) -> None:
         now = self._elapsed()
-        self._proposed = {key: each for key, each in self._proposed.items() if now < each.end}
+        for number, each in self._proposed.items():
+            if now >= each.end:
+                self._proposed.pop(number)
 
 
 def digits_of(number: bytes, passkey: Passkey) -> str:

@@ -6,9 +6,9 @@ answer is left out, and the log of the service says so. Nothing here needs the k
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterable, Mapping
-from itertools import islice
-from typing import Final
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, TypeVar
 
 from ca.approvals.approval import Approval
 from ca.approvals.statement import Kind
@@ -95,7 +95,7 @@ class Reading:
                     revoked.at if revoked else 0, revoked.reason if revoked else "",
                 )
             )  # fmt: skip
-        return bounded("identities", reversed(views))
+        return bounded("identities", reversed(views), lambda view: view.name)
 
     def grants(self) -> Value:
         """The grants in force, and those that ended within `KEPT`; newest first."""
@@ -105,7 +105,7 @@ class Reading:
             rules, signed = store.policy_grants(), store.signed_at()
             rows = store.grants()
         states, views = self._deliveries(), []
-        for row in islice(reversed(rows), _MAX_ROWS):
+        for row in shared(reversed(rows), lambda row: row.name, _MAX_ROWS):
             grant = document.peek(row.data)
             revoked = ended.get(row.id) or ended.get(grant.holder)
             if min(grant.cap, revoked.at if revoked else grant.cap) < oldest:
@@ -117,7 +117,7 @@ class Reading:
                     rules.get(row.id, ""), states.get(row.id, ""),
                 )
             )  # fmt: skip
-        return bounded("grants", views)
+        return bounded("grants", views, lambda view: view.node)
 
     def identity_requests(self) -> Value:
         """The requests for identities that wait for a person, or for the key."""
@@ -132,7 +132,7 @@ class Reading:
                         for each in store.identities.by_name(row.name)),
                     row.der,
                 )
-                for row in store.requests.open()
+                for row in store.requests.open(at)
             ]  # fmt: skip
         return bounded("requests", reversed(views))
 
@@ -196,18 +196,40 @@ class Reading:
         return contextlib.closing(self._work.home().store())
 
 
-def bounded(what: str, views: Iterable[tuple[object, ...]]) -> list[Value]:
-    """The views that fit into one answer, from the first on."""
+V = TypeVar("V", bound=tuple[Any, ...])
+T = TypeVar("T")
+
+
+def bounded(what: str, views: Iterable[V], owner: Callable[[V], str] = lambda _: "") -> list[Value]:
+    """The views that fit into one answer, in their order: the first ones of every owner."""
+    given = list(views)
     room = ROOM
-    values: list[Value] = []
-    for view in views:
-        value = to_value(view)
+    values: dict[int, Value] = {}
+    for place in _in_turns([owner(view) for view in given]):
+        value = to_value(given[place])
         room -= len(encode(value))
         if room < 0:
             _log.warning("the console is shown the newest %d %s only", len(values), what)
             break
-        values.append(value)
-    return values
+        values[place] = value
+    return [values[place] for place in sorted(values)]
+
+
+def shared(items: Iterable[T], owner: Callable[[T], str], limit: int) -> list[T]:
+    """At most `limit` items, in their order: the first ones of every owner."""
+    given = list(items)
+    chosen = _in_turns([owner(item) for item in given])[:limit]
+    return [given[place] for place in sorted(chosen)]
+
+
+def _in_turns(owners: Sequence[str]) -> list[int]:
+    """The places in turns: the first of each owner, then the second of each, and so on."""
+    count = Counter[str]()
+    turns: list[tuple[int, int]] = []
+    for place, owner in enumerate(owners):
+        turns.append((count[owner], place))
+        count[owner] += 1
+    return [place for _, place in sorted(turns)]
 
 
 def _count(count: int, limit: int) -> int:

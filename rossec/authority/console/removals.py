@@ -19,6 +19,7 @@ from ca.store.record import Store
 from ca.store.rows import INTERMEDIATE
 from rossec.authority import invitations, thing_records
 from rossec.authority.approvals import DENIED
+from rossec.authority.console.questions import is_about, question_id
 from rossec.authority.invitations import InvitationStatus
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.requests import GrantRequestStore
@@ -70,7 +71,7 @@ class Removals:
         return None
 
     def deny_question(self, request: bytes, reason: str) -> Value:
-        """Deny what a node asks for, also if it was approved and is not signed yet.
+        """Deny a right, or a whole request, also if it was approved and is not signed yet.
 
         Raises:
             StoreError: there is no such question, or it was answered.
@@ -78,11 +79,12 @@ class Removals:
         why, at = checked_reason(reason), self._work.now()
         with contextlib.closing(self._work.home().store()) as store, store.transaction():
             table = GrantRequestStore(store.database)
-            found = [each for each in table.unanswered() if each.request.id == request]
+            found = [each for each in table.unanswered() if is_about(each, request)]
             for each in found:
                 table.answer(each, DENIED, why or "a person", at)
-            ended = _end_about(store, Kind.GRANT, request, why, at)
-            if not found and not ended:
+            parts = {request, *map(question_id, table.find(request))}
+            ended = [_end_about(store, Kind.GRANT, part, why, at) for part in sorted(parts)]
+            if not found and not any(ended):
                 raise StoreError("this question was answered", "look at what happened to it")
         return None
 
@@ -131,9 +133,9 @@ class Removals:
             status = InvitationStatus(
                 table.get(invitation), table.uses(invitation), table.ended(invitation)
             )
-            before = {row.digest for row in store.requests.open()}
+            before = {row.digest for row in store.requests.open(at)}
             invitations.end(store, status, why, at)
-            for digest in sorted(before - {row.digest for row in store.requests.open()}):
+            for digest in sorted(before - {row.digest for row in store.requests.open(at)}):
                 _end_about(store, Kind.ENROLL, digest, f"its join code was ended: {why}", at)
         return None
 

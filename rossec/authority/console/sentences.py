@@ -1,15 +1,20 @@
 """What was approved, as one line for people. Pure."""
 
+from collections.abc import Iterable
+from typing import Final
+
 from ca.approvals import statement as kinds
 from ca.approvals.statement import Statement
-from ca.encoding import decode
+from ca.encoding import Value, decode
 from ca.errors import EncodingError
 from ca.names import MASTER
 from grants import claims
 from grants.errors import GrantError
-from grants.model import ID_SIZE
-from rossec.clock import format_duration
+from grants.model import ID_SIZE, Permission
+from rossec.clock import format_duration, format_time
 from rossec.ros.text import printable
+
+_MOST: Final = 4  # rights that are listed
 
 
 def sentence(statement: Statement, payload: bytes) -> str:
@@ -18,7 +23,7 @@ def sentence(statement: Statement, payload: bytes) -> str:
         case kinds.Enroll(name=name, replaces=replaces):
             text = f"identity of {name}" + ", with another key than before" * replaces
         case kinds.Grant():
-            text = f"what {_holder(payload)} asked for"
+            text = given(_bodies(payload))
         case kinds.PolicyChange():
             text = "the changed policy is in force"
         case kinds.Delegate(lifetime=lifetime):
@@ -38,14 +43,41 @@ def sentence(statement: Statement, payload: bytes) -> str:
     return printable(text)
 
 
-def _holder(payload: bytes) -> str:
-    """The node in the payload of a grant (`grant_acts`)."""
+def given(bodies: Iterable[bytes]) -> str:
+    """What grants with these claims give, and until when: what was approved, not what was asked."""
+    try:
+        found = [claims.read(body, bytes(ID_SIZE)) for body in bodies]
+    except (EncodingError, GrantError):
+        found = []
+    if not found:
+        return "a right of a node"
+    rights = dict.fromkeys(_right(each) for grant in found for each in grant.permissions)
+    more = f" and {len(rights) - _MOST} more" if len(rights) > _MOST else ""
+    until = format_time(min(max(each.expires, each.cap) for each in found))
+    return f"{found[0].subject} may {', '.join([*rights][:_MOST])}{more}, until {until}"
+
+
+def _right(given: Permission) -> str:
+    coarser = given.restriction is not None and given.restriction.restricts_messages
+    return f"{given.rights.label} {given.pattern}" + " (not all of it)" * coarser
+
+
+def _bodies(payload: bytes) -> list[bytes]:
+    """The claims in the payload of a grant (`grant_acts`); none if it is malformed."""
     try:
         match decode(payload, limit=kinds.MAX_PAYLOAD):
-            case [_, _, [[bytes(body), _], *_]]:
-                return claims.read(body, bytes(ID_SIZE)).subject
+            case [_, _, [*grants]]:
+                return [body for grant in grants for body in _body(grant)]
             case _:
                 pass
-    except (EncodingError, GrantError):
+    except EncodingError:
         pass
-    return "a node"
+    return []
+
+
+def _body(grant: Value) -> list[bytes]:
+    match grant:
+        case [bytes(body), _]:
+            return [body]
+        case _:
+            return []

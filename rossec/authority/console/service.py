@@ -24,7 +24,7 @@ Handler = Callable[..., Value]
 CHANGES: Final = frozenset(
     {
         "deny-request", "deny-question", "revoke-grant", "revoke-node", "end-invitation",
-        "remove-phone", "approve",
+        "remove-phone", "end-proposal", "approve",
     }
 )  # fmt: skip
 

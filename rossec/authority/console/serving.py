@@ -18,6 +18,7 @@ from rossec.authority.console.grant_acts import GrantAct
 from rossec.authority.console.identity_acts import EnrollAct, IntermediateAct
 from rossec.authority.console.master_view import MasterView
 from rossec.authority.console.policy_acts import DelegateAct, PolicyAct
+from rossec.authority.console.policy_names import PolicyNames
 from rossec.authority.console.policy_view import PolicyLook
 from rossec.authority.console.questions import Questions
 from rossec.authority.console.reading import Reading
@@ -83,6 +84,7 @@ class Console:
             Reading(work, self.access.last_used, Deliveries(work, self._has_master).states),
             Questions(work),
             PolicyLook(work),
+            PolicyNames(work),
             self.approving,
             self.master,
             Removals(work, self.rounds.wake),

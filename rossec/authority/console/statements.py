@@ -11,9 +11,11 @@ from typing import Final, NamedTuple
 from ca.approvals.statement import LIFETIME, Kind, Statement
 from ca.errors import ApprovalOutdated
 from rossec import clock
+from rossec.authority.console import owners
 from rossec.authority.console.acts import Arguments
+from rossec.errors import KeyServiceRefused
+from rossec.shares import SharedTable
 
-MAX_STATEMENTS: Final = 64
 MAX_OF_KIND: Final = 16
 _HINT: Final = "look at the page again, and approve that"
 
@@ -26,21 +28,39 @@ class PreparedStatement(NamedTuple):
     arguments: Arguments
 
 
+class _Shown(NamedTuple):
+    prepared: PreparedStatement
+    end: float
+
+
 class Statements:
     """The statements that can be approved; threads may share it."""
 
     def __init__(self, elapsed: clock.Seconds | None = None) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._shown: dict[bytes, tuple[PreparedStatement, float]] = {}
+        self._shown: dict[Kind, SharedTable[bytes, _Shown]] = {
+            kind: SharedTable(MAX_OF_KIND) for kind in Kind
+        }
 
-    def add(self, shown: PreparedStatement) -> None:
-        """Keep a statement. Where there are too many, the oldest of its kind is dropped."""
+    def add(self, shown: PreparedStatement, owner: str = "") -> None:
+        """Keep a statement of `owner`.
+
+        Where there are too many of its kind, the oldest of whoever has most makes room, and none of
+        a phone for one of a session that may only look.
+
+        Raises:
+            KeyServiceRefused: there is no room for this owner.
+        """
+        statement = shown.statement
+        kept = _Shown(shown, self._elapsed() + LIFETIME)
         with self._lock:
             self._drop_old()
-            for limit, kind in ((MAX_OF_KIND, shown.statement.kind), (MAX_STATEMENTS, None)):
-                self._make_room(limit, kind)
-            self._shown[shown.statement.id] = shown, self._elapsed() + LIFETIME
+            table = self._shown[statement.kind]
+            if table.add(statement.id, kept, owner, owners.rank(owner)) is None:
+                raise KeyServiceRefused(
+                    f"{MAX_OF_KIND} such approvals wait for a touch", "approve them, or wait"
+                )
 
     def take(self, number: bytes, now: int) -> PreparedStatement:
         """The statement with this id, which is used up by this.
@@ -50,23 +70,18 @@ class Statements:
         """
         with self._lock:
             self._drop_old()
-            found = self._shown.pop(number, None)
+            taken = [table.pop(number) for table in self._shown.values()]
+        found = next(filter(None, taken), None)
         if found is None:
             raise ApprovalOutdated("this is not waiting for a touch, or not any more", _HINT)
-        statement = found[0].statement
+        statement = found.prepared.statement
         if not statement.made <= now <= statement.until:
             raise ApprovalOutdated("the touch came too late, or the clock was set", _HINT)
-        return found[0]
-
-    def _make_room(self, limit: int, kind: Kind | None) -> None:
-        of_kind = [
-            number
-            for number, (shown, _) in self._shown.items()
-            if kind is None or shown.statement.kind is kind
-        ]
-        for number in of_kind[: max(0, len(of_kind) - limit + 1)]:
-            del self._shown[number]
+        return found.prepared
 
     def _drop_old(self) -> None:
         now = self._elapsed()
-        self._shown = {number: item for number, item in self._shown.items() if now < item[1]}
+        for table in self._shown.values():
+            for number, shown in table.items():
+                if now >= shown.end:
+                    table.pop(number)

@@ -74,7 +74,10 @@ class AskedRight(NamedTuple):
 
 
 class GrantQuestion(NamedTuple):
-    """A request for grants that waits for a person."""
+    """A right that a node asks for, and that waits for a person.
+
+    A request for several rights is as many questions, and `request` is the id that they share.
+    """
 
     id: bytes
     node: str
@@ -85,6 +88,18 @@ class GrantQuestion(NamedTuple):
     lifetime: int  # seconds that would be granted, renewals by the master included
     coarse: tuple[str, ...]  # names of filters that could be put on it
     rights: tuple[AskedRight, ...]
+    request: bytes = b""
+
+
+class QuestionAnswer(NamedTuple):
+    """The answer to a question: `granted`, `denied`, or why nobody gave one."""
+
+    node: str
+    right: int
+    pattern: str
+    answer: str
+    reason: str
+    at: int
 
 
 class InvitationView(NamedTuple):
@@ -169,6 +184,15 @@ class PolicyView(NamedTuple):
     takes: tuple[PolicyRight, ...]
     keeps: int
     mistakes: tuple[str, ...]
+    refused: tuple[str, ...] = ()  # of single nodes: in no grant, though a rule allows it
+
+
+class PolicyName(NamedTuple):
+    """What the policy calls a node, a topic or a pattern; empty: it has no title, or no type."""
+
+    name: str
+    title: str
+    type: str
 
 
 class ListStanding(NamedTuple):

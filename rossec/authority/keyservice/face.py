@@ -39,7 +39,7 @@ from rossec.enrollment import address
 from rossec.enrollment.join_server import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.client import CALL_DEADLINE, RpcClient
 from rossec.operation.confinement import confine_files, confine_processes
 from rossec.operation.json_log import log_as_json
 from rossec.operation.process_memory import protect_memory
@@ -134,7 +134,11 @@ class Face:
         try:
             async with asyncio.timeout(seconds):
                 own, anchor = self._node.credentials(), self._node.anchor()
-                async with master_connection(own, anchor, self._master_uri, self._suites) as client:
+                deadline = max(CALL_DEADLINE, float(seconds))
+                connection = master_connection(
+                    own, anchor, self._master_uri, self._suites, deadline
+                )
+                async with connection as client:
                     return await _ask(client, self._node.name, method, arguments)
         except (HintedError, OSError, TimeoutError, Fault) as error:
             reason = error.faultString if isinstance(error, Fault) else str(error)
@@ -165,7 +169,10 @@ def _report(line: str) -> None:
 def main(arguments: list[str]) -> None:
     """Run the face: descriptor, directory of `/ca`, join address, master's URI, form of the log."""
     descriptor, directory, join_address, master_uri, log = arguments
-    log_as_json() if log == "json" else logging.basicConfig(level=logging.WARNING)
+    if log == "json":
+        log_as_json()
+    else:  # as the service itself writes, whose terminal or journal this is
+        logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
     protect_memory()
     # So it cannot read the authority's encrypted key, its record or a passphrase beside them.
     confine_files([Path(directory)])

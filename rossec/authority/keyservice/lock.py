@@ -4,10 +4,12 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final
 
+from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.operation.process_lock import process_lock
 
 LOCK: Final = "service.lock"
+OWNED: Final = (files.Owned(r"service\.lock", kept=False),)  # of a process
 
 
 def service_lock(directory: Path) -> AbstractContextManager[None]:

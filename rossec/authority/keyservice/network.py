@@ -20,6 +20,7 @@ from ca.errors import EncodingError, HintedError
 from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.join_names import JoinNames
 from rossec.authority.keyservice.operations import KeyOperations
+from rossec.authority.keyservice.renewal_watch import RenewalWatch
 from rossec.authority.keyservice.rounds import Rounds
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.master_call import MasterCall
@@ -44,6 +45,7 @@ class NetworkWork:
         applies: put the policy in force in every round; a node that joins gets its grants anyhow.
         policy: its file; None: the usual place.
         rules: by which nodes that join are named; None: none is.
+        renews: renew identities of nodes that ask for it at the master.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class NetworkWork:
         applies: bool = False,
         policy: Path | None = None,
         rules: bytes | None = None,
+        renews: bool = True,
     ) -> None:
         self._names = JoinNames(rules)
         self._face = face
@@ -64,6 +67,7 @@ class NetworkWork:
         self.rounds.add(self.work.maintain)
         if applies:
             self.rounds.add(self.work.apply_if_changed)
+        self._renewals = RenewalWatch(face, self.work, self._renew) if renews else None
         self.has_master = False  # whether the last call succeeded
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="authority")
         self._tasks = TaskSet()
@@ -145,7 +149,18 @@ class NetworkWork:
             await self._face.started()
         except ConfigurationError:
             return  # `rossec ca serve` reports it, and ends
+        if self._renewals is not None and not self.work.home().is_intermediate:
+            self.rounds.add(self._renewals_again)
+            self._tasks.spawn(self._renewals.run(), name="identities that nodes renew")
         await self.rounds.run()
+
+    def _renewals_again(self) -> None:
+        """In the thread of the work: a round begins when the key was unlocked."""
+        if self._loop is not None and self._renewals is not None:
+            self._loop.call_soon_threadsafe(self._renewals.wake)
+
+    async def _renew(self, requests: list[bytes]) -> list[tuple[bytes, bytes, str]]:
+        return await self._in_thread(self.work.renew_identities, requests)
 
     async def _in_thread(self, task: Callable[..., _T], *arguments: object) -> _T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, task, *arguments)

@@ -7,29 +7,40 @@ and the next round tries again.
 """
 
 import contextlib
+import hashlib
 import logging
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, write
+from ca.enrollment.join_messages import Issued, Refused, RefuseReason, write
 from ca.enrollment.join_request import JoinRequest
-from ca.errors import HintedError, StoreError
+from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
 from rossec.authority import joining, policyfile, renewals
+from rossec.authority.grant_delivery import RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.master_call import MasterCall
+from rossec.authority.policy_plan import PolicyPlan
 from rossec.authority.service import AuthorityService
-from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
+from rossec.errors import (
+    AuthorityLocked,
+    ConfigurationError,
+    KeyServiceRefused,
+    NotDelivered,
+    PolicyIncomplete,
+)
 from rossec.ros.text import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
+GRACE: Final = 50  # seconds in which a master may be started: less than a round
 JOIN_PURPOSE: Final = "a node that joins"
 APPLY_PURPOSE: Final = "the policy, which it applies"
 MAINTENANCE_PURPOSE: Final = "its own maintenance"
+RENEWAL_PURPOSE: Final = "a node that renews its identity"
 _log = logging.getLogger("rossec.authority.service")
 
 
@@ -58,6 +69,7 @@ class AuthorityWork:
         self._policy = policy
         self._now = now
         self._applied: tuple[object, int] = None, 0
+        self._undelivered_since: int | None = None  # nothing reached the master since then
         self.published = b""  # the list that the master has from here
         self._published_domains = b""
 
@@ -86,6 +98,9 @@ class AuthorityWork:
             HintedError: it could not be decided now; nothing was changed.
         """
         request = JoinRequest.from_bytes(data)
+        with contextlib.closing(self.home().store()) as store:
+            if not joining.is_proved(store, request):  # before the authority is opened
+                return write(Refused(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
                 answer = joining.join(service.unlock(), request, self._now())
@@ -93,6 +108,32 @@ class AuthorityWork:
                 with contextlib.closing(service.home.store()) as store:
                     answer = joining.join_locked(store, request, self._now())
         return write(answer), request.name if isinstance(answer, Issued) else None
+
+    def renew_identities(self, requests: Iterable[bytes]) -> list[tuple[bytes, bytes, str]]:
+        """Answer nodes whose identity is due: for each request, its SHA-256, a bundle or a reason.
+
+        What is signed is in the record, so that the same node gets the same one again. Requests are
+        left out, to be asked for later, when the key is locked meanwhile.
+        """
+        answers = list[tuple[bytes, bytes, str]]()
+        with self.service(RENEWAL_PURPOSE) as service:
+            for request in requests:
+                bundle, reason = b"", ""
+                try:
+                    bundle = renewals.renew_recorded(service.unlock(), request, self._now())
+                except (AuthorityLocked, RecordUnusable, KeyServiceRefused):
+                    break
+                except HintedError as error:
+                    reason = printable(f"{error} ({error.hint})" if error.hint else str(error))
+                    _log.warning("an identity is not renewed: %s", reason)
+                except OSError as error:
+                    _log.warning("an identity is not renewed: %s", printable(error))
+                    break
+                except Exception:  # noqa: BLE001 - of one request, which holds no other back
+                    reason = "it could not be renewed; the log of the authority's service says why"
+                    _log.exception("an identity is not renewed")
+                answers.append((hashlib.sha256(request).digest(), bundle, reason))
+        return answers
 
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | Refused:
         """The names that the invitation allows whose secret is proved, or why there is no answer.
@@ -123,10 +164,14 @@ class AuthorityWork:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
             with self.service(APPLY_PURPOSE) as service:
                 plan = service.plan_policy(policy, names, renew_due=True)
+                for reason in plan.refused:
+                    _log.error("the policy is not applied: %s", printable(reason))
                 if plan.signs or plan.revoke:
-                    service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+                    _apply(service, plan)
         except NotDelivered as error:
             _log.warning("the policy is applied, but not delivered yet: %s", printable(error))
+        except PolicyIncomplete as error:
+            _log.error("the policy is applied, %s", printable(error))
         except HintedError as error:
             alone = _to_try_alone(error, names)
             for name in alone:
@@ -142,7 +187,7 @@ class AuthorityWork:
             with self.service(APPLY_PURPOSE) as service:
                 signed = service.grant_outright(*names, place=self._policy)
                 if signed:
-                    service.deposit([data for _, data in signed])
+                    _log_refused(service.deposit([data for _, data in signed]))
         except HintedError as error:
             alone = _to_try_alone(error, names)
             for name in alone:
@@ -166,25 +211,51 @@ class AuthorityWork:
             self.apply()
 
     def maintain(self) -> None:
-        """Renew the own node's identity and the list long before they expire; deliver grants."""
+        """Renew the own node's identity and the list long before they expire; deliver grants.
+
+        One that fails holds no other back.
+        """
         if self.is_locked:
             return
-        try:
-            with self.service(MAINTENANCE_PURPOSE) as service:
-                authority = service.unlock()
-                if renewals.own_node_is_due(authority, self._now()):
-                    renewals.renew_own_node(authority, self._now())
-                service.complete_list()
-                self._publish(service)
-                service.deposit_missing()
-        except HintedError as error:
-            _log.warning("maintenance of the authority: %s", printable(error))
+        steps = (self._renew_own_node, _complete_list, self._publish, _deposit_missing)
+        said = ""
+        with self.service(MAINTENANCE_PURPOSE) as service:
+            for step in steps:
+                try:
+                    step(service)
+                except (HintedError, OSError) as error:
+                    if str(error) != said:
+                        level = self._level(error)
+                        _log.log(level, "maintenance of the authority: %s", printable(error))
+                    said = str(error)
+                else:
+                    if step == self._publish:
+                        self._undelivered_since = None
+
+    def _level(self, error: Exception) -> int:
+        """A master that is not there yet is no warning: the key is usually unlocked before."""
+        if not isinstance(error, NotDelivered):
+            return logging.WARNING
+        if self._undelivered_since is None:
+            self._undelivered_since = self._now()
+        is_new = not self.published and 0 <= self._now() - self._undelivered_since < GRACE
+        return logging.INFO if is_new else logging.WARNING
+
+    def _renew_own_node(self, service: AuthorityService) -> None:
+        authority = service.unlock()
+        if renewals.own_node_is_due(authority, self._now()):
+            renewals.renew_own_node(authority, self._now())
 
     def _publish(self, service: AuthorityService) -> None:
-        """Deliver the newest lists, whoever signed them, until the master has taken them."""
+        """Deliver the newest lists, whoever signed them, until the master has taken them.
+
+        It is asked in each round whether it has the list still: it may be another master since, or
+        one that was set back to an older state, and would let the revoked in.
+        """
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
-        if (newest, domains) != (self.published, self._published_domains):
+        known = (newest, domains) == (self.published, self._published_domains)
+        if not known or not _still_has_list(service):
             service.publish()
             self.published, self._published_domains = newest, domains
 
@@ -205,6 +276,33 @@ class AuthorityWork:
         )
         with contextlib.closing(service):
             yield service
+
+
+def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
+    try:
+        service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+    except OSError as error:
+        raise NotDelivered(str(error), "the next round tries again") from error
+
+
+def _complete_list(service: AuthorityService) -> None:
+    service.complete_list()
+
+
+def _still_has_list(service: AuthorityService) -> bool:
+    try:
+        return service.master_has_list()
+    except NotDelivered:  # it is away, and asked again, or of a version that does not tell
+        return True
+
+
+def _deposit_missing(service: AuthorityService) -> None:
+    _log_refused(service.deposit_missing()[1])
+
+
+def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
+    for each in refused:
+        _log.warning("%s", each.say(f"the grant {each.grant_id.hex()[:8]}"))
 
 
 def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collection[str]:

@@ -44,6 +44,9 @@ Verify: TypeAlias = Callable[[tuple[bytes, ...], int], PeerT]
 A caller that expects one particular peer compares the certified name here.
 """
 
+Renews: TypeAlias = Callable[[PeerT, PeerT], bool]
+"""Whether the first identity, which was verified, is the second one renewed."""
+
 FindChain: TypeAlias = Callable[[Value], tuple[bytes, ...]]
 """From ID_CRED_x to the chain it names."""
 
@@ -108,10 +111,26 @@ class Credentials:
 
 
 class LiveCredentials:
-    """Credentials that may be replaced: the next handshake sends the new ones."""
+    """Credentials that may be replaced: the next handshake sends the new ones.
+
+    Attributes:
+        on_change: called with the new chain.
+    """
 
     def __init__(self, current: Credentials) -> None:
-        self.current = current
+        self._current = current
+        self.on_change: list[Callable[[tuple[bytes, ...]], None]] = []
+
+    @property
+    def current(self) -> Credentials:
+        """Those of the next handshake."""
+        return self._current
+
+    @current.setter
+    def current(self, renewed: Credentials) -> None:
+        self._current = renewed
+        for call in self.on_change:
+            call(renewed.chain)
 
     @property
     def id_cred(self) -> Value:

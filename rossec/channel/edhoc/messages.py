@@ -24,6 +24,10 @@ _HEADS: Final = {b"\x58": 2, b"\x59": 3}  # of byte strings that are not shorter
 _SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
 _NEGATIVE: Final = 0x20  # major type 1
 
+RENEWALS: Final = 32768
+"""EAD label (private use, RFC 9528 section 10.5): "take what is renewed on the open connection"."""
+RENEWALS_EAD: Final = encode(RENEWALS)
+
 UNSPECIFIED: Final = 1  # ERR_CODE, RFC 9528 section 6
 WRONG_SUITE: Final = 2
 UNKNOWN_CREDENTIAL: Final = 3
@@ -103,7 +107,8 @@ def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
     Raises:
         HandshakeFailed: wrong structure, a `kid` in any form, a critical EAD, a wrong length.
     """
-    usual = _usual_plaintext(data, 1 if with_c_r else 0)
+    start = 1 if with_c_r else 0
+    usual = _usual_plaintext(data, start, RENEWALS_EAD) or _usual_plaintext(data, start, b"")
     if usual is not None:
         return usual
     items = _sequence(data, MAX_MESSAGE)
@@ -114,6 +119,11 @@ def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
             return Plaintext(c_r, id_cred, signature, _check_ead(ead))
         case _:
             raise HandshakeFailed("malformed plaintext in a handshake message")
+
+
+def says_renewals(ead: bytes) -> bool:
+    """Whether an EAD that was decoded has the label `RENEWALS`."""
+    return ead == RENEWALS_EAD or (bool(ead) and RENEWALS in _sequence(ead, MAX_MESSAGE))
 
 
 def decode_plaintext_4(data: bytes) -> None:
@@ -167,20 +177,22 @@ def _usual_message_1(data: bytes) -> Message1 | None:
     return Message1(_small_int(data[0]), (_small_int(data[1]),), g_x, ends[2])
 
 
-def _usual_plaintext(data: bytes, start: int) -> Plaintext | None:
-    """A C_R of `start` bytes, an x5chain of one certificate, a signature, no EAD."""
-    end = len(data) - SIGNATURE_LENGTH
+def _usual_plaintext(data: bytes, start: int, ead: bytes) -> Plaintext | None:
+    """A C_R of `start` bytes, an x5chain of one certificate, a signature, and this EAD."""
+    end = len(data) - SIGNATURE_LENGTH - len(ead)
     item = data[start + len(X5CHAIN_HEAD) : end - len(_SIGNATURE_HEAD)]
     certificate = _body(item)
     if (
         len(data) > MAX_MESSAGE
+        or not data.endswith(ead)
         or not data.startswith(X5CHAIN_HEAD, start)
         or not data.startswith(_SIGNATURE_HEAD, end - len(_SIGNATURE_HEAD))
         or bstr(certificate) != item
         or (start > 0 and not _is_small_int(data[:start]))
     ):
         return None
-    return Plaintext(data[:start] or None, {X5CHAIN: certificate}, data[end:])
+    signature = data[end : end + SIGNATURE_LENGTH]
+    return Plaintext(data[:start] or None, {X5CHAIN: certificate}, signature, ead)
 
 
 def _body(item: bytes) -> bytes:

@@ -11,11 +11,12 @@ from typing import Final, Generic, NamedTuple
 from cryptography.exceptions import InvalidTag
 
 from ca.encoding import Value, encode
-from ca.errors import HintedError
+from ca.errors import ForeignCertificate, HintedError
 from rossec.channel.edhoc.credentials import (
     FindChain,
     OwnCredential,
     PeerT,
+    Renews,
     Verify,
     encode_id_cred,
     x5chain,
@@ -32,10 +33,15 @@ from rossec.channel.edhoc.keyschedule import (
     transcript_next,
 )
 from rossec.channel.edhoc.known import KnownCertificates, reference
-from rossec.channel.edhoc.messages import Plaintext, decode_plaintext, encode_identifier
+from rossec.channel.edhoc.messages import (
+    Plaintext,
+    decode_plaintext,
+    encode_identifier,
+    says_renewals,
+)
 from rossec.channel.edhoc.own_dials import Dial, OwnDials
 from rossec.channel.edhoc.suites import HASH_LENGTH, PRODUCTION, SUITES, Random, Suite
-from rossec.errors import HandshakeFailed, IdentityRefused
+from rossec.errors import ForeignIdentity, HandshakeFailed, IdentityRefused
 
 # Correlation is TCP's; the identifiers only have to be there (RFC 9528 section 3.3).
 C_I: Final = b"\x00"
@@ -61,6 +67,7 @@ class EdhocConfig(Generic[PeerT]):
     own_dials: OwnDials | None = None  # with it, an initiator means to reach this node itself
     request_x5t: bool = False  # an initiator's: ask the responder for an x5t
     ead: bytes = b""
+    renews: Renews[PeerT] | None = None  # with it, this side takes renewed certificates
     c_i: bytes = C_I
     c_r: bytes = C_R
 
@@ -95,6 +102,13 @@ class EdhocPeer(Generic[PeerT]):
         self._g_x = self._g_y = b""
         self._dial: Dial | None = None  # set: an initiator that means to reach itself
         self.send_x5t = False  # this side names its certificate by a hash
+        self.sent = b""  # the certificate of this side's statement
+        self.peer_renews = False  # it takes what is renewed while the connection is open
+
+    @property
+    def config(self) -> EdhocConfig[PeerT]:
+        """This side's inputs."""
+        return self._config
 
     @property
     def suite(self) -> Suite:
@@ -121,8 +135,9 @@ class EdhocPeer(Generic[PeerT]):
         """Sign this side's statement, advance the transcript, return the plaintext."""
         own = self._config.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
-        cred, ead = bstr(own.certificate), self._config.ead
-        named = reference(own.certificate) if self.send_x5t else own.id_cred
+        self.sent = own.certificate
+        cred, ead = bstr(self.sent), self._config.ead
+        named = reference(self.sent) if self.send_x5t else own.id_cred
         id_cred = encode_id_cred(named)
         statement = _Statement(label, prefix, id_cred, self._th, cred, ead)
         signature = own.sign(statement.to_be_signed(self._prk))
@@ -139,6 +154,7 @@ class EdhocPeer(Generic[PeerT]):
         statement = _Statement(label, prefix, id_cred, self._th, cred, parsed.ead)
         message = statement.to_be_signed(self._prk)
         self._suite.verify(peer.public_key, parsed.signature, message)
+        self.peer_renews = says_renewals(parsed.ead)
         self._th = transcript_next(self._th, plaintext, cred)
         return peer
 
@@ -151,7 +167,8 @@ class EdhocPeer(Generic[PeerT]):
             peer = self._config.verify(chain, now)
         except HintedError as error:
             text = f"the peer's certificate is refused: {error}"
-            raise IdentityRefused(text, error.hint) from error
+            kind = ForeignIdentity if isinstance(error, ForeignCertificate) else IdentityRefused
+            raise kind(text, error.hint) from error
         self._check_meant(peer)
         return chain[0], peer
 

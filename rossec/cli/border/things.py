@@ -19,7 +19,7 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.saved_things import ThingFiles
-from rossec.terminal import note, record, say, say_secret
+from rossec.terminal import note, record, say, say_picture, say_secret
 
 BORDER: Final = "/border"
 _MAX_CREDENTIAL: Final = 4096
@@ -88,7 +88,7 @@ def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
     else:
         note("whoever sees this can speak as the thing; it is not shown again")
         record(secret=text)
-        say_secret(qr.terminal(text))
+        say_picture(qr.terminal(text), is_secret=True)
         say_secret(text)
     return described
 

@@ -5,17 +5,16 @@ from pathlib import Path
 import click
 
 from ca.domains.lists import MAX_LIST as MAX_DOMAINS
-from ca.revocation.lists import MAX_LIST
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
 from ca.store.backup import MAX_BACKUP
 from rossec import files
 from rossec.authority import backup as backups
-from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
+from rossec.authority import contents, restored_lists
+from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.results import json_result
-from rossec.terminal import note, record, say
+from rossec.terminal import note, printable, record, say
 
 
 @click.command()
@@ -33,8 +32,11 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     with working("encrypting the backup"):
         home.unlock(secret).store.close()  # a backup that its key does not open is invalid
         files.create(file, backups.back_up(home, secret))
+    left = contents.undeclared(home.path)
     found = fingerprint(home.anchor())
-    record(domain=home.domain, file=str(file), fingerprint=found)
+    record(domain=home.domain, file=str(file), fingerprint=found, left_out=left)
+    for name in left:
+        note(f"left out, as it is no file of an authority: {printable(name)}")
     say(f"backup of {home.domain}: {file}")
     say(f"fingerprint {found}")
 
@@ -51,12 +53,24 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     help="a newer revocation list, for example a node's revocations.cose",
 )  # fmt: skip
 @click.option(
+    "--without-list", is_flag=True,
+    help="there is no newer list: what was revoked after the backup is valid again",
+)  # fmt: skip
+@click.option(
     "--entries", type=options.FILE,
     help="of that list where it is a tree; by default revocations.entries beside it",
 )  # fmt: skip
 @click.option(
     "--domains", type=options.FILE,
     help="a newer list of domains, for example a node's domains.cose; else no domain is trusted",
+)  # fmt: skip
+@click.option(
+    "--policy", type=click.Choice(["here", "backup"]), default="here", show_default=True,
+    help="with --over, where the two differ: which policy stays",
+)  # fmt: skip
+@click.option(
+    "--pkcs11-module", "module", type=options.FILE,
+    help="trust this module, where the key is in a token; what the backup names is not loaded",
 )  # fmt: skip
 @passphrase.option
 @json_result()
@@ -67,40 +81,62 @@ def restore(
     over: str | None,
     forget: int,
     newest: Path | None,
+    without_list: bool,
     entries: Path | None,
     domains: Path | None,
+    policy: str,
+    module: Path | None,
     passphrase_file: Path | None,
 ) -> None:
     """Prove the backup FILE and put its authority back.
 
-    Nothing is overwritten, and nothing newer is lost, unless --over or --forget allows it.
+    Nothing is overwritten, and nothing newer is lost, unless --over or --forget allows it. What was
+    revoked after the backup is not in it: every node has a newer list, revocations.cose beside its
+    key, the master the newest. It is wanted first (--list), or the word that there is none.
     """
+    if newest is not None and without_list:
+        raise click.UsageError("--list and --without-list exclude each other")
     data = files.read(file, MAX_BACKUP)
-    listed = None if newest is None else files.read(newest, MAX_LIST)
-    if entries is None and newest is not None and newest.with_name(ENTRIES).exists():
-        entries = newest.with_name(ENTRIES)
+    listed = (None, None) if newest is None else restored_lists.read_files(newest, entries)
     secret = passphrase.read(passphrase_file, environment.variables)
     with working("proving the backup, entry by entry"):
         found = backups.restore(
-            environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
-            entries=None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE),
+            environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed[0],
+            entries=listed[1],
             newest_domains=None if domains is None else files.read(domains, MAX_DOMAINS),
+            needs_list=not without_list, policy_of_backup=policy == "backup",
+            module=None if module is None else str(module.absolute()),
         )  # fmt: skip
     record(
         domain=found.home.domain, path=str(found.home.path), entries=found.entries,
         fingerprint=fingerprint(found.home.anchor()), ended_domains=found.ended_domains,
         revocations=found.restored_revocations, ended_phones=bool(found.ended_phones),
+        policy=found.policy, left_out=list(found.left_out),
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
+    _say_what_differs(found)
+    if found.home.is_intermediate:  # it signs no lists
+        return
+    if found.restored_revocations:
+        say(f"{found.restored_revocations} revocations newer than the backup were taken over")
+    elif newest is not None:
+        say("nothing was revoked between the backup and the list")
+    if newest is None:
+        note(
+            "what was revoked after the backup is valid again; if you find a newer list later:"
+            " rossec ca refresh --list FILE"
+        )
+    note("nodes that joined after the backup are not in the record: rossec ca import NODE.pem")
+    note("a new revocation list was signed; deliver it with: rossec ca publish")
+
+
+def _say_what_differs(found: backups.Restored) -> None:
+    for name in found.left_out:
+        note(f"left out, not a file that a backup has: {printable(name)}")
+    if found.policy:
+        note(f"the policy is that {found.policy}: read it before it is put in force")
     if found.ended_phones:
         note("no phone can approve any more: register phones again: rossec console phone")
     if found.ended_domains:
         note(f"{found.ended_domains} domains are trusted no more: see rossec domain list --all")
-    if found.home.is_intermediate:  # it signs no lists
-        return
-    if newest is None:
-        note("what was revoked after the backup is valid again: restore with --list if you can")
-    elif found.restored_revocations:
-        say(f"{found.restored_revocations} revocations newer than the backup were taken over")
-    note("a new revocation list was signed; deliver it with: rossec ca publish")

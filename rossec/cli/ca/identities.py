@@ -6,6 +6,8 @@ from typing import Any
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
+from ca.errors import HintedError
+from ca.renewal import renew_at
 from ca.store.record import Store
 from ca.store.rows import CertificateRow
 from rossec import files, terminal
@@ -19,7 +21,8 @@ from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import record, say, say_json
+from rossec.home import NodeHome
+from rossec.terminal import note, record, say, say_json
 
 _ITS = "its machine", "their machines"
 
@@ -50,9 +53,15 @@ def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
         "anonymous": row.wildcard,
         "not_before": row.not_before,
         "expires": row.not_after,
+        "ends_soon": state == "valid" and ends_soon(row, now()),
         "key": row.thumbprint.hex(),
         "serial": f"{row.serial:x}",
     }
+
+
+def ends_soon(row: CertificateRow, at: int) -> bool:
+    """Whether it should have been renewed by now."""
+    return at >= renew_at(row.not_before, row.not_after)
 
 
 def line(row: CertificateRow, state: str) -> str:
@@ -78,6 +87,29 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
         return
     for row, state in chosen:
         say(line(row, state))
+    for text in _remarks(found, now()):
+        note(text)
+
+
+def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
+    """What is to be done: identities that end soon and were not renewed, and those that are over.
+
+    Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
+    """
+    newest = {row.name: (row, state) for row, state in found}.values()
+    soon = [row.name for row, state in newest if state == "valid" and ends_soon(row, at)]
+    over = [row.name for row, state in newest if state == "expired"]
+    remarks = []
+    if soon:
+        remarks.append(
+            f"not renewed yet, with less than a third of their time left: {', '.join(soon)}"
+            " (rossec ca serve renews nodes that run; others: rossec ca renew NAME)"
+        )
+    if over:
+        remarks.append(
+            f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)"
+        )
+    return remarks
 
 
 @click.command()
@@ -114,23 +146,32 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
     "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
     help="how long the new identity lasts",
 )  # fmt: skip
+@click.option(
+    "--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants"
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
 @json_result()
 @pass_service
 def renew(
-    service: AuthorityService, names: tuple[str, ...], lifetime: int, out: Path | None
+    service: AuthorityService,
+    names: tuple[str, ...],
+    lifetime: int,
+    expired: bool,
+    out: Path | None,
 ) -> None:
     """Renew the identity of NAME for the key it has; /ca is the authority's own node.
 
-    The new one is written to a file to install on the node; that of /ca is installed here. Where
-    one of several is refused the others are renewed, and the exit code is 1.
+    Nodes that run are renewed by `rossec ca serve`; this is for others. The new identity is written
+    to a file to install on the node; where its directory is below this ROSSEC_HOME, and that of
+    /ca, it is installed at once. What is revoked never comes back. Where one of several is refused
+    the others are renewed, and the exit code is 1.
     """
     names = unique(names)
     if out is not None and len(names) > 1:
         raise click.UsageError("--out is of one NAME")
     if len(names) > 1:
         service.unlock()  # a wrong passphrase is no fault of a name
-    batch, written = Batch(len(names), "name"), list[Path]()
+    batch, carried = Batch(len(names), "name"), list[Path]()
     for name in names:
         with batch.item(name):
             if name == OWN_NODE:
@@ -138,18 +179,36 @@ def renew(
                 record(expires=expires)
                 say(f"renewed {name} until {format_time(expires)}")
             else:
-                written.append(_renew(service, name, lifetime, out))
-    if written:
-        listed = " ".join(map(str, written))
-        say(f"next, on {_ITS[len(written) > 1]}: rossec node install {listed}")
+                target = _renew(service, name, lifetime, out, expired=expired)
+                carried += [] if _install(service, name, target) else [target]
+    if carried:
+        listed = " ".join(map(str, carried))
+        say(f"next, on {_ITS[len(carried) > 1]}: rossec node install {listed}")
     remind_to_publish(service)
     batch.finish()
 
 
-def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None) -> Path:
-    bundle = service.renew(name, lifetime)
+def _renew(
+    service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool
+) -> Path:
+    bundle = service.renew(name, lifetime, expired=expired)
     target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
     files.replace(target, bundle, 0o644)
     record(file=str(target))
     say(f"renewed {name}: {target}")
     return target
+
+
+def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
+    """Install it where the node's directory is here; returns whether it is."""
+    home = NodeHome.of(service.rossec_home, name)
+    if not (home.path / "node.pem").exists():
+        return False
+    try:
+        home.install(bundle.read_bytes(), now())
+    except (HintedError, OSError) as error:  # of another key, or of another user
+        note(f"not installed in {home.path}: {error}")
+        return False
+    record(installed=str(home.path))
+    say(f"installed in {home.path}")
+    return True

@@ -1,6 +1,5 @@
 """`rossec ca invite`: print the code by which nodes join, and say what it gives away."""
 
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Final
@@ -22,7 +21,7 @@ from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
 from rossec.enrollment import address
 from rossec.errors import ConfigurationError
-from rossec.terminal import note, printable, record, say_secret
+from rossec.terminal import note, note_picture, printable, record, say_secret
 
 _MAX_DAYS: Final = 30
 
@@ -71,11 +70,13 @@ def command(
     policy = _policy_lines(place(environment.home, None), check_pattern(pattern))
     code = invite(home, pattern, uses, at + lasts, where, at, wildcard=anonymous)
     _describe(code, uses, policy)
+    if home.is_intermediate:
+        note("  each waits for a person: this record does not know the root's names: ca requests")
     if tag is not None:
         files.create(tag, ndef.write(code))
         note(f"written for an NFC tag: {tag}")
     if picture:
-        sys.stderr.write(f"{qr.terminal(code.text())}\n")
+        note_picture(qr.terminal(code.text()))
     record(
         id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires,
         code=code.text(),

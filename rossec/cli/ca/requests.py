@@ -32,8 +32,9 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     """Show the requests for an identity that have no answer yet."""
     home = AuthorityHome.at(environment.home)
     store = home.store()
-    store.requests.collect(now())
-    rows = [row for row in store.requests.all() if everything or row.state in OPEN]
+    at = now()
+    store.requests.collect(at)
+    rows = [row for row in store.requests.all(at) if everything or row.state in OPEN]
     if as_json:
         say_json([_summary(row) for row in rows])
         return

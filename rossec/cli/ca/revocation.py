@@ -6,6 +6,7 @@ import click
 
 from ca.domains.aliases import is_alias, local_name, shown
 from rossec import files
+from rossec.authority import restored_lists
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
@@ -37,14 +38,25 @@ def publish(service: AuthorityService) -> None:
 
 
 @click.command()
+@click.option(
+    "--list", "older", type=options.FILE,
+    help="first revoke what this list revokes: a node's, from before a restore that lacked it",
+)  # fmt: skip
+@click.option(
+    "--entries", type=options.FILE,
+    help="of that list where it is a tree; by default revocations.entries beside it",
+)  # fmt: skip
 @options.master_uri
 @json_result()
 @pass_service
-def refresh(service: AuthorityService) -> None:
+def refresh(service: AuthorityService, older: Path | None, entries: Path | None) -> None:
     """Sign the revocation list anew, before it expires, and give it to the master.
 
     The authority's own node is renewed as well when two thirds of its life are over.
     """
+    if older is not None:
+        taken = service.take_over_revocations(*restored_lists.read_files(older, entries))
+        say(f"{taken} revocations were taken over from {older}")
     listed, renewed = service.refresh()
     record(list=listed.seq, expires=listed.expires, own_identity_expires=renewed)
     if renewed is not None:
@@ -118,5 +130,11 @@ def _revoke_node(
         )
     else:
         listed, count = service.revoke_identity(name, reason)
+        for intermediate in service.intermediates():
+            note(
+                f"{intermediate} may have certified other keys for {shown(local)}, which are not"
+                " in this record: rossec ca import NODE.pem and revoke again, or revoke"
+                f" {intermediate}"
+            )
     record(keys=count, list=listed.seq)
     return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"

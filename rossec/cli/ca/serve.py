@@ -53,6 +53,10 @@ OPERATOR = "the operator who started it"
 )  # fmt: skip
 @click.option("--no-network", is_flag=True, help="only serve the commands of this host")
 @click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
+@click.option(
+    "--renewals/--no-renewals", "renews", default=True,
+    help="renew the identities of nodes that are enrolled, before they end (the default)",
+)  # fmt: skip
 @options.policy
 @click.option(
     "--rules", "rules_path", type=options.FILE, metavar="FILE",
@@ -77,6 +81,7 @@ def serve(
     join_address: str,
     no_network: bool,
     applies: bool,
+    renews: bool,
     policy_path: Path | None,
     rules_path: Path | None,
     master_uri: str | None,
@@ -90,6 +95,7 @@ def serve(
 
     Nodes with an invitation join at a port of its own process, which has no key, and get what
     the policy gives their names. With --apply a changed policy is put in force within a minute.
+    Identities of nodes are renewed before they end, through the master.
     """
     home = AuthorityHome.at(environment.home)
     if log == "json":
@@ -114,8 +120,9 @@ def serve(
             stack.callback(face.close)
             face.spawn()  # before there is a key
             network = NetworkWork(
-                environment.home, operations, face, applies=applies, policy=policy_path, rules=names
-            )
+                environment.home, operations, face, applies=applies, policy=policy_path,
+                rules=names, renews=renews,
+            )  # fmt: skip
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)

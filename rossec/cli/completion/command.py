@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rossec.cli.completion.shells import SHELLS, script
-from rossec.terminal import say
+from rossec.terminal import say_block
 
 
 @click.command()
@@ -28,7 +28,7 @@ def completion(shell: str) -> None:
     Names are those in ROSSEC_HOME, of what the last look at the graph showed (rossec topic list),
     and of the ROS packages here. Tab asks no master and no person.
     """
-    say(script(shell, _program()).rstrip())
+    say_block(script(shell, _program()).rstrip())
 
 
 def _program() -> str:

@@ -119,8 +119,10 @@ class Sources:
 
 
 def _package_paths(variables: Mapping[str, str]) -> Iterator[Path]:
+    """As `rossec.participant.host_types` looks for types, without its imports."""
     given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    yield from (Path(path) for path in dict.fromkeys([*given, "/usr/share"]) if path[:1] == "/")
+    places = dict.fromkeys([*given, "/opt/ros/noetic/share", "/usr/share"])
+    yield from (Path(path) for path in places if path[:1] == "/")
 
 
 def _entries(directory: Path) -> list[str]:

@@ -30,7 +30,7 @@ from rossec.console.tls.store import DIRECTORY
 from rossec.errors import ConfigurationError
 from rossec.operation.json_log import log_as_json
 from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.terminal import say, say_json
+from rossec.terminal import say, say_block, say_json
 
 if TYPE_CHECKING:
     from rossec.console.preview.supervisor import PreviewProcess
@@ -162,4 +162,4 @@ def _say_authority(endpoint: Endpoint, authority: TlsAuthority) -> None:
         return
     say("for ten minutes a phone gets the certificate, and how to install it, at")
     say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
-    say("compare the fingerprint before you trust it: that page is not protected\n")
+    say_block("compare the fingerprint before you trust it: that page is not protected\n")

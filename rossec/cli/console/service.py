@@ -7,7 +7,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.console.options import LOCALHOST
 from rossec.errors import ConfigurationError
-from rossec.terminal import say
+from rossec.terminal import say, say_picture
 
 
 def running_service(home: AuthorityHome) -> KeyServiceClient:
@@ -32,7 +32,7 @@ def login_address(origin: str, code: str, name: str = "") -> str:
 
 def show_code(address: str) -> None:
     """Print an address with a code, and as a QR code."""
-    say(qr.terminal(address))
+    say_picture(qr.terminal(address))
     say(address)
     if urlsplit(address).hostname == LOCALHOST:
         say("for a browser of this computer; for a phone see: rossec console --help, --lan")

@@ -8,15 +8,17 @@ from pathlib import Path
 
 import click
 
+from ca.enrollment import qr
 from rossec.cli.console.serve import check_libraries
 from rossec.cli.shared import invocation
 from rossec.console.listening import listen
 from rossec.console.options import PORT, Options, read_options
 from rossec.demo.environment import DemoEnvironment, Run, StepPrinter
 from rossec.demo.story import begin_story
+from rossec.demo.trying import FRIDGE, show_code
 from rossec.errors import ConfigurationError
 from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.terminal import say
+from rossec.terminal import say, say_block, say_picture
 
 
 def show_demo(context: click.Context, options: Options) -> None:
@@ -48,15 +50,25 @@ def _check_port(options: Options) -> None:
 async def _play(directory: Path, run: Run, port: int) -> None:
     stop = stop_on_signals()
     demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
+    others: list[DemoEnvironment] = []
     try:
-        await until_first_ends(_show(demo, port), stop.wait())
+        await until_first_ends(_show(demo, port, others), stop.wait())
     finally:
-        await demo.stop_all()
+        for each in (*others, demo):
+            await each.stop_all()
 
 
-async def _show(demo: DemoEnvironment, port: int) -> None:
+async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment]) -> None:
     link = await begin_story(demo, port)
-    say(f"\nopen this in a browser of this computer, within 2 minutes:\n\n    {link}\n")
+    waiting = await show_code(demo)
+    others.append(waiting.environment)
+    say_block(f"\nopen this in a browser of this computer, within 2 minutes:\n\n    {link}\n")
     say(f"a new code: ROSSEC_HOME={demo.root} rossec console phone")
+    say(f"a question waits there; and {FRIDGE} to be added, by this code, within 5 minutes:")
+    say_picture(qr.terminal(waiting.code))
+    say(waiting.code)
+    home = f"ROSSEC_HOME={waiting.environment.root}"
+    say(f"when both show the same digits: {home} rossec node confirm {FRIDGE}")
+    say(f"a new code of it: {home} rossec node enroll {FRIDGE} --address 127.0.0.1")
     say("Ctrl-C ends everything and leaves nothing")
     await demo.until_one_ends()

@@ -1,6 +1,5 @@
 """`rossec domain card`: the file that another authority accepts, and the code that fits it."""
 
-import sys
 from pathlib import Path
 
 import click
@@ -14,7 +13,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared.context import Duration
 from rossec.cli.shared.results import json_result
 from rossec.cli.shared.service import pass_service
-from rossec.terminal import note, record, say
+from rossec.terminal import note, note_picture, record, say
 
 
 @click.command()
@@ -59,6 +58,6 @@ def card(
     say(f"fingerprint {fingerprint(home.anchor())}")
     say(f"code {card_code(data)}")
     if picture:
-        sys.stderr.write(f"{qr.terminal(card_code(data))}\n")
+        note_picture(qr.terminal(card_code(data)))
     note(f"there: rossec domain accept {target.name} --as LABEL")
     note("that lets your nodes in there; for theirs here, accept their card: it is two-sided")

@@ -8,6 +8,7 @@ from ca.domains.aliases import is_alias, shown
 from grants import document
 from grants.model import Grant
 from rossec import terminal
+from rossec.authority.grant_delivery import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
@@ -67,6 +68,7 @@ def deliver(environment: Environment, master_uri: str | None) -> None:
     say_deposited(count, refused)
     if not count and not refused:
         say("the master has every grant in force")
+    require_delivered(refused)
 
 
 def _place(grant: Grant, state: str) -> tuple[object, ...]:

@@ -1,6 +1,7 @@
 """The options of `rossec grant sign` as permissions: rights, conditions and filters."""
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -34,10 +35,18 @@ _RIGHTS: Final = {
 _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
 
 
+def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
+    """The value of an option that is given once: of two click would lose the first."""
+    if len(given) > 1:
+        raise click.BadParameter("given more than once, and one would be lost")
+    return given[0] if given else None
+
+
 _RESTRICTING: Final = (
     click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
     click.option(
-        "--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions"
+        "--type", "type_name", multiple=True, callback=_once, metavar="PKG/TYPE",
+        help="message type of the restrictions",
     ),
     click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
     click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
@@ -45,9 +54,12 @@ _RESTRICTING: Final = (
         "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH",
         help="keep this field in a range",
     ),
-    click.option("--rate", type=float, metavar="HZ", help="at most so many messages a second"),
     click.option(
-        "--preset", "preset_name", type=click.Choice(list(PRESETS)),
+        "--rate", type=float, multiple=True, callback=_once, metavar="HZ",
+        help="at most so many messages a second",
+    ),
+    click.option(
+        "--preset", "preset_name", type=click.Choice(list(PRESETS)), multiple=True, callback=_once,
         help="restrictions for a usual wish; see `rossec grant presets`",
     ),
     click.option(
@@ -137,13 +149,19 @@ def rules(
     """The filters, by field.
 
     Raises:
-        ConfigurationError: an invalid parameter.
+        ConfigurationError: an invalid parameter, or a field with two filters: one would be lost.
     """
-    rules: dict[str, dict[str, object]] = {path: {"clear": True} for path in clear}
-    rules |= {path: {"round": {"step": step}} for path, step in map(_rounding, rounds)}
-    return rules | {
-        path: {"clamp": {"low": low, "high": high}} for path, low, high in map(_clamping, clamps)
-    }
+    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
+    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
+    given += [
+        (path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)
+    ]
+    for path, times in Counter(path for path, _ in given).items():
+        if times > 1:
+            raise ConfigurationError(
+                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
+            )
+    return dict(given)
 
 
 def restrictions(

@@ -7,14 +7,17 @@ from typing import Any
 
 import click
 
+from ca.domains.aliases import shown
 from grants import document
+from grants.missing_rights import grant_command, in_shell
 from grants.model import Right
 from grants.policy.decision import restriction_lines
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.authority.approvals import PendingApproval, verdict_change
-from rossec.authority.policyfile import PolicyFile, read_policy
+from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
+from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.authority.service import AuthorityService, SignedGrant
 from rossec.cli.grant.permission_options import own_pattern
 from rossec.cli.shared import options
@@ -79,6 +82,9 @@ def request(
         requests.put_in_inbox(authority, asked, data)
         record(inbox=True)
         say("put into the authority's inbox; there: rossec grant decide")
+        if not place(environment.home, None).exists():
+            sign = grant_command(asked.node, [(each.right, each.pattern) for each in requested])
+            note(f"there is no policy that decides it: {sign}; or begin one: rossec policy init")
     else:
         raise ConfigurationError("the authority is elsewhere", "give --out FILE, and carry it")
 
@@ -104,11 +110,21 @@ def decide(
     """
     policy = _collected(service, policy_path, request_files)
     decided = service.decide_grants(policy)
-    _deliver(service, decided.grants, out_dir)
-    record(allowed=decided.allowed, denied=decided.denied, waiting=decided.waiting)
-    denied = f", {decided.denied} denied" if decided.denied else ""
-    waiting = f"{decided.waiting} for you{denied}: see `rossec grant pending`"
-    say(f"{decided.allowed} allowed, {waiting}")
+    refused = _deliver(service, decided.grants, out_dir)
+    denied = len(decided.denied)
+    record(allowed=decided.allowed, denied=denied, waiting=decided.waiting)
+    for stored, reason in decided.denied:
+        node, wanted = stored.request.node, stored.requested
+        label, name = wanted.right.label, wanted.pattern
+        facts = {"node": node, "right": label, "name": name, "reason": reason}
+        add_entry("denials", facts)
+        say(f"denied {shown(node)} {label} {shown(name)}: {printable(reason)}")
+        say(f"  what would change it: rossec explain {shown(node)} {label} {in_shell(shown(name))}")
+    counts = [f"{decided.allowed} allowed", f"{decided.waiting} for you"]
+    counts += [f"{denied} denied"] if denied else []
+    see = ": see `rossec grant pending`" if decided.waiting else ""
+    say(f"{', '.join(counts)}{see}")
+    require_delivered(refused)
 
 
 @click.command()
@@ -163,8 +179,9 @@ def approve(
     for request_id in ids:
         with batch.item(request_id):
             signed += service.approve_grants(policy, request_id, change)
-    _deliver(service, signed, out_dir)
+    refused = _deliver(service, signed, out_dir)
     batch.finish()
+    require_delivered(refused)
 
 
 @click.command()
@@ -204,7 +221,9 @@ def _collect(
         note(printable(f"a request was dropped: {error}"))
 
 
-def _deliver(service: AuthorityService, signed: list[SignedGrant], out_dir: Path | None) -> None:
+def _deliver(
+    service: AuthorityService, signed: list[SignedGrant], out_dir: Path | None
+) -> Sequence[RefusedDeposit]:
     for draft, data in signed:
         number = document.grant_id(data).hex()
         facts = {"id": number, "node": draft.subject, "expires": draft.expires}
@@ -218,7 +237,8 @@ def _deliver(service: AuthorityService, signed: list[SignedGrant], out_dir: Path
             out_dir.mkdir(parents=True, exist_ok=True)
             deliver_grant(service, data, out_dir / f"{number}.grant")
     if out_dir is None:
-        deliver_grants(service, [data for _, data in signed])
+        return deliver_grants(service, [data for _, data in signed])
+    return ()
 
 
 def _show(item: PendingApproval, policy: PolicyFile) -> None:

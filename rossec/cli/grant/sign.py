@@ -12,6 +12,7 @@ from grants import document
 from grants.filters.presets import PRESETS
 from grants.model import MAX_NARROWINGS
 from rossec import files
+from rossec.authority.grant_delivery import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.grant import permission_options
 from rossec.cli.shared import options
@@ -79,8 +80,9 @@ def sign(
     draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
-    deliver_grant(service, data, out)
+    refused = deliver_grant(service, data, out)
     remind_to_publish(service)
+    require_delivered(refused)
 
 
 @click.command()

@@ -7,7 +7,9 @@ import click
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.results import json_result
 from rossec.environment import own_master
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.home_hints import missing_node
 from rossec.master.operation.admin import send_command
 from rossec.terminal import printable, record, say, say_json
 
@@ -38,4 +40,8 @@ def stop(environment: Environment) -> None:
 
 
 def _home(environment: Environment) -> NodeHome:
-    return NodeHome.of(environment.home, own_master(environment.variables))
+    home = NodeHome.of(environment.home, own_master(environment.variables))
+    if not home.path.is_dir():  # it cannot run from here: the terminal lacks ROSSEC_HOME, perhaps
+        hint = missing_node(environment.home, home.name)
+        raise ConfigurationError(f"there is no {home.name} in {environment.home}", hint)
+    return home

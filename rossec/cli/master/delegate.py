@@ -62,7 +62,7 @@ def delegate(
     until = format_time(delegation.expires)
     record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
-    service.deliver(call)
+    service.deliver_delegation(delegation, call)
     record(published=True)
     say("the master has the delegation")
     remind_to_publish(service)

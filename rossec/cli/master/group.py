@@ -39,7 +39,9 @@ _MASTER: Final = {
     help="denial log: append each missing right, for: rossec policy learn --from-log FILE",
 )
 @click.option(
-    "--renew-identities", is_flag=True, help="with the intermediate of this host: see rossec ca"
+    "--renew-identities",
+    is_flag=True,
+    help="with the intermediate of this host; without, the authority's service renews them",
 )
 @passphrase.option
 @click.option(

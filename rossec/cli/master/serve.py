@@ -28,7 +28,7 @@ from rossec.master.operation.denial_limit import denials_limited
 from rossec.master.operation.denial_log import DenialLog, ignore_denial
 from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 from rossec.master.operation.metrics import MetricsExporter, on_loop
-from rossec.master.rights.statements import Renewer
+from rossec.master.rights.identity_renewals import Renewer
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
 from rossec.operation.audit_log import audit_written
@@ -208,7 +208,7 @@ def _renewer(environment: Environment, file: Path | None) -> Renewer:
     authority = service_of(environment, file).unlock()
     if authority.authority.is_root:
         raise ConfigurationError(
-            f"{authority.path} holds the root, which signs no renewals for a master",
-            "make an intermediate: rossec ca intermediate request DOMAIN",
+            f"{authority.path} holds the root, whose service renews identities without this option",
+            "leave it out, and run: rossec ca serve",
         )
     return partial(renew, authority)

@@ -3,7 +3,7 @@
 import click
 
 from rossec.naming import shipped
-from rossec.terminal import say
+from rossec.terminal import say_block
 
 
 @click.command("rules")
@@ -12,4 +12,4 @@ def command() -> None:
 
     They are those of the thesis, in XSLT 1.0: rossec namespace rules > names.xsl
     """
-    say(shipped.rules().decode().removesuffix("\n"))
+    say_block(shipped.rules().decode().removesuffix("\n"))

@@ -20,11 +20,13 @@ from ca.names import is_master_name, is_relay_name
 from ca.renewal import signed_at
 from ca.revocation.state import SKEW, open_statement
 from grants.errors import GrantRevoked
+from grants.missing_rights import in_shell
 from grants.model import Grant
 from rossec import files
+from rossec.cli.node.address_check import Outcome, check_own_address
 from rossec.cli.node.known_domains import check_domains
 from rossec.cli.node.known_revocations import known_revocations
-from rossec.cli.node.master_check import Outcome, check_master
+from rossec.cli.node.master_check import check_master
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import anew
 from rossec.cli.shared.tokens import open_held
@@ -32,6 +34,7 @@ from rossec.clock import format_duration, format_time
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.home_hints import missing_nodes, nodes_in
 from rossec.inprocess.options import file_of, read
 from rossec.saved_domains import DomainFiles
 from rossec.terminal import printable, say, say_json, state
@@ -57,20 +60,29 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
 
     Without NODE every node of this machine; what several have in common is said once.
     """
-    homes = [NodeHome.find(environment.home, name) for name in names] or _all(environment)
+    homes, unfinished = [NodeHome.find(environment.home, name) for name in names], list[str]()
+    if not homes:
+        homes, unfinished = _all(environment)
     findings = [
         finding for home in homes for finding in _examine(environment, home, offline=offline)
     ]
     plain = list(_plain(environment))
     if as_json:
-        say_json({"findings": [asdict(finding) for finding in findings], "plain": plain})
+        say_json({"findings": [asdict(finding) for finding in findings], "plain": plain,
+                  "unfinished": unfinished})  # fmt: skip
     else:
         _say(findings, plain, several=len(homes) > 1)
-    failed = len({(finding.node, finding.check) for finding in findings if not finding.ok})
+        for name in unfinished:
+            say(f"-       {shown(name)} is not enrolled yet: rossec node join again, or remove")
+            say(f"        {printable(str(NodeHome.of(environment.home, name).path))}")
+    failed = {(finding.node, finding.check) for finding in findings if not finding.ok}
     if failed:
-        raise ConfigurationError(
-            f"{failed} of {len(homes) * len(_checks(offline=offline))} checks failed", "see above"
+        said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
+        of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
+        causes = (
+            f"{of} failed" if len(said) >= len(failed) else f"{of} failed, {_causes(len(said))}"
         )
+        raise ConfigurationError(causes, "see above")
 
 
 @dataclass(frozen=True)
@@ -84,18 +96,30 @@ class Finding:
     hint: str = ""
 
 
-def _all(environment: Environment) -> list[NodeHome]:
-    """The nodes of this machine, in order of their names: a directory has dots for slashes."""
-    found = sorted(path.parent.name for path in (environment.home / "nodes").glob("*/node.key"))
+def _all(environment: Environment) -> tuple[list[NodeHome], list[str]]:
+    """The nodes of this machine, and the names of those that have a key and no identity yet.
+
+    Where none has an identity, that is what has to be said of each.
+    """
+    found = [NodeHome.of(environment.home, name) for name in nodes_in(environment.home)]
     if not found:
         raise ConfigurationError(
-            f"there is no node in {environment.home / 'nodes'}", "next: rossec node request NAME"
+            f"there is no node in {environment.home / 'nodes'}", missing_nodes(environment.home)
         )
-    return [NodeHome.of(environment.home, "/" + name.replace(".", "/")) for name in found]
+    enrolled = [home for home in found if (home.path / "node.pem").exists()]
+    if not enrolled:
+        return found, []
+    return enrolled, [home.name for home in found if home not in enrolled]
+
+
+def _causes(number: int) -> str:
+    return "for one cause" if number == 1 else f"for {number} causes"
 
 
 def _checks(*, offline: bool) -> dict[str, Check]:
-    checks: dict[str, Check] = {"identity": _identity, "grants": _grants, "domains": _domains}
+    checks: dict[str, Check] = {
+        "identity": _identity, "address": _address, "grants": _grants, "domains": _domains,
+    }  # fmt: skip
     return checks if offline else {**checks, "master": _master}
 
 
@@ -144,7 +168,13 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     yield from _clock(home, identity)
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
     if identity.not_after - now() < life * _SOON:
-        raise ConfigurationError("the identity ends soon, and was not renewed", "renew it in time")
+        raise ConfigurationError(
+            f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not"
+            " renewed",
+            f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
+            f" unlocked (rossec ca status); or there: rossec ca renew {home.name}, then here:"
+            " rossec node install FILE",
+        )
 
 
 def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
@@ -161,6 +191,10 @@ def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
         )
 
 
+def _address(environment: Environment, _: NodeHome) -> Iterator[Outcome]:
+    yield from check_own_address(environment.variables)
+
+
 def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     held, (usable, refused) = home.grants(), _opened(environment, home)
     for grant in usable:
@@ -174,7 +208,12 @@ def _grants(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     elif not held and is_master_name(home.name):
         yield "no grants: within its own domain a master needs none"
     elif not held:
-        raise ConfigurationError("no grants: it may do nothing", f"rossec grant sign {home.name}")
+        own = in_shell("{node}/**" if home.identity(now()).wildcard else f"{home.name}/**")
+        raise ConfigurationError(
+            "no grants: it may do nothing",
+            f"at the authority, for example its own topics: rossec grant sign {home.name} --publish"
+            f" {own}; a program says what it lacks when it is refused",
+        )
     for errors in refused.values():
         others = f" (and {len(errors) - 1} more)" if errors[1:] else ""
         yield ConfigurationError(f"{errors[0]}{others}", errors[0].hint)

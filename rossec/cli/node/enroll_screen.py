@@ -23,7 +23,7 @@ from rossec.enrollment import address, control
 from rossec.enrollment.node import WaitingNode
 from rossec.home import NodeHome
 from rossec.ros.settings import is_loopback
-from rossec.terminal import note, printable, say
+from rossec.terminal import note, printable, say, say_picture
 
 SAME_DIGITS: Final = "does the authority show the same digits?"
 _CLEAR: Final = "\r\x1b[K"
@@ -86,7 +86,7 @@ class EnrollmentScreen:
             if path is not None:
                 files.replace(path, picture(text), 0o644 if self._label else 0o600)
         if not self._label:
-            say(qr.terminal(text))
+            say_picture(qr.terminal(text))
         say(text)
         # Without the code: an argument is seen by every user of that host.
         command = "rossec ca enroll" + f" --address {where}" * self._label

@@ -15,7 +15,7 @@ from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import record, say, say_json
+from rossec.terminal import record, say, say_json, say_picture
 
 _MAX_BUNDLE = 64 * 1024
 
@@ -94,7 +94,7 @@ def code(
     if png is not None:
         files.replace(png, qr.png(payload), 0o644)
     if not text:
-        say(qr.terminal(payload))
+        say_picture(qr.terminal(payload))
     say(payload)
 
 

@@ -13,12 +13,13 @@ from ca.certificates import to_pem
 from ca.enrollment import invitation, ndef
 from ca.enrollment.invitation import InvitationCode
 from ca.errors import CertificateRefused, CodeRefused
-from ca.names import is_reserved
+from ca.names import check_name, is_reserved
 from ca.patterns import covers
 from rossec import files
 from rossec.authority.home import fingerprint
 from rossec.cli.shared import options, rules
-from rossec.cli.shared.context import Environment, now, pass_environment, reraise_interrupt
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.hidden import read_lines
 from rossec.cli.shared.results import json_result
 from rossec.clock import format_time
 from rossec.enrollment.join_node import ask_name, join
@@ -55,6 +56,8 @@ def command(
     """
     if name is not None and meta_path is not None:
         raise click.UsageError("give --name or --meta, not both")
+    if name is not None:
+        check_name(name)  # before a person is asked for the code
     metadata = b"" if meta_path is None else rules.read_metadata(meta_path)
     code = _code(path, sys.stdin.buffer)
     if metadata:
@@ -88,12 +91,19 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
         return _parsed(files.read(path, _MAX_INPUT))
     if not sys.stdin.isatty():
         return _parsed(stdin.read(_MAX_INPUT + 1))
-    try:
-        typed: str = click.prompt(_QUESTION, hide_input=True, err=True)
-    except click.Abort as abort:
-        reraise_interrupt(abort)
-        raise ConfigurationError("no code was given", "paste the line, or give --file") from None
+    typed = read_lines(_QUESTION, _is_whole)
+    if not typed.strip():
+        raise ConfigurationError("no code was given", "paste the line, or give --file")
     return invitation.parse(typed)
+
+
+def _is_whole(typed: str) -> bool:
+    """Whether what was pasted so far is a code: a mail or a chat may have broken its line."""
+    try:
+        invitation.parse(typed)
+    except CodeRefused:
+        return False
+    return True
 
 
 def _parsed(data: bytes) -> InvitationCode:

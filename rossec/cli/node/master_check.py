@@ -8,11 +8,19 @@ time is taken.
 
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Final
 
+from ca import svid
 from ca.certificates import Identity
 from ca.domains.aliases import shown
-from ca.errors import HintedError, RevocationsStale, Revoked
+from ca.errors import (
+    CertificateExpired,
+    CertificateNotYetValid,
+    HintedError,
+    RevocationsStale,
+    Revoked,
+)
 from ca.revocation.state import (
     SKEW,
     RevocationList,
@@ -24,6 +32,7 @@ from ca.revocation.state import (
 from grants.model import Grant
 from rossec import clock
 from rossec.channel.suite_selection import post_quantum
+from rossec.cli.node.address_check import Outcome, check_node_addresses
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import (
     REVOCATIONS,
@@ -33,18 +42,16 @@ from rossec.cli.shared.master import (
     revoked_text,
 )
 from rossec.environment import OWN_MASTER, own_master
-from rossec.errors import ConfigurationError
+from rossec.errors import ChannelError, ConfigurationError
 from rossec.home import NodeHome
-from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, as_master, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, prove
 from rossec.ros import settings
 from rossec.saved_domains import DomainFiles
 
-Outcome = str | HintedError
-"""A line that is ok, or a fault that does not end the check."""
-
+_MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
 _NO_LIST: Final = "the master has no revocation list"
 
 
@@ -57,7 +64,8 @@ async def check_master(
         HintedError: it is out of reach, or not the master; the node is revoked.
     """
     uri = await find_master(environment, home)
-    stream = await _connect(environment, home, uri)
+    judge = _Judge(home)
+    stream = await _connect(environment, home, uri, judge)
     try:
         client = RpcClient(stream)
 
@@ -69,6 +77,8 @@ async def check_master(
         yield (said := describe_offset(stamp.issued, begun, clock.time()))
         if isinstance(said, HintedError):
             return  # nothing that has a time can be checked
+        if judge.late is not None:
+            raise judge.late
         revocations = Revocations(home.anchor().public_key)
         revocations.update(data, now())
         revocations.confirm(stamp, now())
@@ -76,16 +86,45 @@ async def check_master(
         yield f"the master at {uri} has a fresh revocation list"
         async for outcome in _check_grants(revocations, grants, call):
             yield outcome
+        async for outcome in check_node_addresses(home, call):
+            yield outcome
     finally:
         await stream.close()
 
 
-async def _connect(environment: Environment, home: NodeHome, uri: str) -> SecureStream[Identity]:
-    anchors = DomainFiles(home, home.anchor()).anchors()
+class _Judge:
+    """Verifies the master also where by this host's clock its certificate is not valid: to compare.
+
+    Whoever answers has the key of a certificate of this authority, and by its signed timestamp the
+    clock is judged; nothing else is taken from it. `late` is what the clock alone would refuse.
+    """
+
+    def __init__(self, home: NodeHome) -> None:
+        self._anchors = DomainFiles(home, home.anchor()).anchors()
+        self._own = svid.validity(svid.parse(home.credentials().chain[0]))
+        self.late: HintedError | None = None
+
+    def verify(self, chain: tuple[bytes, ...], at: int) -> Identity:
+        """As the anchors do; out of its time, as of the time of this node's own certificate."""
+        try:
+            return self._anchors.verify(chain, at)
+        except (CertificateExpired, CertificateNotYetValid) as error:
+            self.late = error.bare()
+            begin, end = svid.validity(svid.parse(chain[0]))
+            moment = min(max(at, begin, self._own[0]), end, self._own[1])
+            return replace(self._anchors.verify(chain, moment), not_after=at + _MINUTE)
+
+
+async def _connect(
+    environment: Environment, home: NodeHome, uri: str, judge: _Judge
+) -> SecureStream[Identity]:
     suites = post_quantum(environment.variables)
-    context = SecureContext(home.credentials(), anchors.verify, suites=suites)
+    context = SecureContext(home.credentials(), judge.verify, suites=suites)
     host, port = settings.parse_uri(uri, "the URI of the master")
-    stream = await connect(host, port, context, WireProtocol.HTTP)
+    try:
+        stream = await connect(host, port, context, WireProtocol.HTTP)
+    except ChannelError as error:
+        raise as_master(error) from error
     wanted = own_master(environment.variables)
     if stream.peer.name == wanted:
         return stream

@@ -7,6 +7,7 @@ import click
 
 from ca.domains.aliases import is_alias
 from grants.policy.lint import lint
+from rossec.authority.policy_operations import require_complete
 from rossec.authority.policy_plan import PolicyPlan
 from rossec.authority.policyfile import PolicyFile, layout_of, read_policy
 from rossec.authority.service import AuthorityService
@@ -46,9 +47,11 @@ def apply(
     asks, signs and delivers what is new, then revokes the rest. Grants that say what the policy
     says are kept. Applying it twice changes nothing. Grants made by hand are left alone.
 
+    What cannot be granted to one node is said, and keeps no other from its own.
+
     Exit codes: 0 in force, or shown with --dry-run; 1 refused, nothing was done; 2 wrong usage; 3
     signed here, but the master did not take it; 4 as 0, but grants made by hand allow what the
-    policy denies; 130 interrupted.
+    policy denies; 6 as 0, but some of it cannot be granted to some nodes; 130 interrupted.
     """
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     with working("comparing the policy with the grants in force", quiet=as_json):
@@ -61,6 +64,7 @@ def apply(
     _remark(policy, policy_path)
     if not dry_run:
         _carry_out(service, plan, yes=yes, as_json=as_json)
+    require_complete(plan)
     _check_contradictions(plan)
 
 

@@ -71,6 +71,7 @@ def as_json(plan: PolicyPlan) -> dict[str, object]:
              "grant": each.grant.id.hex(), "rule": _rule_row(each.rule)}
             for node in plan.nodes for each in node.contradictions
         ],
+        "refused": list(plan.refused),
         "due": [grant.id.hex() for node in plan.nodes for grant in node.due],
         "sign": plan.signs,
         "revoke": [grant.id.hex() for grant in plan.revoke],
@@ -80,7 +81,9 @@ def as_json(plan: PolicyPlan) -> dict[str, object]:
 
 
 def _outlook(plan: PolicyPlan) -> Iterator[str]:
-    if plan.is_empty:
+    for reason in plan.refused:
+        yield printable(f"! {reason}")
+    if plan.is_empty and not plan.refused:
         yield "the policy is in force, nothing to do"
     if plan.needs_tree:
         yield (

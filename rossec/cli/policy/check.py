@@ -7,7 +7,6 @@ import click
 from grants.errors import PolicyRefused
 from grants.policy.assertion_check import check_tests
 from grants.policy.basics import is_basics
-from grants.policy.lint import Finding
 from grants.policy.lint import lint as advise
 from grants.policy.mistakes import Mistake
 from grants.policy.read import mistakes_in
@@ -62,7 +61,8 @@ def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
         say_json([item.as_json() for item in found])
         return
     for item in found:
-        say(_format_finding(read.path, item))
+        say(f"{read.path}:{item.line}: {item.message} [{item.code}]")
+        say(f"  {item.hint}")
     say(remarks(len(found)))
 
 
@@ -77,7 +77,3 @@ def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
         return
     for item in found:
         fail(str(item), item.hint)
-
-
-def _format_finding(path: Path, item: Finding) -> str:
-    return f"{path}:{item.line}: {item.message} [{item.code}]\n  {item.hint}"

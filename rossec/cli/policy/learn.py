@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from grants.basics import own_form
+from grants.policy.basics import ID as BASICS
 from grants.policy.basics import is_basics
 from grants.policy.beginning import beginning
 from grants.policy.editing import NewRule, add_rules, free_id
@@ -25,6 +26,7 @@ from grants.policy.mistakes import suggest
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place
+from rossec.cli.policy.apply_report import count
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import find_master, master_as
@@ -69,13 +71,17 @@ def learn(
         read.replace(text)
     else:
         parse_policy(text, str(out))
-        files.replace(out, text.encode(), 0o644)
+        files.replace(out, text.encode(), 0o644, keep=True)
     record(rules=[rule.id for rule in rules], file=str(out or read.path))
     if needs_basics(seen) and not any(map(is_basics, read.policy.rules)):
         note("what every ROS program needs was left out: add basics: true to the policy")
     for rule in rules:
         say(f"learned {rule.id}: {_rights(rule)}")
-    say(f"{len(rules)} rules in {out or read.path}; next: rossec policy review --from-log FILE")
+    total = len(rules) + _count_own(read)
+    say(
+        f"{count(len(rules), 'new rule')}, {total} in {out or read.path};"
+        " next: rossec policy review --from-log FILE"
+    )
 
 
 @click.command()
@@ -85,11 +91,18 @@ def learn(
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
     """Go through a denial log, and answer for each line no rule decides."""
     read = _existing(place(environment.home, policy_path))
+    before = _count_own(read)
     for seen in _read_log(log):
         item = learnable(seen)
         if item is not None and _undecided(read, item):
             read = _ask_about(read, item)
-    say(f"{len(read.policy.rules)} rules in {read.path}")
+    total = _count_own(read)
+    say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
+
+
+def _count_own(read: PolicyFile) -> int:
+    """The number of rules that stand in the file: that of `basics` is one word there."""
+    return sum(rule.id != BASICS for rule in read.policy.rules)
 
 
 def _existing(path: Path) -> PolicyFile:

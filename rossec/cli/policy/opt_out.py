@@ -6,6 +6,7 @@ import click
 
 from ca.patterns import check_pattern
 from grants import document
+from rossec.authority.grant_delivery import require_delivered
 from rossec.authority.policyfile import read_policy
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
@@ -31,6 +32,9 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     policy = read_policy(service.rossec_home, policy_path)
     opted_out = service.opt_out(policy, name, is_node=is_node)
     record(rule=opted_out.rule, file=str(opted_out.policy.path))
+    if opted_out.name != name:
+        say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
+        say("all of them are opted out")
     say(f"rule {opted_out.rule} in {opted_out.policy.path} denies it from now on")
     withdrawn = service.revoke_opted_out(opted_out)
     for grant, _ in withdrawn:
@@ -39,6 +43,7 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
     reissued = [data for _, data in withdrawn if data is not None]
     for data in reissued:
         say(f"its other rights are grant {document.grant_id(data).hex()}")
-    deliver_grants(service, reissued)
+    refused = deliver_grants(service, reissued)
     if withdrawn:
         publish_list(service)
+    require_delivered(refused)

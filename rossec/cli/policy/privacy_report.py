@@ -34,7 +34,8 @@ def show(
     read = read_policy(environment.home, policy_path)
     accesses = report.from_policy(read.decider)
     if held:
-        accesses = _held(AuthorityHome.at(environment.home), read.decider)
+        told = format_time if html is None else _day
+        accesses = _held(AuthorityHome.at(environment.home), read.decider, told)
     if html is not None:
         wanted = partial(_is_wanted, node, field)
         files.replace(html, _page(accesses, wanted, read.policy).encode(), 0o644)
@@ -52,7 +53,16 @@ def show(
             say(line)
 
 
-def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
+def _day(time: int) -> str:
+    """As the console's pages say it: in this host's time zone."""
+    from rossec.console.words import day  # noqa: PLC0415 - for a page alone
+
+    return day(time)
+
+
+def _held(
+    home: AuthorityHome, decider: Decider, told: Callable[[int], str]
+) -> list[ReceiverAccess]:
     """What is granted now, with the reason the policy gives for it today."""
     store = home.store()
     try:
@@ -61,7 +71,7 @@ def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
     finally:
         store.close()
     return [
-        _access(grant, permission, decider)
+        _access(grant, permission, decider, told)
         for grant in grants
         if grant.not_before <= now() < grant.expires
         for permission in grant.permissions
@@ -69,7 +79,9 @@ def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
     ]
 
 
-def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverAccess:
+def _access(
+    grant: Grant, permission: Permission, decider: Decider, told: Callable[[int], str]
+) -> ReceiverAccess:
     subject = Subject(check_name(grant.subject), grant.holder, grant.has_tail_patterns)
     verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
     restriction = permission.restriction
@@ -79,7 +91,7 @@ def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverA
         kind if restriction is None or restriction.type is None else restriction.type,
         grant.subject,
         "; ".join(rule.why for rule in verdict.rules if rule.why and verdict),
-        format_time(grant.expires),
+        told(grant.expires),
         f"grant {grant.short_id}",
         () if restriction is None else (restriction,),
         getattr(restriction, "rate", None),
@@ -99,6 +111,7 @@ def _page(
         ConfigurationError: the extra `console` is missing.
     """
     try:
+        from rossec.console.names import Names  # noqa: PLC0415 - an extra
         from rossec.console.pages.privacy import write  # noqa: PLC0415 - an extra
         from rossec.console.report import topics  # noqa: PLC0415 - an extra
     except ModuleNotFoundError as error:
@@ -107,4 +120,4 @@ def _page(
             "pip install 'rossec[console]', or leave out --html",
         ) from error
     found = topics(accesses, layout_of, wanted, policy.vocabulary)
-    return write(found, policy.robot, now())
+    return write(found, policy.robot, now(), Names(dict(policy.titles)))

@@ -1,12 +1,16 @@
 """`rossec simulate`: what another policy would change, tried on a recorded bag."""
 
+import bz2
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
+import lz4.frame
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.rosbag1 import Reader, ReaderError
 
 from ca.errors import HintedError
@@ -24,6 +28,7 @@ from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.errors import ConfigurationError, MessageError
+from rossec.ros.header import MESSAGE_LIMIT
 from rossec.terminal import note, printable, say, say_json
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -32,6 +37,7 @@ _BROKEN = (
     ReaderError, OSError, EOFError, ValueError, LookupError, struct.error, TypeError,
     AttributeError, AssertionError, RuntimeError, ArithmeticError, MemoryError,
 )  # fmt: skip
+MAX_CHUNK = MESSAGE_LIMIT + (16 << 20)  # bytes, decompressed: one long message and others
 MAX_MESSAGES = 100_000  # per bag; the rest is said to be left out
 
 
@@ -125,6 +131,7 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
     layouts: dict[int, Layout | None] = {}
     try:
         with Reader(bag) as reader:
+            _bound_chunks(reader)
             for number, (connection, at, data) in enumerate(reader.messages()):
                 if number >= MAX_MESSAGES:
                     note(f"only the first {MAX_MESSAGES} messages of {bag} were tried")
@@ -138,6 +145,23 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
         what = printable(str(error)) or type(error).__name__
         hint = "see: rosbag record, rosbag reindex, rosbag check"
         raise ConfigurationError(f"{bag} is not a complete ROS 1 bag: {what}", hint) from error
+
+
+def _bound_chunks(reader: Reader) -> None:
+    """Have no chunk become longer than a message needs: five kilobytes can hold gigabytes."""
+    bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
+    for position, chunk in reader.chunks.items():
+        make = bounded.get(chunk.decompressor)
+        if make is not None:
+            reader.chunks[position] = chunk._replace(decompressor=partial(_decompress, make))
+
+
+def _decompress(make: Callable[[], Any], data: bytes) -> bytes:
+    decompressor = make()
+    content: bytes = decompressor.decompress(data, MAX_CHUNK)
+    if not decompressor.eof:
+        raise ReaderError(f"a chunk that is cut off, or has more than {MAX_CHUNK} bytes")
+    return content
 
 
 def _layout(connection: Any) -> Layout | None:

@@ -87,10 +87,7 @@ def _check_identity(home: NodeHome) -> None:
     try:
         home.identity(now())
     except CertificateExpired as error:
-        raise ConfigurationError(
-            f"the identity of {home.name} has expired, and the master did not renew it",
-            f"rossec ca renew {home.name}, then here: rossec node install FILE, and start again",
-        ) from error
+        raise ConfigurationError(f"{error}, and it was not renewed", error.hint) from error
 
 
 def _print_change(view: GraphView, change: ObservedChange, as_json: bool) -> None:

@@ -2,7 +2,7 @@
 
 import asyncio
 import base64
-import json
+import shlex
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -16,7 +16,7 @@ from rossec.cli.shared.message_text import parse_message
 from rossec.cli.shared.results import json_result
 from rossec.errors import ConfigurationError
 from rossec.node.params import NodeParameters
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import json_text, printable, record, say, say_block, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
@@ -51,18 +51,23 @@ def get(environment: Environment, name: str, node: str, as_json: bool) -> None:
     if as_json:
         say_json(_encodable(value))
     else:
-        say(_readable(value))
+        say_block(_readable(value))
 
 
 @click.command("set")
 @click.argument("name")
-@click.argument("value")
+@click.argument("values", metavar="VALUE", nargs=-1, required=True)
 @_AS
 @json_result()
 @pass_environment
-def set_(environment: Environment, name: str, value: str, node: str) -> None:
+def set_(environment: Environment, name: str, values: tuple[str, ...], node: str) -> None:
     """Set the parameter NAME to VALUE (YAML, as in rosparam)."""
-    content = parse_message(value)
+    if len(values) > 1:
+        raise ConfigurationError(
+            f"the shell made {len(values)} words of the value",
+            f"put it in single quotes: {shlex.quote(' '.join(values))}",
+        )
+    content = parse_message(values[0])
     if content is None:
         raise ConfigurationError(
             "a parameter cannot be null", f"unset it: rossec param delete {name} --as NODE"
@@ -105,7 +110,7 @@ def _readable(value: object) -> str:
     """A value on one line; lists and mappings as JSON, which escapes control characters."""
     if isinstance(value, str):
         return printable(value)
-    return json.dumps(_encodable(value), indent=2 if isinstance(value, dict) else None)
+    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
 
 
 def _encodable(value: object) -> object:

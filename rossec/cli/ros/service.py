@@ -17,7 +17,7 @@ from rossec.node import ServiceClient, register_service_type, service_type
 from rossec.participant.header_fields import text
 from rossec.participant.message_types import Message
 from rossec.participant.remote_names import caller_here
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import printable, record, say, say_block, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
@@ -162,4 +162,4 @@ async def _answer(client: ServiceClient, request: Message, as_json: bool) -> Non
     if as_json:
         say_json(plain(response))
     elif (said := render(response)) != "":
-        say(said)
+        say_block(said)

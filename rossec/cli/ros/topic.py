@@ -28,7 +28,7 @@ from rossec.cli.shared.system_state import as_node
 from rossec.errors import ConfigurationError, MessageError
 from rossec.node import Publisher
 from rossec.participant.message_types import Message, MessageType, message_type
-from rossec.terminal import note, say, say_json
+from rossec.terminal import note, say, say_block, say_json
 
 Show = Callable[[Message], None]
 MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
@@ -109,7 +109,7 @@ def pub(
 
 
 def _as_text(message: Message, hidden: tuple[type, ...]) -> None:
-    say(render(message, hidden=hidden))
+    say_block(render(message, hidden=hidden))
     say("---")
 
 

@@ -75,7 +75,8 @@ def info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     uris = addresses(
         environment, node, sorted({name for names in found.values() for name in names})
     )
-    say(f"Type: {printable(state.type_of(topic))}\n")
+    say(f"Type: {state.type_of(topic)}")
+    say("")
     for heading, nodes in found.items():
         say(f"{heading}: " if nodes else f"{heading}: None")
         for each in nodes:
@@ -150,7 +151,8 @@ def _row(state: SystemState, topic: str) -> dict[str, object]:
 def _say_verbose(
     heading: str, one: str, names: Names, topics: list[str], state: SystemState
 ) -> None:
-    say(f"\n{heading} topics:")
+    say("")
+    say(f"{heading} topics:")
     for topic in topics:
         if count := len(names.get(topic, ())):
             many = f"{count} {one}{'s' * (count != 1)}"

@@ -12,7 +12,7 @@ from rossec.cli.ros.windows import RateWindow, SizeWindow
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.running import run_until_node_ends
 from rossec.cli.shared.system_state import as_node
-from rossec.terminal import note, say
+from rossec.terminal import note, say_block
 
 PERIOD: Final = 1.0  # seconds between two lines
 _WINDOW = click.option(
@@ -78,7 +78,7 @@ async def _count_and_say(
         lines = 0
         while count is None or lines < count:
             await asyncio.sleep(PERIOD)
-            say(describe())
+            say_block(describe())
             lines += 1
     finally:
         counting.cancel()

@@ -1,7 +1,6 @@
 """Run a router until it is stopped, or print its settings for a stock `zenohd`."""
 
 import asyncio
-import json
 from collections.abc import Mapping
 
 from rossec.cli.shared.context import Environment
@@ -10,7 +9,7 @@ from rossec.operation.systemd import READY, STOPPING, notify
 from rossec.overlay.router import Router, seats_of
 from rossec.overlay.router_home import RouterHome
 from rossec.overlay.router_settings import RouterSettings, nested, zenoh_settings
-from rossec.terminal import note, say, say_json
+from rossec.terminal import json_text, note, say, say_block, say_json
 
 
 def run(
@@ -88,6 +87,6 @@ def print_settings(
     settings = home.tell(**given)
     seats = seats_of(home, is_open=is_open)
     home.write_for_zenoh(settings, seats)
-    say(json.dumps(nested(zenoh_settings(settings, seats, home.files)), indent=1))
+    say_block(json_text(nested(zenoh_settings(settings, seats, home.files)), 1))
     if seats is not None:
         note("it holds the password of this router: keep the file to yourself (chmod 600)")

@@ -9,6 +9,7 @@ from typing import Final
 import click
 
 from rossec.errors import ConfigurationError, MasterNotFound
+from rossec.terminal import printable
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where no one can answer"
@@ -116,7 +117,7 @@ def ask_yes_no(question: str, *, yes: bool) -> bool:
     if yes:
         return True
     try:
-        return click.confirm(question, default=False, err=True)
+        return click.confirm(printable(question), default=False, err=True)
     except click.Abort as abort:
         reraise_interrupt(abort)
         raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None

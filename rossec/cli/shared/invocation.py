@@ -7,12 +7,22 @@ import click
 
 from ca.errors import HintedError, JoinWaiting
 from rossec.cli.shared.context import Environment
-from rossec.errors import NotDelivered, PolicyContradicted
-from rossec.terminal import CONTRADICTED, INTERRUPTED, REFUSED, UNDELIVERED, USAGE, WAITING, fail
+from rossec.errors import NotDelivered, PolicyContradicted, PolicyIncomplete
+from rossec.terminal import (
+    CONTRADICTED,
+    INCOMPLETE,
+    INTERRUPTED,
+    REFUSED,
+    UNDELIVERED,
+    USAGE,
+    WAITING,
+    fail,
+)
 
 _EXIT_CODES: Final[dict[type[HintedError], int]] = {
     NotDelivered: UNDELIVERED,
     PolicyContradicted: CONTRADICTED,
+    PolicyIncomplete: INCOMPLETE,
     JoinWaiting: WAITING,
 }
 
@@ -30,6 +40,9 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
         return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):
         return INTERRUPTED
+    except UnicodeEncodeError:  # an argument of octets that are no text, as the system hands it on
+        fail("what was given is not text in UTF-8", "write it anew, or rename the file")
+        return REFUSED
     except OSError as error:
         fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
         return REFUSED

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rossec.participant.message_types import Message, element_type, field_names
+from rossec.participant.message_types import Message, element_type, field_names, field_value
 from rossec.terminal import printable
 
 # A time or duration of ROS 1 is a message to rosbags; (its name there, the one in ROS 1).
@@ -50,7 +50,7 @@ def _shown_name(message: Message, field: str) -> str:
 
 
 def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str:
-    value = getattr(message, field)
+    value = field_value(message, field)
     if hidden and (length := _length(message, field, hidden)):
         return length
     if field == "nanosec" and is_time(message):
@@ -74,7 +74,7 @@ def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
 
 def _length(message: Message, field: str, hidden: Kinds) -> str:
     """What rostopic prints instead of a hidden value; empty: it is shown."""
-    value = getattr(message, field)
+    value = field_value(message, field)
     if isinstance(value, list | np.ndarray):
         kind = element_type(message, field)
         if list in hidden or (str in hidden and kind == "string"):
@@ -119,7 +119,8 @@ def plain(value: Any) -> object:
     """A message, or a value in one, as what JSON has."""
     if is_message(value):
         return {
-            _shown_name(value, field): plain(getattr(value, field)) for field in field_names(value)
+            _shown_name(value, field): plain(field_value(value, field))
+            for field in field_names(value)
         }
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
@@ -130,7 +131,7 @@ def flat(message: Message, path: str = "") -> dict[str, str]:
     """Each value of the message by the path of its field, as `pose.position.x`."""
     found: dict[str, str] = {}
     for field in field_names(message):
-        value, at = getattr(message, field), f"{path}{_shown_name(message, field)}"
+        value, at = field_value(message, field), f"{path}{_shown_name(message, field)}"
         if is_message(value):
             found |= flat(value, f"{at}.")
         elif isinstance(value, list) and value and is_message(value[0]):

@@ -5,6 +5,7 @@ A message is a mapping of some of its fields, or a list of all of them in order.
 `sec` and `nanosec`, the names of ROS 2, are understood too.
 """
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -16,7 +17,13 @@ from grants.errors import YamlRefused
 from rossec import clock
 from rossec.cli.shared.message_output import TIME_FIELDS, is_message, is_time
 from rossec.errors import ConfigurationError
-from rossec.participant.message_types import Message, element_of, field_names
+from rossec.participant.message_types import (
+    Message,
+    element_of,
+    field_names,
+    field_value,
+    set_field,
+)
 from rossec.terminal import printable
 
 _SHOWN = 60  # characters of what was typed
@@ -81,20 +88,22 @@ class _Filling:
             self._field(f"{path}.{TIME_FIELDS[field]}", time, field, value)
 
     def _field(self, path: str, message: Message, field: str, value: object) -> None:
-        current = getattr(message, field)
+        current = field_value(message, field)
         if is_message(current):
             self.message(path, current, value)
         elif isinstance(current, list):
-            setattr(message, field, self._list(path, message, field, value))
+            set_field(message, field, self._list(path, message, field, value))
         else:
-            setattr(message, field, _like(path, current, value))
+            set_field(message, field, _like(path, current, value))
 
     def _list(self, path: str, message: Message, field: str, value: object) -> list[Any]:
         if not isinstance(value, list):
             raise ConfigurationError(f"{path} is a list, not {_kind(value)}", "write [a, b]")
-        fixed = len(getattr(message, field))  # a message begins with lists of this length, or none
+        # A message begins with lists of this length, or none.
+        fixed = len(field_value(message, field))
         if fixed not in (0, len(value)):
-            raise ConfigurationError(f"{path} has {fixed} elements, not {len(value)}", _ALL)
+            has = _counted(fixed, "element")
+            raise ConfigurationError(f"{path} has {has}, not {len(value)}", _ALL)
         element = element_of(message, field)
         return [self._element(f"{path}[{at}]", element(), item) for at, item in enumerate(value)]
 
@@ -113,9 +122,10 @@ def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
     if isinstance(content, list):
         if len(content) != len(fields):
             raise ConfigurationError(
-                f"{where}{len(content)} values for {len(fields)} fields",
-                f"give all of {', '.join(shown)} in this order, or name them: '{{field: value}}'",
-            )
+                f"{where}{_counted(len(content), 'value')} for {_counted(len(fields), 'field')}",
+                f"give all of {', '.join(shown)} in this order, or name them: '{{field: value}}'"
+                if shown else "it has no fields: write {}",
+            )  # fmt: skip
         return dict(zip(fields, content, strict=True))
     if not isinstance(content, dict):
         raise ConfigurationError(
@@ -161,8 +171,13 @@ def _array(path: str, current: Any, value: object) -> Any:
     if not isinstance(value, list):
         raise ConfigurationError(f"{path} is a list, not {_kind(value)}", "write [1, 2]")
     if len(current) not in (0, len(value)):
-        raise ConfigurationError(f"{path} has {len(current)} numbers, not {len(value)}", _ALL)
+        has = _counted(len(current), "number")
+        raise ConfigurationError(f"{path} has {has}, not {len(value)}", _ALL)
     return np.asarray(value, dtype=current.dtype).reshape(len(value))
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _kind(value: object) -> str:
@@ -197,10 +212,28 @@ def parse_arguments(texts: Sequence[str]) -> object:
 
     Without arguments every field stays zero.
     """
+    _refuse_split(texts)
     values = [parse_message(text) for text in texts]
     if len(values) == 1 and isinstance(values[0], dict):
         return values[0]
     return values or {}
+
+
+def _refuse_split(texts: Sequence[str]) -> None:
+    """Refuse what a shell made several words of: `{header: {frame_id: map}}` without quotes.
+
+    Raises:
+        ConfigurationError: a word opens a bracket that only a later one closes.
+    """
+    if len(texts) > 1 and any(_unclosed(text) for text in texts) and not _unclosed(" ".join(texts)):
+        raise ConfigurationError(
+            f"the shell made {len(texts)} words of the message",
+            f"put it in single quotes: {shlex.quote(' '.join(texts))}",
+        )
+
+
+def _unclosed(text: str) -> bool:
+    return any(text.count(begin) > text.count(end) for begin, end in ("{}", "[]"))
 
 
 def parse_documents(text: str) -> list[object]:

@@ -27,7 +27,8 @@ def give_outright(service: AuthorityService, name: str) -> None:
     if signed:
         record(granted=[document.grant_id(data).hex() for _, data in signed])
         say(f"the policy gives {name}: {_rights(signed)}")
-        deliver_grants(service, [data for _, data in signed])
+        for each in deliver_grants(service, [data for _, data in signed])[:1]:
+            note(each.hint)
 
 
 def _rights(signed: list[SignedGrant]) -> str:

@@ -2,6 +2,7 @@
 
 from rossec.cli.shared.context import Environment
 from rossec.enrollment import address
+from rossec.net.host.own_address import warn_of_own_address
 from rossec.ros import settings
 from rossec.terminal import note
 
@@ -10,6 +11,9 @@ def own_address(environment: Environment) -> str:
     """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
     configured = settings.own_address(environment.variables)
     if configured is not None:
+        warn_of_own_address(
+            configured, environment.variables, lambda error: note(f"{error} ({error.hint})")
+        )
         return configured
     first, *others = address.own_addresses()
     if others:

@@ -12,6 +12,7 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import reraise_interrupt
+from rossec.cli.shared.hidden import can_hide
 from rossec.errors import ConfigurationError
 
 CREDENTIAL: Final = "rossec-ca-passphrase"
@@ -75,7 +76,7 @@ def _ask(question: str, check_new: Callable[[str], str] | None = None) -> str:
     """`check_new`: it is a new one, which is checked before it is asked for a second time."""
     try:
         answer: str = click.prompt(
-            question, hide_input=True, err=True,
+            question, hide_input=can_hide(), err=True,
             confirmation_prompt=check_new is not None, value_proc=check_new,
         )  # fmt: skip
     except click.Abort as abort:

@@ -1,6 +1,7 @@
 """The authority of a command: its passphrase and its master are those of the options."""
 
 import asyncio
+import contextlib
 import functools
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ca.errors import HintedError
+from ca.revocation.state import NO_LIST_YET
 from grants import document
 from rossec import files
 from rossec.authority.grant_delivery import LATER, RefusedDeposit
@@ -25,6 +27,11 @@ from rossec.terminal import note, printable, record, say
 
 _SIGNED_ANEW: Final = (
     "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
+)
+
+_NO_LIST: Final = (
+    "the master has no revocation list of this authority, so it trusts no grant yet:"
+    " rossec ca publish, then rossec grant deliver"
 )
 
 
@@ -124,32 +131,36 @@ def remind_to_publish(service: AuthorityService) -> None:
         note(_SIGNED_ANEW)
 
 
-def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> None:
+def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequence[RefusedDeposit]:
     """Store each grant in its node's directory if that is in this home, deposit the others.
 
     A master that is out of reach is no failure of what was signed: a note says what to do later.
+    Returns what it refuses, each said: `grant_delivery.require_delivered` makes a failure of it.
     """
     elsewhere = []
     for data in grants:
-        node, path = document.peek(data).subject, service.store_grant(data)
+        node, path = document.peek(data).subject, None
+        with contextlib.suppress(HintedError, OSError):  # one node's disk; it is said below
+            path = service.store_grant(data)
         if path is None:
             elsewhere.append(data)
         else:
             add_entry("given", {"node": node, "path": str(path)})
             say(f"given to {node} in {path}")
     if not elsewhere:
-        return
+        return ()
     try:
         refused = service.deposit(elsewhere)
     except (NotDelivered, ConfigurationError) as error:
         record(undelivered=str(error))
         note(f"{error}; {LATER}")
-        return
-    say_deposited(len(elsewhere) - len(refused), refused)
+        return ()
+    say_deposited(len(elsewhere) - sum(not each.is_here for each in refused), refused)
+    return refused
 
 
 def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
-    """Say how many grants the master has now, and why it refuses the others."""
+    """Say how many grants the master has now, and why others are refused or not stored."""
     record(deposited=count)
     if count == 1:
         say("the master has the grant, and gives it to the node")
@@ -158,17 +169,21 @@ def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
     for each in refused:
         short, reason = each.grant_id.hex()[:8], each.reason
         add_entry("refused", {"id": each.grant_id.hex(), "node": each.node, "error": reason})
-        note(f"the master refuses the grant {short} of {each.node}: {reason}")
+        note(each.say(f"the grant {short}"))
+    if any(NO_LIST_YET in each.reason for each in refused):
+        note(_NO_LIST)
 
 
-def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> None:
+def deliver_grant(
+    service: AuthorityService, data: bytes, out: Path | None
+) -> Sequence[RefusedDeposit]:
     """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
     if out is None:
-        deliver_grants(service, [data])
-        return
+        return deliver_grants(service, [data])
     files.create(out, data, 0o644)
     record(file=str(out))
     say(f"written to {out}")
     if (path := service.store_grant(data)) is not None:
         add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
         say(f"given to {document.peek(data).subject} in {path}")
+    return ()

@@ -14,10 +14,11 @@ from ca.enrollment.transcript import group_digits
 from ca.errors import CodeRefused, ConflictingOffer, HintedError
 from rossec.console.approving import IDENTITY_LIFETIME
 from rossec.console.context import ConsoleContext
-from rossec.console.enrollment import Stage
+from rossec.console.enrollment import Known, Stage
 from rossec.console.forms import read_form, text_field
 from rossec.console.rendering import render
 from rossec.console.routing import MAX_FRAME, Page
+from rossec.console.sessions import owner_of
 from rossec.errors import HttpRefused, ScannerBusy
 
 MAX_ADDRESS: Final = 300
@@ -35,7 +36,7 @@ async def begin(request: Request, context: ConsoleContext) -> Response:
     code = text_field(form, "code", qr.MAX_TEXT).strip()
     address = text_field(form, "address", MAX_ADDRESS).strip()
     try:
-        number = context.enrollments.begin(code, address)
+        number = context.enrollments.begin(code, address, owner_of(request.state.session))
     except HintedError as error:
         return _ask(request, context, code, address, error)
     return RedirectResponse(f"/add/{number}", 303)
@@ -74,6 +75,7 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
         context, request, "adding.html", live=not found.is_over, enrollment=number, found=found,
         stage=found.stage.value, name=name, digits=group_digits(found.core.digits),
         lifetime=IDENTITY_LIFETIME, is_conflict=isinstance(found.error, ConflictingOffer),
+        keeps_identity=found.known is Known.SAME_KEY,
         has_grants=any(each.node == name and not each.revoked_at for each in held),
     )  # fmt: skip
 
@@ -83,6 +85,14 @@ async def reject(request: Request, context: ConsoleContext) -> Response:
     await read_form(request)
     number = request.path_params["id"]
     await context.enrollments.reject(number)
+    return RedirectResponse(f"/add/{number}", 303)
+
+
+async def differ(request: Request, context: ConsoleContext) -> Response:
+    """The digits differ: end it here too, and what was signed. Needs no passkey."""
+    await read_form(request)
+    number = request.path_params["id"]
+    await context.enrollments.differ(number)
     return RedirectResponse(f"/add/{number}", 303)
 
 
@@ -112,4 +122,5 @@ PAGES: Final = (
     Page("/add/frame", ("POST",), read_frame, max_body=MAX_FRAME),
     Page("/add/{id}", ("GET",), show_one),
     Page("/add/{id}/reject", ("POST",), reject),
+    Page("/add/{id}/differ", ("POST",), differ),
 )

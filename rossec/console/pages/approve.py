@@ -15,6 +15,7 @@ from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url, read_form, read_json, to_base64url
 from rossec.console.pages.login import read_assertion
 from rossec.console.routing import Page
+from rossec.console.sessions import owner_of
 from rossec.errors import HttpRefused
 
 
@@ -26,12 +27,13 @@ async def prepare(request: Request, context: ConsoleContext) -> Response:
         HintedError: the form or the service refuses.
     """
     act = await approving.read(context, request.path_params["kind"], await read_form(request))
-    made = await context.service.prepare(act.kind, *act.arguments)
+    owner = owner_of(request.state.session)
+    made = await context.service.prepare(act.kind, *act.arguments, owner=owner)
     if not made.credentials:
         raise HttpRefused(
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409
         )
-    context.pending.add(made.id, request.state.session.id, act)
+    context.pending.add(made.id, request.state.session.id, act, owner)
     return JSONResponse({
         "id": to_base64url(made.id),
         "challenge": to_base64url(made.challenge),

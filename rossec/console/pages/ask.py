@@ -6,7 +6,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from ca.errors import HintedError
-from rossec.authority.console.views import FactView
+from rossec.authority.console.views import FactView, GrantQuestion
 from rossec.console import asking
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url, read_form
@@ -14,7 +14,7 @@ from rossec.console.rendering import render
 from rossec.console.routing import Page
 
 DENIED: Final = "denied at the console"
-_MOST: Final = 4  # filters that are tried out on one page
+_MOST: Final = 8  # filters that are tried out on one page
 
 
 async def show(request: Request, context: ConsoleContext) -> Response:
@@ -23,8 +23,8 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     questions = await context.service.questions()
     found = next((each for each in questions if each.id == number), None)
     if found is None:
-        return render(context, request, "asked.html")
-    coarse = found.coarse[:_MOST]
+        return await _answered(request, context, number)
+    coarse = found.coarse[-_MOST:]  # the last are rossec's own, and hide most
     ways = [("", found.rights)]
     for name in coarse:
         try:
@@ -34,10 +34,27 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     sentence = asking.sentence(found, await _graph(context))
     return render(
         context, request, "ask.html", live=True, found=found, sentence=sentence,
-        ways=[asking.way(name, rights) for name, rights in ways],
-        looks=asking.looks(found.node, ways, context.preview),
+        ways=asking.ways(ways), acts=asking.acts(found.rights),
+        alone=asking.why_no_coarser(found), others=_others(questions, found),
+        labels=asking.LABELS, looks=asking.looks(found.node, ways, context.preview),
         durations=asking.durations(found, context.clock()),
     )  # fmt: skip
+
+
+def _others(questions: tuple[GrantQuestion, ...], found: GrantQuestion) -> int:
+    """How many more things the node asked for in the same request."""
+    same = [each for each in questions if each.request == found.request]
+    return len(same) - 1
+
+
+async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
+    """How it was answered, by the record; a service that does not say leaves it open."""
+    try:
+        answers = await context.service.question_answers(number)
+    except HintedError:
+        answers = ()
+    told = [(each, asking.answer(each)) for each in answers]
+    return render(context, request, "asked.html", told=told)
 
 
 async def deny(request: Request, context: ConsoleContext) -> Response:

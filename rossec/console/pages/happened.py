@@ -1,4 +1,4 @@
-"""What happened: the record's log and the denials as one time line; and the way it goes, live."""
+"""What happened: the record's log and the denials as one time line; and the data flow, live."""
 
 from typing import Final
 from urllib.parse import urlencode
@@ -10,7 +10,7 @@ from rossec.authority.console.views import DenialView, EventView
 from rossec.console import overview
 from rossec.console.context import ConsoleContext
 from rossec.console.pictures import flow
-from rossec.console.rendering import render
+from rossec.console.rendering import names_of, render
 from rossec.console.routing import Page
 from rossec.console.sentences import Known, Sentence, refusals, story
 
@@ -25,8 +25,9 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     before = overview.position(request.query_params.get("before"))
     text = request.query_params.get("node", "")
     node = overview.name_of(text[1:]) if text else ""
-    home = await overview.load(context)
-    known = Known.of(home.held, home.nodes, (await overview.questions(context))[0])
+    home = await overview.load(context, names_of(request))
+    questions = (await overview.questions(context))[0]
+    known = Known.of(home.held, home.nodes, questions, home.ending)
     events, following = await _events(context, before, node, known)
     denied = _between(await overview.denials(context), events, before, following)
     told, refused = _bounded(
@@ -37,7 +38,7 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     return render(
         context, request, "log.html", live=not before, sentences=told, node=node, before=before,
         more=f"/log?{more}" if following else "", new=fresh, more_refused=refused,
-        without_master=home.without_master,
+        without_master=home.without_master, again=0 if before else overview.again(home),
     )  # fmt: skip
 
 
@@ -87,7 +88,7 @@ def _look(request: Request, events: list[EventView], told: list[Sentence]) -> in
 
 async def way(request: Request, context: ConsoleContext) -> Response:
     """Who sends what to whom, and what was refused, as a picture and as a list."""
-    home = await overview.load(context)
+    home = await overview.load(context, names_of(request))
     row = overview.position(request.query_params.get("row"))
     denied = await overview.denials(context)
     busy = home.matrix.busiest_first()
@@ -97,7 +98,8 @@ async def way(request: Request, context: ConsoleContext) -> Response:
     return render(
         context, request, "way.html", live=True, row=row, rows=len(busy.rows),
         page_rows=flow.MAX_ROWS, shown=busy.rows[row : row + flow.MAX_ROWS],
-        flow=flow.draw(part, overview.refused_names(denied)), running=running,
+        flow=flow.draw(part, overview.refused_names(denied), names_of(request).title),
+        running=running, again=overview.again(home),
         refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
         more_refused=max(0, len(told) - MAX_REFUSED), without_master=home.without_master,
     )  # fmt: skip

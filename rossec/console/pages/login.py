@@ -50,7 +50,8 @@ async def look(request: Request, context: ConsoleContext) -> Response:
 async def challenge(request: Request, context: ConsoleContext) -> Response:
     """What a passkey is to sign for a login."""
     await read_json(request)
-    made = await context.service.login_challenge(context.settings.origin)
+    with context.turns.wait(address_of(request)):
+        made = await context.service.login_challenge(context.settings.origin)
     return JSONResponse(challenge_fields(made, context.clock()))
 
 
@@ -66,7 +67,9 @@ async def log_in(request: Request, context: ConsoleContext) -> Response:
 async def new(request: Request, context: ConsoleContext) -> Response:
     """What a new passkey is to sign."""
     await read_json(request)
-    made = await context.service.new_passkey(context.settings.origin, context.settings.rp_id)
+    settings = context.settings
+    with context.turns.wait(address_of(request)):
+        made = await context.service.new_passkey(settings.origin, settings.rp_id)
     return JSONResponse(challenge_fields(made, context.clock()))
 
 
@@ -127,7 +130,7 @@ def check_pause(request: Request, context: ConsoleContext) -> None:
     Raises:
         HttpRefused: it has to wait.
     """
-    if context.failures.is_blocked(address_of(request), context.clock()):
+    if context.failures.is_blocked(address_of(request), context.elapsed()):
         raise HttpRefused("too many attempts", "wait a minute", status=429)
 
 
@@ -143,7 +146,7 @@ async def counted(request: Request, context: ConsoleContext, asking: Awaitable[_
     except KeyServiceFailed:
         raise
     except HintedError as error:
-        context.failures.note(address_of(request), context.clock())
+        context.failures.note(address_of(request), context.elapsed())
         raise HttpRefused(str(error), error.hint, status=403) from error
 
 
@@ -154,7 +157,7 @@ def address_of(request: Request) -> str:
 
 def _begin(response: Response, context: ConsoleContext, phone: str) -> Response:
     settings, secret = context.settings, secrets.token_bytes(COOKIE_SIZE)
-    value = context.sessions.begin(secret, phone, context.clock())
+    value = context.sessions.begin(secret, phone, context.elapsed())
     response.set_cookie(
         COOKIE, value, max_age=settings.lifetime, path="/", secure=True, httponly=True,
         samesite="strict",

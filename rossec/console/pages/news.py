@@ -16,7 +16,7 @@ async def stream(request: Request, context: ConsoleContext) -> Response:
         HttpRefused: there are too many.
     """
     session = request.state.session
-    is_valid = lambda: context.sessions.is_valid(session, context.clock())  # noqa: E731 - one expression
+    is_valid = lambda: context.sessions.is_valid(session, context.elapsed())  # noqa: E731 - one expression
     return StreamingResponse(context.news.open(is_valid), media_type="text/event-stream")
 
 

@@ -11,7 +11,7 @@ from rossec.console.context import ConsoleContext
 from rossec.console.forms import from_base64url
 from rossec.console.matrix import Access, Cell, HeldGrant, Matrix, TopicRow
 from rossec.console.overview import Overview
-from rossec.console.rendering import render
+from rossec.console.rendering import names_of, render
 from rossec.console.routing import Page
 from rossec.console.sentences import Known, Part, permission, permissions, story
 from rossec.errors import HttpRefused
@@ -30,6 +30,7 @@ class GrantLine(NamedTuple):
     term: str
     ended: bool
     reason: str
+    ending: bool = False
 
 
 class PermissionLine(NamedTuple):
@@ -43,7 +44,7 @@ class PermissionLine(NamedTuple):
 async def show(request: Request, context: ConsoleContext) -> Response:
     """One node."""
     name = overview.name_of(request.path_params["name"])
-    home = await overview.load(context)
+    home = await overview.load(context, names_of(request))
     identities = home.named(name)
     if not identities:
         raise HttpRefused(
@@ -55,7 +56,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     seen = sees(home.matrix, name)
     sent = [row for row in home.matrix.rows if name in row.publishers]
     events = await context.service.events(0, _ENTRIES)
-    known = Known.of(home.held, home.nodes)
+    known = Known.of(home.held, home.nodes, ending=home.ending)
     told = [each for each in story(events, await overview.denials(context), known)
             if each.node == name]  # fmt: skip
     return render(
@@ -64,6 +65,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
         more_seen=max(0, len(seen) - MAX_ROWS), more_sent=max(0, len(sent) - MAX_ROWS),
         more_grants=max(0, len(grants) - MAX_GRANTS), sentences=told[:THINGS],
         is_master=is_master_name(name), without_master=home.without_master,
+        is_ending=identities[0].key.hex() in home.ending, again=overview.again(home),
     )  # fmt: skip
 
 
@@ -83,14 +85,17 @@ def grant_line(held: HeldGrant, now: int) -> GrantLine:
     term = words.term(held.grant.expires, held.view.cap, now)
     if held.ended_at:
         term = f"ended {words.ago(held.ended_at, now)}"
+    if held.is_ending:
+        term = f"was ended {words.ago(held.ended_at, now)}, and not every node has heard"
     given = permissions(held.grant.permissions)
-    return GrantLine(held.view.id, given, term, bool(held.ended_at), held.reason)
+    ended = bool(held.ended_at)
+    return GrantLine(held.view.id, given, term, ended, held.reason, held.is_ending)
 
 
 async def grant(request: Request, context: ConsoleContext) -> Response:
     """One grant: what it says, to whom, how long, and how it ends."""
     number = from_base64url(request.path_params["id"])
-    home = await overview.load(context)
+    home = await overview.load(context, names_of(request))
     held = next((each for each in home.held if each.view.id == number), None)
     if held is None:
         raise HttpRefused(
@@ -107,7 +112,7 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
     return render(
         context, request, "grant.html", live=True, held=held, lines=lines,
         line=grant_line(held, context.clock()), holder=_holder(home, held),
-        without_master=home.without_master,
+        without_master=home.without_master, again=overview.again(home),
     )  # fmt: skip
 
 

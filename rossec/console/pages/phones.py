@@ -17,6 +17,7 @@ from rossec.console.forms import from_base64url, read_form, read_json
 from rossec.console.pages.login import check_pause, counted, read_registration
 from rossec.console.rendering import render
 from rossec.console.routing import PUBLIC, Page
+from rossec.console.sessions import owner_of
 
 REMOVED: Final = "removed at the console"
 
@@ -34,7 +35,8 @@ async def show(request: Request, context: ConsoleContext) -> Response:
 async def link(request: Request, context: ConsoleContext) -> Response:
     """A link for a second phone, as a code to scan."""
     await read_form(request)
-    address = f"{context.settings.origin}/propose#{await context.service.phone_link()}"
+    code = await context.service.phone_link(owner_of(request.state.session))
+    address = f"{context.settings.origin}/propose#{code}"
     return render(context, request, "phone_link.html", address=address, code=qr.inline_svg(address))
 
 
@@ -48,6 +50,13 @@ async def remove(request: Request, context: ConsoleContext) -> Response:
     for name in names:
         context.sessions.end_of_phone(name)
     return RedirectResponse("/login" if own else "/phones", 303)
+
+
+async def differ(request: Request, context: ConsoleContext) -> Response:
+    """The digits differ: the phone that waits is not added. Needs no passkey."""
+    await read_form(request)
+    await context.service.end_proposal(from_base64url(request.path_params["id"]))
+    return RedirectResponse("/phones", 303)
 
 
 async def ask(request: Request, context: ConsoleContext) -> Response:
@@ -67,6 +76,7 @@ PAGES: Final = (
     Page("/phones", ("GET",), show),
     Page("/phones/link", ("POST",), link),
     Page("/phones/{id}/remove", ("POST",), remove),
+    Page("/phones/{id}/differ", ("POST",), differ),
     Page("/propose", ("GET",), ask, PUBLIC),
     Page("/propose", ("POST",), propose, PUBLIC),
 )

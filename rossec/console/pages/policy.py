@@ -24,7 +24,7 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     """What the policy file would give and take, to be approved as a whole."""
     found = await context.service.policy()
     return render(
-        context, request, "policy.html", policy=found,
+        context, request, "policy.html", live=True, policy=found,
         gives=[sentence(each, "may") for each in found.gives[:_SHOWN]],
         takes=[sentence(each, "no longer may") for each in found.takes[:_SHOWN]],
         more=max(0, len(found.gives) - _SHOWN) + max(0, len(found.takes) - _SHOWN),

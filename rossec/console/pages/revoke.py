@@ -4,12 +4,15 @@ Taking away is never harder than giving: a session is enough, and while the key 
 revocation is recorded and signed at unlock. A whole node asks for its name, since it loses all.
 """
 
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import Final
 from urllib.parse import urlencode
 
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from ca.errors import HintedError
 from ca.names import is_master_name
 from rossec.console import approving
 from rossec.console.context import ConsoleContext
@@ -22,6 +25,7 @@ from rossec.errors import FormRefused, HttpRefused
 
 REFRESH: Final = 2  # seconds until the page looks again
 MAX_NUMBER: Final = 1 << 53
+_EMPTY: Final[Mapping[str, str]] = {"reason": "", "name": ""}
 
 
 async def ask_grant(request: Request, context: ConsoleContext) -> Response:
@@ -30,17 +34,28 @@ async def ask_grant(request: Request, context: ConsoleContext) -> Response:
     Raises:
         HttpRefused: there is no such grant.
     """
+    return await _ask_grant(request, context)
+
+
+async def _ask_grant(
+    request: Request, context: ConsoleContext, problem: FormRefused | None = None, given: str = ""
+) -> Response:
     node, what = await _grant(context, from_base64url(request.path_params["id"]))
     return render(
-        context, request, "revoke.html", node=node, what=what, asks_name=False, is_master=False
-    )
+        context, request, "revoke.html", 422 if problem else 200, node=node, what=what,
+        asks_name=False, is_master=False, problem=problem, reason=given, typed="",
+    )  # fmt: skip
 
 
 async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
     """End it."""
     number = from_base64url(request.path_params["id"])
     form = _exactly(await read_form(request), {"reason"})
-    epoch, seq = await context.service.revoke_grant(number, approving.reason(form))
+    try:
+        reason = approving.reason(form)
+    except FormRefused as problem:  # said where it was typed, with a field to go on
+        return await _ask_grant(request, context, problem, form["reason"])
+    epoch, seq = await context.service.revoke_grant(number, reason)
     return _follow(epoch, seq, grant=to_base64url(number))
 
 
@@ -51,9 +66,20 @@ async def ask_node(request: Request, context: ConsoleContext) -> Response:
         HttpRefused: there is no such node.
     """
     name = await _node(context, f"/{request.path_params['name']}")
+    return _ask_node(request, context, name)
+
+
+def _ask_node(
+    request: Request,
+    context: ConsoleContext,
+    name: str,
+    problem: FormRefused | None = None,
+    form: Mapping[str, str] = _EMPTY,
+) -> Response:
     return render(
-        context, request, "revoke.html", node=name, what=(), asks_name=True,
-        is_master=is_master_name(name),
+        context, request, "revoke.html", 422 if problem else 200, node=name, what=(),
+        asks_name=True, is_master=is_master_name(name), problem=problem,
+        reason=form["reason"], typed=form["name"],
     )  # fmt: skip
 
 
@@ -61,8 +87,12 @@ async def revoke_node(request: Request, context: ConsoleContext) -> Response:
     """Revoke it: every key of it, and with them all it was allowed."""
     name = await _node(context, f"/{request.path_params['name']}")
     form = _exactly(await read_form(request), {"reason", "name"})
-    approving.check_typed(form, name)
-    epoch, seq = await context.service.revoke_node(name, approving.reason(form))
+    try:
+        approving.check_typed(form, name)
+        reason = approving.reason(form)
+    except FormRefused as problem:
+        return _ask_node(request, context, name, problem, form)
+    epoch, seq = await context.service.revoke_node(name, reason)
     return _follow(epoch, seq, node=name)
 
 
@@ -79,6 +109,10 @@ async def show(request: Request, context: ConsoleContext) -> Response:
     )  # fmt: skip
     if not has_all:
         answer.headers["Refresh"] = str(REFRESH)
+        return answer
+    # So that it stays ended where the master, which alone knows, is away in the next moment.
+    with suppress(HintedError):
+        context.endings.note(await context.service.standing(0, 0), context.clock())
     return answer
 
 
@@ -92,7 +126,8 @@ async def _subject(request: Request, context: ConsoleContext) -> tuple[str, tupl
 
 async def _grant(context: ConsoleContext, number: bytes) -> tuple[str, tuple[object, ...]]:
     views = [each for each in await context.service.grants() if each.id == number]
-    held = held_grants(await context.service.nodes(), views, context.clock())
+    nodes, now = await context.service.nodes(), context.clock()
+    held = held_grants(nodes, views, now, context.endings.heard)
     if not views:
         raise HttpRefused("there is no such grant", "it has ended long ago", status=404)
     return views[0].node, permissions(held[0].grant.permissions) if held else ()
@@ -112,7 +147,7 @@ def _exactly(form: dict[str, str], fields: set[str]) -> dict[str, str]:
 
 def _number(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 16):
-        raise HttpRefused("there is no such list", "go to the first page", status=404)
+        raise HttpRefused("there is no such list", "is the address right?", status=404)
     return int(text)
 
 

@@ -10,13 +10,13 @@ from starlette.responses import Response
 from ca.errors import HintedError
 from grants.model import Permission, Right
 from rossec.authority.console.views import GrantQuestion
-from rossec.console import overview
+from rossec.console import asking, overview
 from rossec.console.context import ConsoleContext
 from rossec.console.forms import to_base64url
 from rossec.console.matrix import Access, Matrix, TopicRow
 from rossec.console.overview import Overview
 from rossec.console.pictures import flow, place
-from rossec.console.rendering import render
+from rossec.console.rendering import names_of, render
 from rossec.console.routing import Page
 from rossec.console.sentences import Known, Part, permissions, story
 
@@ -25,6 +25,7 @@ RECEIVERS: Final = 4
 LOOKS: Final = 2
 THINGS: Final = 9
 _ENTRIES: Final = 60  # of the log, of which some have no sentence of their own
+_IN_PART: Final = "Some of the policy is not in force"
 
 
 class Waiting(NamedTuple):
@@ -34,6 +35,7 @@ class Waiting(NamedTuple):
     path: str
     at: int
     why: str = ""  # the node's own words
+    acts: bool = False  # it would do something, not only see it
 
 
 class Counts(NamedTuple):
@@ -46,11 +48,11 @@ class Counts(NamedTuple):
 
 async def show(request: Request, context: ConsoleContext) -> Response:
     """The first page."""
-    home = await overview.load(context)
+    home = await overview.load(context, names_of(request))
     questions, without_policy = await overview.questions(context)
     denied = await overview.denials(context)
     events = await context.service.events(0, _ENTRIES)
-    known = Known.of(home.held, home.nodes, questions)
+    known = Known.of(home.held, home.nodes, questions, home.ending)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
     busy = home.matrix.busiest_first()
     part = busy.window(slice(ROWS), slice(RECEIVERS))
@@ -59,7 +61,8 @@ async def show(request: Request, context: ConsoleContext) -> Response:
         authority=await context.service.status(), waiting=await _waiting(context, questions),
         counts=counts(home.matrix), matrix=part, rows=len(busy.rows),
         receivers=len(busy.receivers), silent=silent(home), **_looks(context, busy),
-        flow=flow.draw(part, overview.refused_names(denied)), sentences=told[:THINGS],
+        flow=flow.draw(part, overview.refused_names(denied), names_of(request).title),
+        sentences=told[:THINGS], ending=len(home.ending), again=overview.again(home),
         new=_new(request, [each.number for each in told]), without_master=home.without_master,
         without_policy=without_policy,
     )  # fmt: skip
@@ -68,7 +71,13 @@ async def show(request: Request, context: ConsoleContext) -> Response:
 async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[Waiting]:
     """Requests for grants and identities, new phones, and a changed policy, the oldest first."""
     found = [
-        Waiting(_asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why)
+        Waiting(
+            _asked(each),
+            f"/ask/{to_base64url(each.id)}",
+            each.at,
+            each.why,
+            asking.acts(each.rights),
+        )
         for each in questions
     ]
     found += [
@@ -86,15 +95,18 @@ async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) 
     ]
     with suppress(HintedError):  # a policy that cannot be read is told on its own page
         policy = await context.service.policy()
-        if policy.mistakes or policy.gives or policy.takes:
-            said = "The policy has mistakes" if policy.mistakes else "The policy has changed"
+        if policy.mistakes or policy.gives or policy.takes or policy.refused:
+            said = "The policy has changed" if policy.gives or policy.takes else _IN_PART
+            said = "The policy has mistakes" if policy.mistakes else said
             found.append(Waiting((Part(said),), "/policy", context.clock()))
     return sorted(found, key=lambda each: each.at)
 
 
 def _asked(question: GrantQuestion) -> tuple[Part, ...]:
     rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
-    return Part(question.node, is_name=True), Part("asks to"), *permissions(rights)
+    drives = any(asking.drives(each) for each in question.rights)
+    asks = Part("asks to drive, to" if drives else "asks to")
+    return Part(question.node, is_name=True), asks, *permissions(rights)
 
 
 def counts(matrix: Matrix) -> Counts:

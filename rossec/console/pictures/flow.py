@@ -1,30 +1,38 @@
-"""The way it goes: who sends, what, who sees it, in three columns. Pure.
+"""The data flow: who sends, what, who sees it, in three columns. Pure.
 
-Solid for everything, dotted for coarse, dashed and struck for ended; so no line needs its colour to
-be understood. What was refused is a short end at the receiver. Only so many boxes are drawn; the
-page says the same as a list, whole.
+Solid for everything, dotted for coarse, dashed for ending, dashed and struck for ended; so no line
+needs its colour to be understood. What was refused is a short end at the receiver. Only so many
+boxes are drawn; the page says the same as a list, whole.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, TypeAlias
 
 from rossec.console.matrix import Access, Matrix
-from rossec.console.pictures.svg import Element, Point, curve, cut, drawing, label, path
+from rossec.console.pictures.svg import Element, Point, along, curve, cut, drawing, label, path
 
 MAX_ROWS: Final = 12
+Line: TypeAlias = tuple[Point, Point]
 _PITCH, _BOX, _TOP = 54.0, 36.0, 36.0
 _SENDERS, _TOPICS, _RECEIVERS = (0.0, 145.0), (195.0, 385.0), (455.0, 600.0)
 _WIDTH: Final = 600.0
 _STUB: Final = 130.0
+_FREE: Final = 16.0  # from the middle of a mark to another line: its radius is 9
 _LETTERS: Final = {145.0: 16, 190.0: 21}  # that fit a box of this width
 
 
-def draw(matrix: Matrix, refused: Mapping[str, Sequence[str]] | None = None) -> Element | None:
+def draw(
+    matrix: Matrix,
+    refused: Mapping[str, Sequence[str]] | None = None,
+    title: Callable[[str], str] = lambda _: "",
+) -> Element | None:
     """The flow of the first rows and receivers of `matrix`; None where nothing flows.
 
     Args:
         refused: by receiver, the names that it was refused; one that may see nothing else has
             a box too.
+        title: what people call a name; empty: it has no title.
     """
     shown = matrix.window(slice(MAX_ROWS), slice(MAX_ROWS))
     ends = {name: found for name, found in (refused or {}).items() if found}
@@ -43,8 +51,8 @@ def draw(matrix: Matrix, refused: Mapping[str, Sequence[str]] | None = None) -> 
         if name in left
     ]
     parts = [*_heads(), *sent, *_seen(shown, middle, right)]
-    parts += _column(left, _SENDERS, "box end") + _column(middle, _TOPICS, "box")
-    parts += _column(right, _RECEIVERS, "box end")
+    parts += _column(left, _SENDERS, "box end", title) + _column(middle, _TOPICS, "box", title)
+    parts += _column(right, _RECEIVERS, "box end", title)
     stubs = [_stub(right[name], names) for name, names in ends.items() if name in right]
     wide = _WIDTH + (_STUB if stubs else 0.0)
     said = f"{len(senders)} senders, {len(shown.rows)} topics, {len(receivers)} receivers"
@@ -72,36 +80,71 @@ def _spread(names: Sequence[str], height: float) -> dict[str, float]:
     return {name: _TOP + pitch * (at + 0.5) for at, name in enumerate(names)}
 
 
-def _column(places: Mapping[str, float], column: Point, class_: str) -> list[Element]:
+def _column(
+    places: Mapping[str, float], column: Point, class_: str, title: Callable[[str], str]
+) -> list[Element]:
     left, right = column
     boxes = []
     for name, y in places.items():
-        text = cut(name, _LETTERS[right - left])
+        called, most, middle = title(name), _LETTERS[right - left], (left + right) / 2
+        texts = [label(middle, y + 5, cut(name, most), "box-name", "middle")]
+        if called:  # never alone: two names may be called alike, to the eye
+            short = called if len(called) <= most else f"{called[: most - 1]}…"
+            texts = [
+                label(middle, y - 2, short, "box-title", "middle"),
+                label(middle, y + 13, cut(name, most), "box-name", "middle"),
+            ]
         boxes.append(
             Element(
                 "g",
-                Element("title", name),
+                Element("title", f"{called} {name}".strip()),
                 Element(
                     "rect", x=left + 0.5, y=y - _BOX / 2, width=right - left - 1, height=_BOX,
                     rx=9.0, class_=class_,
                 ),
-                label((left + right) / 2, y + 5, text, "box-name", "middle"),
+                *texts,
             )
         )  # fmt: skip
     return boxes
 
 
 def _seen(matrix: Matrix, middle: Mapping[str, float], right: Mapping[str, float]) -> list[Element]:
-    lines, badges = [], []
-    for row in matrix.rows:
-        for cell in row.cells:
-            if cell.access is Access.NOTHING or cell.receiver not in right:
-                continue
-            start, end = (_TOPICS[1], middle[row.topic]), (_RECEIVERS[0], right[cell.receiver])
-            lines.append(curve(start, end, f"flow-{cell.access}"))
-            if cell.access is Access.ENDED:
-                badges.append(_cross((start[0] + end[0]) / 2, (start[1] + end[1]) / 2))
-    return [*lines, *badges]
+    drawn = [
+        (cell.access, (_TOPICS[1], middle[row.topic]), (_RECEIVERS[0], right[cell.receiver]))
+        for row in matrix.rows
+        for cell in row.cells
+        if cell.access is not Access.NOTHING and cell.receiver in right
+    ]
+    lines = [curve(start, end, f"flow-{access}") for access, start, end in drawn]
+    ended = [(start, end) for access, start, end in drawn if access is Access.ENDED]
+    others = [(start, end) for access, start, end in drawn if access is not Access.ENDED]
+    return [*lines, *(_cross(*place) for place in free_places(ended, others))]
+
+
+def free_places(struck: Sequence[Line], others: Sequence[Line]) -> list[Point]:
+    """Where the mark of each struck line is: on it, as far as can be from all other lines.
+
+    A mark on the crossing of two lines would strike the wrong one.
+    """
+    taken = [along(start, end, at / 40) for start, end in others for at in range(41)]
+    places: list[Point] = []
+    for line in struck:
+        beside = [
+            along(start, end, at / 40)
+            for start, end in struck
+            if (start, end) != line
+            for at in range(41)
+        ]
+        candidates = [along(*line, at / 40) for at in range(6, 35)]
+        points = [*taken, *beside, *places]
+        # The middle is what people look at first: it wins where it is free.
+        candidates.sort(key=lambda each: abs(each[0] - (line[0][0] + line[1][0]) / 2))
+        places.append(max(candidates, key=lambda each: min(_FREE, _distance(each, points))))
+    return places
+
+
+def _distance(point: Point, points: Iterable[Point]) -> float:
+    return min((math.dist(point, each) for each in points), default=math.inf)
 
 
 def _cross(x: float, y: float) -> Element:

@@ -4,13 +4,14 @@ A type has a picture (`place`, `laser`, `image`, `series`) or its fields as text
 that a receiver does not get. All receivers with the same restrictions share one.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from grants.model import FilterRule
 from grants.policy.privacy import filters_of
 from rossec.console import words
-from rossec.console.matrix import Access, Cell
+from rossec.console.matrix import SEEING, Access, Cell
 from rossec.console.pictures import image, laser, place, series
 from rossec.console.pictures.svg import Element
 from rossec.console.samples import Recorded, SeenTopic, try_see
@@ -60,16 +61,17 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     """
     ways: dict[Any, list[Cell]] = {}
     for cell in cells:
-        if cell.access in (Access.ALL, Access.COARSE):
+        if cell.access in SEEING:
             ways.setdefault(cell.restrictions, []).append(cell)
-    groups = sorted(ways.values(), key=lambda group: (group[0].access is not Access.ALL, group[0]))
+    groups = sorted(ways.values(), key=lambda group: (bool(group[0].restrictions), group[0]))
     shown = groups[:MAX_LOOKS]
     recorded = recorded._replace(messages=recorded.messages[-_newest(recorded.type) :])
     exact = try_see(recorded, "", ())
     if exact is None:
         return Comparison(recorded.topic, recorded.type, (), 0, recorded.is_made_up)
     seen = [try_see(recorded, group[0].receiver, group[0].restrictions) for group in shown]
-    drawer = _drawer(exact, [each for each in seen if each], [group[0] for group in shown])
+    cells = [group[0] for group in shown]
+    drawer = _drawer(exact, [each for each in seen if each], cells, minutes(recorded))
     looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
     return Comparison(
         recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up
@@ -82,22 +84,30 @@ def _newest(kind: str) -> int:
 
 
 class _Drawer(NamedTuple):
-    """What the pictures of one topic share."""
+    """What the pictures of one topic share; `during` is how long all of it took."""
 
     frame: place.Frame | None
     reach: float
     field: str
     span: series.Span | None
+    during: str
 
 
-def _drawer(exact: SeenTopic, seen: list[SeenTopic], cells: list[Cell]) -> _Drawer:
+def minutes(recorded: Recorded) -> int:
+    """How many minutes the messages took, begun ones included."""
+    times = [at for at, _ in recorded.messages]
+    return max(1, math.ceil((max(times) - min(times)) / 60)) if times else 1
+
+
+def _drawer(exact: SeenTopic, seen: list[SeenTopic], cells: list[Cell], long: int) -> _Drawer:
     restrictions = [each for cell in cells for each in cell.restrictions]
     frame = place.frame_of([exact], restrictions) if place.has_place(exact.type) else None
     is_scan = exact.type == laser.TYPE
     reach = max(map(laser.reach_of, [exact, *seen])) if is_scan else 0.0
     drawn = frame is not None or exact.type in (laser.TYPE, image.TYPE)
     field = "" if drawn else series.field_of(exact)
-    return _Drawer(frame, reach, field, series.span_of([exact, *seen], field))
+    during = "in this minute" if long == 1 else f"in these {long} minutes"
+    return _Drawer(frame, reach, field, series.span_of([exact, *seen], field), during)
 
 
 def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Look:
@@ -120,11 +130,11 @@ def _picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, El
     """Heading, how much it is, and the picture; without one the fields are shown."""
     messages = words.count(len(seen.samples), "message")
     if drawer.frame is not None:
-        return _place(drawer.frame, cell, seen, messages)
+        return _place(drawer.frame, cell, seen, drawer.during)
     if seen.type == laser.TYPE:
         return "sees what the laser meets", "", laser.draw(seen, drawer.reach)
     if seen.type == image.TYPE:
-        heading = "sees the picture" if cell.access is Access.ALL else "sees this of the picture"
+        heading = "sees this of the picture" if cell.restrictions else "sees the picture"
         return heading, "", image.draw(seen)
     if drawer.field and drawer.span is not None:
         name = words.field_name(drawer.field, seen.type)
@@ -133,18 +143,19 @@ def _picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, El
 
 
 def _place(
-    frame: place.Frame, cell: Cell, seen: SeenTopic, messages: str
+    frame: place.Frame, cell: Cell, seen: SeenTopic, during: str
 ) -> tuple[str, str, Element | None]:
     cells = place.cells_of(cell.restrictions, frame.origin)
     picture = place.draw(seen, frame, max(cells, default=None))
     if picture is None:
-        return "does not see the place", messages, None
+        messages = words.count(len(seen.samples), "message")
+        return "does not see the place", f"{messages} {during}", None
     number = place.places(seen)
     if cells:
         squares = words.count(number, "square")
-        return "sees which square", f"{squares} in {messages}", picture
-    places = words.count(number, "different place")
-    return "sees the exact place", f"{places} in {messages}", picture
+        return "sees which square", f"{squares} {during}", picture
+    places = words.count(number, "place")
+    return "sees the exact place", f"{places} {during}", picture
 
 
 def _fields(seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:

@@ -114,6 +114,17 @@ def curve(start: Point, end: Point, class_: str) -> Element:
     return Element("path", d=f"{line} {number(to_x)} {number(to_y)}", class_=class_)
 
 
+def along(start: Point, end: Point, at: float) -> Point:
+    """The point of that curve at the parameter `at`, from 0 to 1 (a cubic Bezier curve)."""
+    (x, y), (to_x, to_y) = start, end
+    rest, middle = 1 - at, (x + to_x) / 2
+    first, inner, last = rest**3, 3 * rest * at, at**3
+    return (
+        first * x + inner * (rest + at) * middle + last * to_x,
+        y * (first + inner * rest) + to_y * (inner * at + last),
+    )
+
+
 def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> Element:
     """A text at a point; `anchor` is `start`, `middle` or `end`."""
     return Element("text", text, x=x, y=y, class_=class_, text_anchor=anchor)

@@ -22,7 +22,8 @@ from rossec.console.context import ConsoleContext
 from rossec.console.headers import security_headers
 from rossec.console.routing import Access, Match, Page, PageTable
 from rossec.console.server.peer import check_peer
-from rossec.console.sessions import COOKIE, Session
+from rossec.console.server.serving import PLACE
+from rossec.console.sessions import COOKIE, Session, owner_of
 from rossec.errors import HttpRefused, PeerUserRefused
 
 BODY: Final = 20.0  # seconds for a body to arrive
@@ -92,7 +93,7 @@ def _is_bounded(facts: Facts, _allowed: Allowed, match: Match | None) -> bool:
 
 RULES: Final = (
     GuardRule("host", _is_own_host, 421, "this is not its address", "use the printed one"),
-    GuardRule("path", _exists, 404, "there is no such page", "go to the first page"),
+    GuardRule("path", _exists, 404, "there is no such page", "is the address right?"),
     GuardRule("method", _has_method, 405, "this page is not used in this way", "load it again"),
     GuardRule("origin", _is_own_origin, 403, "another site sent this", "load the page again"),
     GuardRule("session", _may_see, SEE_OTHER, "you are not logged in", "log in"),
@@ -170,6 +171,8 @@ class Guard:
             await self._answer(rule, match, request)(scope, receive, send)
             return
         scope["state"]["session"] = session
+        if session is not None and (place := scope.get(PLACE)) is not None:
+            place.belongs_to(owner_of(session))
         limit = 0 if match is None or match.page is None else match.page.max_body
         body = await _read_body(receive, limit)
         if not await self._counts(session, match):
@@ -211,7 +214,7 @@ class Guard:
         await response(scope, receive, send)
 
     def _session(self, headers: Headers) -> Session | None:
-        now = self._context.clock()
+        now = self._context.elapsed()
         found = self._context.sessions.find(_cookie(headers), now)
         if found is not None and is_by_person(headers):
             self._context.sessions.use(found, now)

@@ -111,7 +111,10 @@ def main(arguments: list[str]) -> None:
     path of the service, `plain` or `tls`, form of the log, `preview` or `made-up`.
     """
     descriptors, settings, service, tls, log, pictures = arguments
-    log_as_json() if log == "json" else logging.basicConfig(level=logging.WARNING)
+    if log == "json":
+        log_as_json()
+    else:  # as the service itself writes, whose terminal or journal this is
+        logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
     protect_memory()
     confine_files([])
     executor = confine_processes()

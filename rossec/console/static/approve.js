@@ -104,7 +104,7 @@ function showDigits(digits) {
 
 async function run(form, action) {
   const problem = form.querySelector("[data-problem]");
-  const buttons = form.querySelectorAll("button");
+  const buttons = [...form.querySelectorAll("button:enabled")]; // what the policy forbids stays so
   problem.hidden = true;
   document.body.dataset.busy = "";
   for (const button of buttons) button.disabled = true;

@@ -21,13 +21,13 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from rossec import files
+from rossec.authority.console import messages
 from rossec.console.tls.authority import Address, TlsAuthority
 from rossec.enrollment import address
 from rossec.errors import ConfigurationError
 
-DIRECTORY: Final = "console"  # in the authority's directory
-KEY: Final = "tls.key"
-CERTIFICATE: Final = "tls.pem"
+DIRECTORY: Final = messages.DIRECTORY
+KEY, CERTIFICATE = messages.TLS_KEY, messages.TLS_CERTIFICATE
 _MAX_FILE: Final = 8 * 1024
 _NONE: Final = ConfigurationError(
     "the console has no TLS authority", "make one: rossec console tls --renew, or --lan"

@@ -27,6 +27,7 @@ from rossec.master.api.methods import (
 )
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.relay_calls import RelayCalls
+from rossec.master.api.renewal_calls import RenewalCalls
 from rossec.master.api.site_calls import SiteCalls
 from rossec.master.api.statement_calls import StatementCalls
 from rossec.master.api.turns import CallOutcome, Work
@@ -85,8 +86,9 @@ class MasterApi:
         self._uri = uri
         self._pid = pid
         imports = Imports(registry) if imports is None else imports
-        graph = Graph(registry, imports)
-        aliases = AliasPublishers(graph, statements.caller_of) if aliases is None else aliases
+        if aliases is None:
+            aliases = AliasPublishers(Graph(registry, imports), statements.caller_of)
+        graph, self._presence = aliases.graph, aliases.graph.presence
         doors = Doors() if doors is None else doors
         self._access_control = AccessControl(graph, name, doors.is_door)
         self.watch_calls = WatchCalls(graph, self._access_control, instance)
@@ -104,6 +106,7 @@ class MasterApi:
             **self.site_calls.methods(),
             **StatementCalls(statements, registry, name, started, deposits).methods(),
             **DomainCalls(statements).methods(),
+            **RenewalCalls(statements).methods(),
             **RelayCalls(doors, registry, statements, name, uri).methods(),
             **DepositCalls(statements, deposits).methods(),
             **AuthorityCalls(statements, denials, connected).methods(),
@@ -127,6 +130,7 @@ class MasterApi:
         entry = self.methods.get(method)
         if entry is None:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
+        self._presence.now = now
         try:
             request = self._request(method, entry, params, caller, now, is_local=is_local)
             reply = entry.handler(request)

@@ -9,6 +9,7 @@ from typing import Final
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.rights import slotted_views
 from rossec.master.rights.access_rules import AccessControl, require_capacity
 from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Caller
@@ -108,6 +109,8 @@ class GraphCalls:
         self._ask(name, request)
         uri = self._graph.node_uri(name)
         if uri is None or not self._access_control.is_node_visible(request.caller, name):
+            uri = slotted_views.node_uri(self._graph, request.caller, name)
+        if uri is None:
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
 
@@ -154,7 +157,7 @@ class GraphCalls:
                 (yield from self._visible_entries(Kind.SERVICE, caller)),
             ]
         )
-        if self._graph.version == self._version == version:
+        if self._graph.version == self._version == version and not caller.has_slots:
             if len(self._states) >= _MAX_CACHED_STATES:
                 self._states.clear()
             self._states[id(caller)] = caller, state
@@ -180,17 +183,23 @@ class GraphCalls:
 
     def _topic_types(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
-        return self._types_reply(request.caller, self._graph.topic_types(), "current system state")
+        types = slotted_views.topic_types(self._graph, request.caller)
+        return self._types_reply(request.caller, types, "current system state")
 
     def _published_topics(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
         namespace = request.text(1)
         if namespace and not namespace.endswith("/"):
             namespace += "/"
-        published = entries(self._graph, request.caller, Kind.PUBLISHER)
-        topics = ((key, self._graph.topic_type(key)) for key, _ in published)
-        within = ((key, name) if key.startswith(namespace) else None for key, name in topics)
-        return self._types_reply(request.caller, within, "current topics")
+        graph, caller = self._graph, request.caller
+        published = entries(graph, caller, Kind.PUBLISHER)
+        within = (
+            (key, slotted_views.topic_type(graph, caller, key))
+            if key.startswith(namespace) and slotted_views.is_published(graph, caller, key)
+            else None
+            for key, _ in published
+        )
+        return self._types_reply(caller, within, "current topics")
 
     def _types_reply(
         self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str

@@ -24,7 +24,7 @@ Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # queries of the whole graph; more would be amplification
-MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 requests for one large parameter
+MULTICALL_ANSWER: Final = BODY_LIMIT // 4  # bytes, about
 # Each of the own methods costs signatures or carries a whole list.
 MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswith("rossec."))
 

@@ -63,7 +63,6 @@ class StatementCalls:
         return {
             "rossec.presentGrants": Method((grants,), 0, self._present),
             "rossec.renewGrants": Method((renewed,), [], self._renew),
-            "rossec.renewIdentity": Method((arg.binary("request"),), b"", self._renew_identity),
             "rossec.updateDelegation": Method(
                 (arg.binary("delegation"),), 0, self._update_delegation
             ),
@@ -104,11 +103,6 @@ class StatementCalls:
         event = GrantsPresented(request.caller.identity, renewed.refused)
         return Reply(list(renewed.tokens), status, events=(event,))
 
-    def _renew_identity(self, request: CallRequest) -> Reply:
-        with refusals_answered():
-            bundle = self._statements.renew_identity(request.caller, request.binary(1), request.now)
-        return Reply(bundle, "identity renewed")
-
     def _update_delegation(self, request: CallRequest) -> Reply:
         with refusals_answered():
             newer = self._statements.update_delegation(request.binary(1))
@@ -132,9 +126,11 @@ class StatementCalls:
             newer = self._statements.update(request.binary(1), request.now)
         return _update_reply(newer, request)
 
-    def _update_tree(self, request: CallRequest) -> Reply:
+    def _update_tree(self, request: CallRequest) -> Steps:
         with refusals_answered():
-            newer = self._statements.update_tree(request.binary(1), request.binary(2), request.now)
+            newer = yield from self._statements.take_tree(
+                request.binary(1), request.binary(2), request.now
+            )
         return _update_reply(newer, request)
 
     def _entries(self, request: CallRequest) -> Reply:

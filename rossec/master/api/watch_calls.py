@@ -10,6 +10,7 @@ from typing import Final
 from rossec.master.api import arguments as arg
 from rossec.master.api.graph_views import BATCH, MAX_VIEWS, Fact, GraphViews, is_unchanged
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.rights import slotted_views
 from rossec.master.rights.access_rules import AccessControl
 from rossec.master.rights.caller import Caller
 from rossec.master.rights.served_views import entries
@@ -34,14 +35,17 @@ def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterat
                 yield None
             elif kind is Kind.SERVICE:
                 yield "provider", key, graph.service_uri(key) or ""
-            elif (type_name := graph.topic_type(key)) != ANY_TYPE:
+            elif (type_name := slotted_views.topic_type(graph, caller, key)) != ANY_TYPE:
                 yield "type", key, type_name
+    seen = set[str]()
     for node in graph.nodes():
-        yield (
-            ("node", node.name, node.uri)
-            if access_control.is_node_visible(caller, node.name)
-            else None
-        )
+        if access_control.is_node_visible(caller, node.name):
+            seen.add(node.name)
+            yield "node", node.name, node.uri
+        else:
+            yield None
+    for told in slotted_views.nodes(graph, caller):
+        yield None if told is None or told.name in seen else ("node", told.name, told.uri)
 
 
 class WatchCalls:
@@ -76,4 +80,5 @@ class WatchCalls:
                 yield
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._graph.version
+        version = 0 if request.caller.has_slots else version  # it grows with each registration
         return Reply(self.views.answer(key, known, frozenset(seen), version), "state of the graph")

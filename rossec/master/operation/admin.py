@@ -102,7 +102,8 @@ def send_command(path: Path, command: str, what: str = "master") -> dict[str, An
             with sock.makefile("rb") as file:
                 answer = json.loads(file.readline(1 << 20) or b"null")
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"the {what} does not answer at {path}: {error}", hint) from error
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise ConfigurationError(f"the {what} does not answer at {path}: {reason}", hint) from error
     if not isinstance(answer, dict) or "error" in answer:
         raise ConfigurationError(f"the {what} refused", hint)
     return answer

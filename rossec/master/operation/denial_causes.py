@@ -18,6 +18,7 @@ from rossec.master.api.methods import CallDenied
 
 LOGGED_FOR: Final = 3600  # seconds
 MAX_CAUSES: Final = 4096
+BASICS: Final = "do all that every ROS program asks for and works without, as "
 _NO_GRANT: Final = "no grant "
 
 _Cause = tuple[str, Right | None, str]
@@ -36,7 +37,10 @@ class DenialCauses:
         self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
 
     def text(self, now: int, denied: CallDenied) -> str | None:
-        """What to log after the node and `may not`; None if the cause was logged before."""
+        """What to log after the node and `may not`; None if the cause was logged before.
+
+        Of what every program works without it begins with `BASICS`: it is no warning.
+        """
         if denied.missing is None:
             return f"{denied.method}: {denied.status}"
         right, name = denied.missing
@@ -69,7 +73,4 @@ def _words(node: str, right: Right, name: str, reason: str) -> str:
 
 
 def _basics(right: Right, own: str) -> str:
-    return (
-        f"{right.label} {own}, and what else every ROS program asks for and works without:"
-        " basics: true in the policy would change it"
-    )
+    return f"{BASICS}{right.label} {own} and so on: basics: true in a policy would change it"

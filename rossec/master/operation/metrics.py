@@ -3,8 +3,11 @@
 import asyncio
 import os
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import partial
+from socket import SHUT_RDWR
 from socketserver import ThreadingMixIn
-from threading import Thread
+from threading import Thread, Timer
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
@@ -13,7 +16,7 @@ from rossec.errors import ConfigurationError
 from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
-_LIMIT: Final = HalfOpen(per_address=16, total=16)
+_LIMIT: Final = HalfOpen(per_address=8, total=16)
 DEADLINE: Final = 5.0  # seconds for the loop to answer
 _COUNTERS: Final = {
     "calls": "Calls answered.",
@@ -26,6 +29,8 @@ _GAUGES: Final = {
     "revocation_number": "Sequence number of the revocation list in force.",
     "domains": "Foreign domains listed.",
     "domains_number": "Sequence number of the list of domains in force.",
+    "identity_expires": "When the master's own identity ends, in seconds since the epoch.",
+    "renewals_waiting": "Identities that nodes asked to be renewed, without an answer yet.",
     "foreign_connections": "Open connections of nodes of other domains.",
 }
 
@@ -74,6 +79,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         slot = self._count.admit(client_address[0])
         if slot is not None:
             self._slots[request] = slot
+            slot.close = partial(_end, request)
         return slot is not None
 
     def shutdown_request(self, request: Any) -> None:
@@ -87,10 +93,24 @@ class _Server(ThreadingMixIn, WSGIServer):
         """Errors of connections are not logged."""
 
 
+def _end(request: Any) -> None:
+    with suppress(OSError):  # it has ended
+        request.shutdown(SHUT_RDWR)
+
+
 class _Handler(WSGIRequestHandler):
-    """One request, with a deadline."""
+    """One request, with a deadline: of each read, and for all of it."""
 
     timeout = DEADLINE
+
+    def handle(self) -> None:
+        """Answer one request, or end the connection of whoever sends it piece by piece."""
+        timer = Timer(2 * DEADLINE, _end, [self.request])
+        timer.start()
+        try:
+            super().handle()
+        finally:
+            timer.cancel()
 
     def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - of the base class
         """Requests are not logged."""

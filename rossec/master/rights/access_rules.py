@@ -30,9 +30,6 @@ from rossec.ros import names
 from rossec.ros.names import AUTHORITY
 from rossec.ros.text import printable
 
-ASK_OPERATOR: Final = "ask the authority's operator for a grant"
-
-
 _OFFERED: Final = Right.PUBLISH | Right.PROVIDE
 _NOT_OFFERED: Final = (
     "{} is a name of another master: what is below /remote is subscribed, called and read here "
@@ -105,7 +102,9 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.followSite": AccessRule(Scope.MASTER, Right.GRAPH),  # as above
     "rossec.presentGrants": AccessRule(Scope.OPEN),
     "rossec.renewGrants": AccessRule(Scope.MEMBER),  # only grants of the caller itself are renewed
-    "rossec.renewIdentity": AccessRule(Scope.MEMBER),  # the request is signed with the key to renew
+    names.RENEW_IDENTITY: AccessRule(Scope.MEMBER),  # the request is signed with the key to renew
+    names.WATCH_RENEWALS: AccessRule(Scope.AUTHORITY),
+    names.SETTLE_RENEWALS: AccessRule(Scope.AUTHORITY),
     "rossec.updateDelegation": AccessRule(Scope.MEMBER),  # signed by the authority
     "rossec.revocations": AccessRule(Scope.OPEN),
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
@@ -190,7 +189,9 @@ class AccessControl:
         if rule is None:
             raise Refused("no rule allows this method")
         if rule.scope is Scope.NAMED and rule.right is not None:
-            _require_right(caller, rule.right, str(arguments[rule.name]))
+            name = str(arguments[rule.name])
+            if method != "lookupService" or not self._administers(caller, name):
+                _require_right(caller, rule.right, name)
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
         _require_kind(rule.scope, caller)
@@ -202,6 +203,11 @@ class AccessControl:
             _require_foreign_address(
                 self._registry, caller, str(arguments[rule.service]), is_local=is_local
             )
+
+    def _administers(self, caller: Caller, service: str) -> bool:
+        """Whether `rosnode cleanup` may look the service up: it unregisters it by its address."""
+        providers = self._registry.registered_nodes(Kind.SERVICE, service)
+        return any(caller.may(Right.ADMIN, node.name) for node in providers)
 
     def _require_no_door(self, rule: AccessRule, arguments: tuple[object, ...]) -> None:
         """Raise `Refused` for the address of a door: its target would lose it here."""
@@ -232,8 +238,11 @@ class AccessControl:
         if caller.is_foreign and is_alias(name):
             return False
         kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
-        keys = (key for kind in kinds for key in self._graph.keys_of(name, kind))
-        return any(caller.may_see(key) for key in keys)
+        keys = ((kind, key) for kind in kinds for key in self._graph.keys_of(name, kind))
+        return any(
+            caller.may_see(key) and not (kind is Kind.PUBLISHER and caller.slot(key))
+            for kind, key in keys  # of what is in slots `slotted_views` tells
+        )
 
 
 def is_authority(peer: Identity) -> bool:
@@ -276,7 +285,7 @@ def require(caller: Caller, right: Right, name: str) -> None:
     try:
         caller.explain(right, name)
     except HintedError as error:
-        hint = f" ({error.hint})" if error.hint else ""
+        hint = f" ({hint})" if (hint := caller.hint_of(error, right, name)) else ""
         needs = f"{caller.display_name} needs the right {right.label} on {shown(name)}"
         raise Refused(f"{needs}: {error}{hint}", (right, name)) from error
 

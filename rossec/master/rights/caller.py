@@ -17,6 +17,7 @@ from ca.domains.aliases import REMOTE, is_alias, origin_of, shown, split_alias
 from ca.domains.served import served_name
 from ca.errors import HintedError, NameRefused, NotAdmitted
 from grants.errors import GrantMissing
+from grants.missing_rights import remedy, rule_form
 from grants.model import ALL_RIGHTS, Right
 from grants.reach import Reach
 from rossec.master.state.registry import NodeRef
@@ -62,6 +63,7 @@ class Peer(Protocol):
         """The certified key's thumbprint."""
 
 
+_SAID: Final = 2  # near misses beside the command that gives the right
 Authorize = Callable[[Right, str], object]
 """Raises the `HintedError` that says why no valid grant covers a right on a name."""
 
@@ -133,6 +135,13 @@ class Caller:
         """Whether it is a node of a foreign domain."""
         return is_alias(self.name)
 
+    @property
+    def has_rights(self) -> bool:
+        """Whether anything but its certificate speaks for it: grants, or what it is."""
+        if self.is_authority or self.is_own_master or not self.reach.is_empty:
+            return True
+        return any(not each.reach.is_empty for each in self.elsewhere.values())
+
     def acting_as(self, name: str) -> "Caller":
         """The caller as the node `name`, which has its own entries in the registry.
 
@@ -174,6 +183,21 @@ class Caller:
         if origin is not None:
             origin[0].authorize(right, origin[1])
         raise self._no_right_there(right, name)
+
+    def hint_of(self, error: HintedError, right: Right, name: str) -> str:
+        """What to do about a refusal that `explain` raised; depends on the arguments alone."""
+        if not isinstance(error, GrantMissing) or self.is_foreign or is_alias(name):
+            return error.hint
+        # In an answer to thousands of calls each says it.
+        return "; ".join((*error.near_misses[:_SAID], self.remedy(right, name)))
+
+    def remedy(self, right: Right, name: str) -> str:
+        """The commands that give the caller a right it lacks; `name` may be `/`: of all below."""
+        if self.is_foreign or is_alias(name):
+            return "ask its authority for a grant"
+        node = self.certified or self.name
+        ruled = rule_form(node, name.rstrip("/") or "/**", wildcard=self.has_tail)
+        return remedy(node, right, ruled)
 
     def _no_right_there(self, right: Right, alias: str) -> HintedError:
         """Why grants do not even come into question: nothing is called so, or none was presented.
@@ -233,6 +257,20 @@ class Caller:
         if not self.reach.covers_any(VISIBILITY_RIGHTS, name):
             return False
         return self.exported is None or self.exported.covers_any(ALL_RIGHTS, name)
+
+    @property
+    def has_slots(self) -> bool:
+        """Whether any grant is for messages in slots."""
+        return self.reach.has_slots and not (self.is_authority or self.is_own_master)
+
+    def slot(self, name: str) -> int:
+        """The seconds at whose multiples it is told who publishes `name`; 0: it is told at once.
+
+        Its only right to see the name is then to subscribe it in slots.
+        """
+        if not self.has_slots or is_alias(name):
+            return 0
+        return self.reach.slot(VISIBILITY_RIGHTS, name)
 
     def _is_exported(self, right: Right, name: str) -> bool:
         exported = self.exported

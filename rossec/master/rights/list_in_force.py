@@ -4,19 +4,22 @@ The master is its own source of freshness: it confirms the list it holds, and si
 that prove to nodes that no newer list is being withheld.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+import hashlib
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import RevocationRefused
 from ca.keys.signer import Signer
 from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
-from ca.revocation.tree import TreeEntries, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, finished, is_tree, open_tree
 from rossec.master.rights.caller import Peer
 from rossec.master.rights.delegation import discard
 from rossec.master.rights.held_lists import HeldLists, ListStanding
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
+_REMEMBERED: Final = 64  # refused entries, by their digest
 
 
 class ListInForce:
@@ -44,6 +47,7 @@ class ListInForce:
         self._persist = persist
         self._persist_entries = persist_entries
         self._listing: TreeEntries | None = None
+        self._refused_entries: deque[tuple[bytes, bytes]] = deque(maxlen=_REMEMBERED)
         self.held_lists = HeldLists()
         self._timestamp_cache: tuple[int, bytes] = (-1, b"")
 
@@ -105,9 +109,30 @@ class ListInForce:
 
     def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
         """Accept a tree signed by the authority, with all its entries; as `update`."""
-        signed = open_tree(data, self._anchor.public_key)  # first: the sender may be unauthorized
-        listing = TreeEntries.read(entries)
-        listing.check(signed)
+        return finished(self.take_tree(data, entries, now))
+
+    def take_tree(self, data: bytes, entries: bytes, now: int) -> Generator[None, None, bool]:
+        """As `update_tree`, in steps: anybody may send this, and most of it is known or invented.
+
+        What costs least is compared first: the octets, the signature, the number, the size.
+        """
+        if self._listing is not None and data == self._revocations.data:
+            return False
+        signed = open_tree(data, self._anchor.public_key)
+        self._revocations.check_number(signed)
+        refused = data, hashlib.sha256(entries).digest()
+        if refused in self._refused_entries:
+            raise RevocationRefused("these entries were refused before", _PUBLISH)
+        try:
+            listing = yield from TreeEntries.reading(entries, signed)
+        except RevocationRefused:
+            self._refused_entries.append(refused)
+            raise
+        if self._listing is not None and data == self._revocations.data:
+            return False  # another caller was faster
+        return self._put_in_force(data, entries, listing, now)
+
+    def _put_in_force(self, data: bytes, entries: bytes, listing: TreeEntries, now: int) -> bool:
         before = self._revocations.data
 
         def persist(data: bytes) -> None:

@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from ca.domains.aliases import shown
 from grants.model import Right
-from rossec.master.rights.access_rules import ASK_OPERATOR
 from rossec.master.rights.caller import Caller, Refused
 from rossec.ros import names
 
@@ -38,7 +37,8 @@ def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) 
     if not items or not has_right_on_all(caller, right, items):
         needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
         raise Refused(
-            f"{needs}: no grant covers it and all below it ({ASK_OPERATOR})", (right, key)
+            f"{needs}: no grant covers it and all below it ({caller.remedy(right, key)})",
+            (right, key),
         )
 
 

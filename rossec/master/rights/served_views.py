@@ -10,6 +10,7 @@ from ca.domains.aliases import is_alias
 from ca.domains.served import is_in_gateway
 from rossec.master.rights.caller import Caller
 from rossec.master.rights.served_rights import may_see_served
+from rossec.master.rights.slotted_views import is_shown, publishers
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import Kind
 
@@ -17,6 +18,8 @@ from rossec.master.state.registry import Kind
 def entries(graph: Graph, caller: Caller, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
     """All names of one kind, each with its nodes; gateways only where the caller may see them."""
     found = graph.entries(kind)
+    if kind is Kind.PUBLISHER and caller.has_slots:
+        found = publishers(graph, caller, found)
     if kind is Kind.PUBLISHER and (silent := graph.registry.silent_names):
         found = _answering(found, silent)
     if kind is not Kind.PUBLISHER or not (served := graph.served.gateways()):
@@ -30,7 +33,7 @@ def is_topic_visible(graph: Graph, caller: Caller, topic: str) -> bool:
     if any(graph.registry.is_registered(kind, topic, caller.name) for kind in own):
         return True
     if caller.may_see(topic):
-        return True
+        return is_shown(graph, caller, topic)
     is_served = is_alias(topic) and topic in graph.served.gateways()
     return is_served and may_see_served(caller, topic)
 

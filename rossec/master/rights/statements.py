@@ -18,7 +18,6 @@ from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signer import Signer
 from ca.names import MASTER
 from ca.revocation.state import Revocations, digest
-from grants.decision import RevocationCheck
 from grants.errors import GrantError
 from grants.model import Grant
 from grants.token import Verifier, peek
@@ -27,6 +26,7 @@ from rossec.master.rights.caller import Caller, Peer
 from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.grant_holder import check_holder
+from rossec.master.rights.identity_renewals import IdentityRenewals, RenewalAnswer, Renewer
 from rossec.master.rights.list_in_force import ListInForce
 from rossec.master.rights.pertaining import entries_of, pertaining
 from rossec.master.rights.presented_grants import (
@@ -40,9 +40,6 @@ from rossec.master.rights.presented_grants import (
     Renewed,
 )
 
-Renewer = Callable[[bytes, int, RevocationCheck], bytes]
-"""Answers a renewal request (`ca.renewal`) with the node's new bundle."""
-
 
 class TrustState(ListInForce):
     """Revocations and presented grants: who is still trusted, and for what.
@@ -53,7 +50,7 @@ class TrustState(ListInForce):
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
         delegate: renews grants; by default without a delegation.
-        renewer: renews identities; None: this master renews none.
+        renewer: renews identities at once; None: the authority's service does.
         persist_entries: makes the entries of a tree durable, before the tree itself.
         domains: foreign domains and their revocations; by default none is listed.
     """
@@ -70,7 +67,7 @@ class TrustState(ListInForce):
         domains: DomainTrust | None = None,
     ) -> None:
         super().__init__(anchor, signer, revocations, persist, persist_entries)
-        self._renewer = renewer
+        self.identities: Final = IdentityRenewals(anchor, renewer)
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self.domains: Final = domains or DomainTrust(Standing(Anchors(anchor), revocations))
         self._judge = Judge(anchor.domain, self._check_grant, self.domains.domain_of)
@@ -195,20 +192,19 @@ class TrustState(ListInForce):
                 renewed.append(b"")
         return Renewed(tuple(renewed), tuple(refused))
 
-    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
-        """The bundle of a renewed identity, signed by the intermediate of this host.
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> RenewalAnswer:
+        """The renewed identity, or what is waited for; see `IdentityRenewals.ask`.
 
         Raises:
-            CAError: the request is refused, or there is no intermediate here.
+            CAError: the request is refused.
         """
-        if self._renewer is None:
-            raise RenewalRefused("this master renews no identities", "ask the authority's operator")
         self._confirm(now)
         held = self._held_by(caller)
         self._check_failures(held, now)
         try:
             _refuse_foreigner(caller)
-            return self._renewer(request, now, self._revocations.check)
+            check = self._revocations.check
+            return self.identities.ask(caller.thumbprint, request, now, check)
         except HintedError:
             held.count_failure(now)
             raise

@@ -7,7 +7,7 @@ and the caller's rights are evaluated again: results from before a revocation ar
 
 import asyncio
 from functools import partial
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -16,16 +16,20 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.relay_calls import is_idle
+from rossec.master.api.renewal_calls import is_idle as has_no_renewal
 from rossec.master.api.site_calls import FOLLOW, UNCHANGED
-from rossec.master.api.turns import CallOutcome, Turns, Work, advance
+from rossec.master.api.turns import CallOutcome, TurnExpired, Turns, Work, advance
 from rossec.master.api.watch_calls import WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.graph_changes import WATCH_WAIT
 from rossec.master.server.site_answers import ASKING, SiteAnswers
 from rossec.master.state.registry import NodeRef
-from rossec.ros.names import RELAY_DOORS
+from rossec.net.rpc.turns import of_loop, source_of
+from rossec.ros.names import RELAY_DOORS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
+
+RENEWALS_WAIT: Final = 20.0  # seconds; an answer without requests shows that the master is alive
 
 
 class PendingCall(NamedTuple):
@@ -51,8 +55,13 @@ class CallAnswers:
         self._state = state
         self._effects = effects
         self._turns = turns
+        self._loop_turns = of_loop()
         self._site_answers = SiteAnswers(state.imports)
-        self._polls = {WATCH_GRANTS: self._watch_grants, RELAY_DOORS: self._relay_doors}
+        self._polls = {
+            WATCH_GRANTS: self._watch_grants,
+            WATCH_RENEWALS: self._watch_renewals,
+            RELAY_DOORS: self._relay_doors,
+        }
 
     def dispatch(
         self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity
@@ -65,7 +74,7 @@ class CallAnswers:
         call = PendingCall(is_local, method, params, peer)
         if method == MULTICALL:
             multicall = Multicall(params)
-            self._step(call, multicall)
+            self._step(call, multicall, self._first_turn())
             return multicall.answer if multicall.done else self._multicall(call, multicall)
         if method in self._polls:
             return self._polls[method](call)
@@ -92,7 +101,7 @@ class CallAnswers:
         """Answer at once if one turn is enough."""
         if call.method == FOLLOW:
             self._state.site_polls.supersede(call.peer.thumbprint)
-        outcome = advance(work, self._turns.begin())
+        outcome = advance(work, self._first_turn())
         if outcome is None:
             return self._in_turns(call, work)
         answer = self._effects.apply(outcome)
@@ -114,18 +123,36 @@ class CallAnswers:
 
     async def _watch(self, call: PendingCall, expected: asyncio.Event) -> object:
         if call.method == WATCH:
-            await self._state.graph_changes.wait(WATCH_WAIT, expected)
-        else:
-            await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT, expected)
+            return await self._watch_graph(call, expected)
+        await self._state.site_polls.wait(call.peer.thumbprint, WATCH_WAIT, expected)
         answer = await self._finish(call, self._begin(call))
         if call.method == FOLLOW and self._is_unchanged(call, answer):
             return [*UNCHANGED]
         return answer
 
+    async def _watch_graph(self, call: PendingCall, expected: asyncio.Event) -> object:
+        """Answer a change that the watcher sees: the moment of another would tell of it."""
+        loop = asyncio.get_running_loop()
+        end = loop.time() + WATCH_WAIT
+        while True:
+            await self._state.graph_changes.wait(max(0.0, end - loop.time()), expected)
+            expected = self._expect_change(call)
+            answer = await self._finish(call, self._begin(call))
+            if loop.time() >= end or not self._is_unchanged(call, answer):
+                return answer
+
     async def _watch_grants(self, call: PendingCall) -> object:
         answer = await self._finish(call, self._begin(call))
         if is_empty(answer):
             await self._state.grant_changes.wait(call.peer.thumbprint)
+            answer = await self._finish(call, self._begin(call))
+        return answer
+
+    async def _watch_renewals(self, call: PendingCall) -> object:
+        changes = self._state.renewal_changes
+        answer = await self._finish(call, self._begin(call))
+        if has_no_renewal(answer) and call.params[1] == 0:  # a locked service waits by itself
+            await changes.wait(RENEWALS_WAIT)
             answer = await self._finish(call, self._begin(call))
         return answer
 
@@ -148,7 +175,7 @@ class CallAnswers:
     async def _finish(self, call: PendingCall, work: CallOutcome | Work) -> object:
         number = self._state.trust.number
         while not isinstance(work, CallOutcome):
-            await asyncio.sleep(0)  # let other calls be answered
+            await self._loop_turns.wait(source_of(call.peer))  # others are answered meanwhile
             self._caller_now(call.peer)
             if number != self._state.trust.number:
                 number, work = self._state.trust.number, self._begin(call)
@@ -159,17 +186,22 @@ class CallAnswers:
     async def _multicall(self, call: PendingCall, multicall: Multicall) -> object:
         number = self._state.trust.number
         while not multicall.done:
-            await asyncio.sleep(0)
+            await self._loop_turns.wait(source_of(call.peer))
             if number != self._state.trust.number:
                 number = self._state.trust.number
                 multicall.restart_element()
-            self._step(call, multicall)
+            self._step(call, multicall, self._turns.begin())
         return multicall.answer
 
-    def _step(self, call: PendingCall, multicall: Multicall) -> None:
+    def _first_turn(self) -> TurnExpired:
+        """A turn at once: a part of the one that all calls which arrive together have."""
+        expired, all_expired = self._turns.begin(), self._loop_turns.first()
+        return lambda: expired() or all_expired()
+
+    def _step(self, call: PendingCall, multicall: Multicall, turn: TurnExpired) -> None:
         caller, now = self._caller_now(call.peer)
         begin = partial(self._api.begin, caller=caller, now=now, is_local=call.is_local)
-        events = multicall.step(begin, self._turns.begin())
+        events = multicall.step(begin, turn)
         self._effects.apply(CallOutcome(None, events))
 
     def _begin(self, call: PendingCall) -> CallOutcome | Work:

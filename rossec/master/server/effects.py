@@ -32,7 +32,7 @@ from rossec.master.api.methods import (
     StopMaster,
 )
 from rossec.master.api.turns import CallOutcome
-from rossec.master.operation.denial_causes import DenialCauses
+from rossec.master.operation.denial_causes import BASICS, DenialCauses
 from rossec.master.operation.denial_limit import DENIALS
 from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.alias_publishers import AliasPublishers
@@ -61,8 +61,6 @@ _denials = logging.getLogger(DENIALS)
 
 _CONTRADICTED: Final = "%s is not imported from site %s: it is of type %s there, of %s here"
 STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
-
-
 _Recorded = PersistParameter | Denied | GrantsPresented | CallDenied | TypeContradicted
 
 
@@ -78,7 +76,7 @@ class MasterState:
         streams: accepted connections.
         imports: what other masters have registered.
         site_polls: followers that wait for changes of the registrations.
-        demand_changes: notified when local nodes want more of other masters.
+        demand_changes, renewal_changes: what local nodes want of other masters, of the authority.
         doors: of the own relays.
         relay_polls: relays that wait for what is wanted.
     """
@@ -95,6 +93,7 @@ class MasterState:
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
     site_polls: SitePolls = field(default_factory=SitePolls)
     demand_changes: GraphChanges = field(default_factory=GraphChanges)
+    renewal_changes: GraphChanges = field(default_factory=GraphChanges)
     doors: Doors = field(default_factory=Doors)
     relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
@@ -105,6 +104,7 @@ class MasterState:
         self.aliases = AliasPublishers(Graph(self.registry, self.imports), self.trust.caller_of)
         self.imports.intake.rules = self.trust.domains.imported
         self.doors.on_wanted = self.relay_polls.notify
+        self.trust.identities.on_asked = self.renewal_changes.notify
 
     def now(self) -> int:
         """The time, in whole seconds."""
@@ -240,7 +240,8 @@ class Effects:
             case CallDenied(node):
                 self.denials += 1
                 if text := self._denial_causes.text(self._state.now(), event):
-                    _denials.warning("%s may not %s", node, printable(text))
+                    level = logging.INFO if text.startswith(BASICS) else logging.WARNING
+                    _denials.log(level, "%s may not %s", node, printable(text))
             case Denied(node, right, name):
                 self._state.recent_denials.add(self._state.now(), node, right, name)
                 self._on_denial(self._state.now(), node, right, name)

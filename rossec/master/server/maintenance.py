@@ -14,6 +14,7 @@ from rossec.clock import Setbacks
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.server.local_authority import SOURCE, LocalAuthority
+from rossec.master.server.parameter_file import ParameterFile
 from rossec.net.aio.tasks import TaskSet
 
 _CLOCK_SET_BACK: Final = (
@@ -21,6 +22,7 @@ _CLOCK_SET_BACK: Final = (
     " (set the clock right; if it is right now, restart the master)"
 )
 
+_SAVE_PAUSE: Final = 1.0  # seconds between two times that parameters are saved, however many
 _log = logging.getLogger("rossec.master.upkeep")
 _audit = logging.getLogger("rossec.audit")
 
@@ -48,11 +50,15 @@ class Maintenance:
         self._check_own_identity = check_own_identity
         self._local_authority = local_authority
         self._setbacks = Setbacks()
+        state.aliases.on_slot = effects.list_changed.set
         self._tasks = TaskSet()
 
     def start(self, keep_views: Callable[[frozenset[bytes]], None]) -> None:
         """Begin the rounds; `keep_views` discards what watchers saw, but those with these keys."""
         self._tasks.spawn(self._run(keep_views), name="rossec master maintenance")
+        if self._state.parameter_file is not None:
+            saving = self._save(self._state.parameter_file)
+            self._tasks.spawn(saving, name="rossec master parameters")
 
     async def close(self) -> None:
         """End the rounds."""
@@ -71,9 +77,11 @@ class Maintenance:
                     await self._effects.list_changed.wait()
 
     def _pause(self) -> float:
-        """Seconds to the next round, which the end of the trust in a domain does not wait for."""
-        end = self._state.trust.domains.next_end(self._state.now())
-        return self._interval if end is None else min(self._interval, end - self._state.clock())
+        """Seconds to the next round; neither the end of trust in a domain waits nor a slot."""
+        now = self._state.now()
+        moments = self._state.trust.domains.next_end(now), self._state.aliases.next_slot(now)
+        waits = [moment - self._state.clock() for moment in moments if moment is not None]
+        return min(self._interval, *waits) if waits else self._interval
 
     async def _run_once(self) -> None:
         if self._setbacks.any_new():
@@ -87,9 +95,20 @@ class Maintenance:
             self._effects.deliver(RevocationsChanged(SOURCE))
         if self._local_authority.has_newer_domains():
             self._effects.deliver(DomainsChanged(SOURCE))
-        for file in (self._state.parameter_file, self._state.deposit_file):
-            if file is not None:
-                file.sync()
+        if self._state.deposit_file is not None:
+            self._state.deposit_file.sync()
+
+    async def _save(self, file: ParameterFile) -> None:
+        """Save parameters; a disk takes its time, for which nothing that is revoked waits."""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._interval):
+                    await file.grown.wait()
+            try:
+                await file.save()
+            except Exception:  # noqa: BLE001 - as above
+                _log.exception("parameters were not saved; it is tried again")
+            await asyncio.sleep(min(_SAVE_PAUSE, self._interval))  # also after a failure
 
     async def _enforce(self) -> None:
         """Remove what is no longer authorized; other calls are answered meanwhile."""

@@ -13,9 +13,11 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
+from ca import svid
 from ca.certificates import Identity
 from ca.domains.aliases import shown
 from ca.errors import HintedError
@@ -34,6 +36,7 @@ from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.deposits import Deposits
 from rossec.master.rights.statements import TrustState
+from rossec.master.server.admission import Admission
 from rossec.master.server.answers import CallAnswers
 from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.effects import Effects, MasterState
@@ -53,10 +56,11 @@ from rossec.master.state.mirrors import MirrorChange
 from rossec.master.state.registry import Kind, Registry
 from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
+from rossec.net.bounds import UNSHOWN_UNIT
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.host.relayed import is_near
 from rossec.net.rpc.client import serve_calls
-from rossec.ros.http import HEADERS_LIMIT
+from rossec.ros.httpread import HEADERS_LIMIT
 from rossec.ros.names import MASTER
 from rossec.ros.text import printable
 
@@ -118,14 +122,16 @@ class MasterServer:
         channel_limits = ChannelLimits(
             unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
         )
+        unshown = replace(channel_limits, preauth_limit=min(channel_limits.unit, UNSHOWN_UNIT))
         self._context = SecureContext(
             credentials,
             verify,
             suites=suites,
             known=KnownCertificates(),
             dial_limits={WireProtocol.HTTP: channel_limits},
-            accept_limits={WireProtocol.HTTP: channel_limits},
+            accept_limits={WireProtocol.HTTP: unshown},
             half_open=HalfOpenCount(HalfOpen(limits.unfinished_per_address, limits.unfinished)),
+            renews=Identity.renews,
         )
         self.state = state = MasterState(
             name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
@@ -140,6 +146,7 @@ class MasterServer:
             LocalAuthority(find_revocations, trust, find_domains),
         )  # fmt: skip
         self._gateways = Gateways(state, self._effects)
+        self._admission = Admission(state, limits)
         self._revoked_connections = RevokedConnections()
         self._parameters: ParameterCalls  # set by `start`
         self._answers: CallAnswers  # set by `start`, before a connection is handled
@@ -227,6 +234,7 @@ class MasterServer:
         """Figures for administrators and metrics."""
         registry = self.state.registry
         entries = [entry for kind in Kind for entry in registry.entries(kind)]
+        own = svid.parse(self._context.credentials.certificate)
         return {
             "uri": self.uri,
             "pid": os.getpid(),
@@ -238,6 +246,8 @@ class MasterServer:
             "revocation_number": self.state.trust.number,
             "domains": len(self.state.trust.domains.anchors.all_listed),
             "domains_number": self.state.trust.domains.number,
+            "identity_expires": svid.validity(own)[1],
+            "renewals_waiting": self.state.trust.identities.waiting(self.state.now()),
             "foreign_connections": sum(stream.peer.is_foreign for stream in self.state.streams),
         }
 
@@ -262,7 +272,7 @@ class MasterServer:
 
     async def _handle(self, stream: SecureStream[Identity]) -> None:
         state, name = self.state, shown(stream.peer.name)
-        if not self._has_room_for(stream.peer):
+        if not self._admission.has_room_for(stream.peer):
             _denials.warning("%s has too many connections", name)
             stream.abort("too many connections of one identity")
             return
@@ -278,24 +288,19 @@ class MasterServer:
             return
         state.streams.add(stream)  # until its socket is closed: a lingering one counts
         stream.when_closed(partial(state.streams.discard, stream))
-        is_local = is_near(stream.address, stream.local_address)
+        dispatch = partial(self._answers.dispatch, is_near(stream.address, stream.local_address))
+        if self._admission.has_rights(stream.peer):
+            stream.raise_unit_limit()
+        else:
+            dispatch = partial(self._admission.dispatch_unshown, stream, dispatch)
         await serve_calls(
             stream,
-            partial(self._answers.dispatch, is_local),
+            dispatch,
             limit=self._limits.body,
             request_deadline=self._limits.request_seconds,
             idle_deadline=self._limits.idle_seconds,
+            bound=partial(self._admission.body_bound, stream.peer),
         )
-
-    def _has_room_for(self, peer: Identity) -> bool:
-        """Whether one more connection is within the limits; a foreign authority has any key."""
-        peers = [stream.peer for stream in self.state.streams]
-        if peer.is_foreign:
-            of_domain = sum(other.is_foreign and other.domain == peer.domain for other in peers)
-            if of_domain >= self._limits.connections_per_domain:
-                return False
-        of_key = sum(other.thumbprint == peer.thumbprint for other in peers)
-        return of_key < self._limits.connections_per_identity
 
     async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
         """Answer for a few seconds; not one of the streams, so it is sent no updates."""

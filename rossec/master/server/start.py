@@ -18,7 +18,8 @@ from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.delegation import Delegate
 from rossec.master.rights.deposits import verifier
 from rossec.master.rights.domain_trust import DomainTrust
-from rossec.master.rights.statements import Renewer, TrustState
+from rossec.master.rights.identity_renewals import Renewer
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.deposit_file import DepositFile
 from rossec.master.server.local_authority import (
     FindDomains,
@@ -62,7 +63,8 @@ def master_of(
             loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, from an authority on this
             host; otherwise the master waits until one is published.
-        renewer: renews identities with an intermediate; never the root, whose key stays offline.
+        renewer: renews identities with an intermediate of this host; None: the authority's service
+            does, through the table of requests.
         entries: where `newest` is a tree, its entries.
         on_denial: called for every right that a caller lacks.
         limits: limits on what one peer may use.
@@ -78,9 +80,9 @@ def master_of(
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
     trust = _trust(home, saved_list, signer, newest, entries, renewer, now)
-    if renewer is not None:
-        own_identity.renew = partial(_renew_own, renewer, trust)
-    return MasterServer(
+    own_key = home.identity(now).thumbprint
+    own_identity.renew = lambda request, at: trust.identities.ask(own_key, request, at, trust.check)
+    server = MasterServer(
         own_identity.credentials,
         trust.domains.anchors.verify,
         trust,
@@ -97,6 +99,14 @@ def master_of(
         find_revocations=find_revocations,
         find_domains=find_domains,
     )
+    trust.identities.on_answered = partial(_take_own, server, own_key)
+    return server
+
+
+def _take_own(server: MasterServer, own_key: bytes, answered: bytes) -> None:
+    """Have the master's own new identity taken at once."""
+    if answered == own_key:
+        server.effects.list_changed.set()
 
 
 def _trust(
@@ -155,10 +165,6 @@ def _domains(
 def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:
     own_identity.check(now)
     saved_list.retry()
-
-
-def _renew_own(renewer: Renewer, trust: TrustState, request: bytes, now: int) -> bytes:
-    return renewer(request, now, trust.check)
 
 
 def _load_delegation(delegate: Delegate, data: bytes) -> None:

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from ca.domains.aliases import is_alias
 from rossec.master.state.imports import Imports
+from rossec.master.state.publisher_log import PublisherLog
 from rossec.master.state.registry import ANY_TYPE, Kind, Registry
 from rossec.master.state.served_topics import ServedTopics
 
@@ -26,6 +27,7 @@ class Graph:
     def __init__(self, registry: Registry, imports: Imports) -> None:
         self.registry: Final = registry
         self.imports: Final = imports
+        self.presence: Final = PublisherLog(registry)
         self.served: Final = ServedTopics(registry, imports)
 
     @property

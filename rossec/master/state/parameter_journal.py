@@ -9,12 +9,14 @@ from typing import Final, NamedTuple
 
 from rossec.errors import XmlRpcRefused
 from rossec.master.state import journal_records
+from rossec.master.state.parameter_values import exceeds
 from rossec.master.state.parameters import ParameterMissing, Parameters
-from rossec.ros import xmlrpc
+from rossec.ros import names, xmlrpc
 
 MAGIC: Final = b"rossec parameters 1\n"
 _SET: Final = "setParam"
 _DELETE: Final = "deleteParam"
+_PIECE: Final = 256 * 1024  # encoded in some milliseconds
 
 
 class ParameterChange(NamedTuple):
@@ -84,7 +86,30 @@ def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
 
 def snapshot(parameters: Parameters) -> bytes:
     """The shortest journal of these parameters."""
+    return b"".join(pieces(parameters))
+
+
+def pieces(parameters: Parameters) -> Iterator[bytes]:
+    """The shortest journal piece by piece; the parameters may change between two of them.
+
+    Each piece is of what is set when it is made. So the pieces are a journal of all parameters if
+    each change is written behind the pieces that were made before it.
+    """
+    yield MAGIC
     tree = parameters.get("/")
-    keys = list(tree) if isinstance(tree, dict) else []
-    records = (encode(ParameterChange(f"/{key}", parameters.get(f"/{key}"))) for key in keys)
-    return MAGIC + b"".join(records)
+    for name in tuple(tree) if isinstance(tree, dict) else ():
+        yield from _pieces(parameters, names.join("/", name))
+
+
+def _pieces(parameters: Parameters, key: str) -> Iterator[bytes]:
+    try:
+        value = parameters.get(key)
+    except ParameterMissing:
+        return
+    if not isinstance(value, dict) or not exceeds(value, _PIECE):
+        yield encode(ParameterChange(key, value))
+        return
+    below = tuple(value)
+    yield encode(ParameterChange(key, {}))
+    for name in below:
+        yield from _pieces(parameters, names.join(key, name))

@@ -5,10 +5,10 @@ XML-RPC has extensions (nil, long and big numbers) that a call can carry but no 
 value would make every tree that contains it unreadable. Sizes approximate those of the answer.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from datetime import datetime
 from itertools import accumulate
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from rossec.ros import names
 from rossec.ros.xmlwrite import EncodedList
@@ -17,6 +17,7 @@ DEPTH_LIMIT: Final = 32
 _INTS: Final = range(-(2**31), 2**31)
 _SCALAR, _TEXT, _ARRAY, _STRUCT, _MEMBER = 28, 36, 52, 46, 34  # bytes of markup of each
 _SCALARS: Final = (bool, float, datetime)
+_FLAT: Final = frozenset({int, *_SCALARS})
 Tree = dict[str, object]
 
 
@@ -55,9 +56,9 @@ def encoded_size(value: object) -> int:
         case str() | bytes():
             return _TEXT + len(value)
         case dict():
-            return _STRUCT + sum(member_size(name, below) for name, below in value.items())
+            return _STRUCT + _MEMBER * len(value) + sum(map(len, value)) + _sizes(value.values())
         case list() | tuple():
-            return _ARRAY + sum(map(encoded_size, value))
+            return _ARRAY + _sizes(value)
         case _:
             return _SCALAR
 
@@ -77,10 +78,25 @@ def _encoded_sizes(value: object) -> Iterator[int]:
     if not isinstance(value, dict):
         yield encoded_size(value)
         return
-    yield _STRUCT
-    for name, below in value.items():
-        yield _MEMBER + len(name)
+    yield _STRUCT + _MEMBER * len(value) + sum(map(len, value))
+    if _flat_size(value.values()) is not None:
+        yield _sizes(value.values())
+        return
+    for below in value.values():
         yield from _encoded_sizes(below)
+
+
+def _sizes(values: Collection[Any]) -> int:
+    flat = _flat_size(values)
+    return sum(map(encoded_size, values)) if flat is None else flat
+
+
+def _flat_size(values: Collection[Any]) -> int | None:
+    """The size of values of one kind, without a look at each in Python; None: of several kinds."""
+    kinds = set(map(type, values))
+    if kinds <= _FLAT:
+        return _SCALAR * len(values)
+    return _TEXT * len(values) + sum(map(len, values)) if kinds == {str} else None
 
 
 def _check_scalar(value: object) -> None:

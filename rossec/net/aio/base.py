@@ -8,7 +8,6 @@ is a base class, since a second object would cost a call for each unit.
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from copy import copy
 from typing import Final, NoReturn
 
 from rossec.channel.records import Bytes
@@ -38,12 +37,9 @@ class BaseStream:
         self.error: ChannelError | None = None
 
     def check(self) -> None:
-        """Raise the error that ended the connection, if it has ended.
-
-        A copy: with its traceback the original would keep the frames alive it was raised in.
-        """
+        """Raise the error that ended the connection, if it has ended: a copy, as it is kept."""
         if self.error is not None:
-            raise copy(self.error)
+            raise self.error.bare()
 
     def _deliver(self, unit: Bytes) -> None:
         """Pass the unit on at once while forwarding; queue it otherwise, a copy of a view."""
@@ -138,10 +134,19 @@ class BaseStream:
                 while self._is_forwarding():
                     await self._changed()
                 if self._forward_error is not None:
-                    raise self._forward_error
+                    self._raise_forward_error()
                 await drain()
         finally:
             self._write_nowait = None
+
+    def _raise_forward_error(self) -> None:
+        """Raise it once: kept here it would be part of a cycle with the frames it names."""
+        error, self._forward_error = self._forward_error, None
+        try:
+            if error is not None:
+                raise error
+        finally:
+            del error
 
     def _is_forwarding(self) -> bool:
         return self._write_nowait is not None and self.error is None

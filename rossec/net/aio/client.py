@@ -1,6 +1,7 @@
 """Connecting: TCP over IPv4 or IPv6, whichever answers first, then the handshake."""
 
 import asyncio
+import os
 import socket
 from collections.abc import Awaitable, Callable
 from functools import partial
@@ -11,12 +12,14 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
 from rossec.errors import (
     ChannelError,
+    ForeignIdentity,
     HandshakeFailed,
     HandshakeTimeout,
     OwnCredentialUnknown,
     PeerCredentialUnknown,
     PeerRefused,
     PeerUnreachable,
+    PlainPeer,
 )
 from rossec.net.aio.dial import dial
 from rossec.net.aio.stream import SecureStream
@@ -29,6 +32,14 @@ _NOT_RUNNING: Final = (
     " start it with rossec master, and check ROS_MASTER_URI here"
 )
 _START_MASTER: Final = "start it: rossec master; or set ROS_MASTER_URI to where it runs"
+_PLAIN_MASTER: Final = (
+    "stop it, and start the other in its place: rossec master; or set ROS_MASTER_URI to where that"
+    " runs"
+)
+_OTHER_MASTER: Final = (
+    "stop the master that runs there, or set ROS_MASTER_URI to where that of this authority runs;"
+    " is ROSSEC_HOME the right one?"
+)
 
 
 async def connect(
@@ -107,7 +118,7 @@ def authenticate(
 
     def on_end(_: SecureStream[PeerT], error: ChannelError) -> None:
         if not ready.done():
-            ready.set_exception(error)
+            ready.set_exception(error.bare())
 
     stream = SecureStream(connection, transport, address, on_authenticated, on_end)
     return _wait(stream, ready)
@@ -121,6 +132,8 @@ async def _wait(
     except BaseException:
         stream.abort("the caller no longer waits for the connection")
         raise
+    finally:
+        del ready  # its error refers to this frame
 
 
 async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
@@ -135,11 +148,23 @@ async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa:
 def _reason(error: Exception) -> str:
     if isinstance(error, TimeoutError):
         return "it does not answer"
-    reason = error.strerror if isinstance(error, OSError) else None
-    return reason.lower() if reason else str(error)
+    if not isinstance(error, OSError):
+        return str(error)
+    if isinstance(error.errno, int) and error.errno > 0:  # the loop's text repeats the address
+        return os.strerror(error.errno).lower()
+    return error.strerror.lower() if error.strerror else str(error)
 
 
-def as_master(error: PeerUnreachable) -> PeerUnreachable:
-    """The same error, where it is known that the peer is the master: how to start it."""
-    hint = _START_MASTER if error.hint == _NOT_RUNNING else error.hint
-    return PeerUnreachable(str(error), hint)
+def as_master(error: ChannelError) -> ChannelError:
+    """The same error, where it is known that the peer should be the master: what to do."""
+    match error:
+        case PeerUnreachable(hint=hint):
+            return PeerUnreachable(str(error), _START_MASTER if hint == _NOT_RUNNING else hint)
+        case PlainPeer():
+            text = f"what runs at the master's address is a plain master, roscore perhaps: {error}"
+            return PlainPeer(text, _PLAIN_MASTER)
+        case ForeignIdentity():
+            text = f"what runs at the master's address is of another authority: {error}"
+            return ForeignIdentity(text, _OTHER_MASTER)
+        case _:
+            return error

@@ -12,7 +12,15 @@ from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Bytes
-from rossec.channel.states import Authenticated, Event, UnitReceived
+from rossec.channel.states import (
+    Authenticated,
+    Closed,
+    Event,
+    GrantsPresented,
+    IdentityRenewed,
+    Renewal,
+    UnitReceived,
+)
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio.base import BaseStream
 from rossec.net.aio.transport import ByteTransport, TransportOwner
@@ -61,12 +69,16 @@ class Driver(BaseStream, Generic[PeerT]):
         self._socket_closed = False
         self._when_closed: list[Callable[[], None]] | None = None
         self.authenticated = False
+        self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
+        self._untold: Renewal[PeerT] | None = None
         self.address = address
         self.transport = transport(self)
         self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
         self.flush()
         self.transport.resume_reading()
         self._arm()
+        if connection.streams is not None:
+            connection.streams.add(self)
 
     # -- called by the transport
 
@@ -93,6 +105,8 @@ class Driver(BaseStream, Generic[PeerT]):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
                 self._handle_authenticated(event.identity)
+            elif not isinstance(event, Closed):
+                self._handle_renewal(event)
             else:
                 self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
@@ -107,6 +121,16 @@ class Driver(BaseStream, Generic[PeerT]):
         self._on_authenticated(self)
         self._loop.call_soon(self.flush)
         self._arm()
+
+    def _handle_renewal(self: Self, event: Renewal[PeerT]) -> None:
+        """Tell the user at once: what arrives after it is judged by what is in force then."""
+        if isinstance(event, IdentityRenewed):
+            self.peer = event.identity
+            self._arm()
+        if self._on_renewal is not None:
+            self._on_renewal(event)
+        elif isinstance(event, GrantsPresented):
+            self._untold = event
 
     def eof_received(self) -> None:
         """The peer ended the stream; without its close that is a truncation."""
@@ -148,6 +172,31 @@ class Driver(BaseStream, Generic[PeerT]):
             self._when_closed = []
         self._when_closed.append(callback)
 
+    def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
+        """Call back with what the peer renews; the grants that it presented before at once."""
+        self._on_renewal = callback
+        untold, self._untold = self._untold, None
+        if untold is not None:
+            callback(untold)
+
+    @property
+    def takes_renewals(self) -> bool:
+        """As of `Connection`."""
+        return self.connection.takes_renewals
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        """As of `Connection`, and send it."""
+        if self.error is None:
+            self.connection.present_identity(chain)
+            self.flush()
+
+    def present_grants(self, data: bytes) -> bool:
+        """As of `Connection`, and send them; false: the peer takes none, or it has ended."""
+        if self.error is not None or not self.connection.present_grants(data):
+            return False
+        self.flush()
+        return True
+
     def raise_unit_limit(self, limit: int | None = None) -> None:
         """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
 
@@ -156,6 +205,10 @@ class Driver(BaseStream, Generic[PeerT]):
         """
         self.check()
         self.connection.raise_unit_limit(limit)
+
+    def pad_units(self, multiple: int) -> None:
+        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        self.connection.pad_units(multiple)
 
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
@@ -172,12 +225,16 @@ class Driver(BaseStream, Generic[PeerT]):
         if data:
             self.transport.write(data)
 
-    async def _close(self) -> None:
-        """Close in order; wait for the peer's, but not for long."""
+    def _begin_close(self) -> None:
+        """Close in order, without waiting: the socket is closed with the peer's, or soon."""
         if self.error is None:
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"), linger=True)
+
+    async def _close(self) -> None:
+        """Close in order; wait for the peer's, but not for long."""
+        self._begin_close()
         while not self._socket_closed:
             await self._changed()
 
@@ -198,7 +255,7 @@ class Driver(BaseStream, Generic[PeerT]):
         """End the connection for its users: every end passes here."""
         if self.error is not None:
             return
-        self.error = error
+        self.error = error.bare()
         if linger:
             self._linger()
         self._on_end(self, error)

@@ -159,11 +159,24 @@ class SecureStream(Driver[PeerT]):
                 transport.write(record)
         return transport.writable
 
+    def pad_units(self, multiple: int) -> None:
+        """As of `Driver`; what is queued leaves as it was to be sent."""
+        if self.error is None and not self._turn.locked():
+            with suppress(ChannelError):  # the connection has ended: its users get the error
+                self._flush_queue()
+        super().pad_units(multiple)
+
     async def close(self) -> None:
         """Send what is queued, then close in order."""
         if self.error is None and not self._turn.locked():
             self._flush_queue()
         await self._close()
+
+    def close_soon(self) -> None:
+        """As `close`, without waiting for the peer: it may keep its end open for seconds."""
+        if self.error is None and not self._turn.locked():
+            self._flush_queue()
+        self._begin_close()
 
     async def __aenter__(self) -> Self:
         return self

@@ -8,12 +8,16 @@ a request that has begun must end within a deadline.
 
 import asyncio
 import contextlib
+from collections.abc import Callable
 from typing import Final, Protocol, TypeVar
 
-from rossec.errors import RossecError
+from rossec.errors import ChannelError, RossecError, XmlRpcRefused
+from rossec.net.bounds import UNSHOWN_UNIT
 from rossec.net.rpc.server import CallLoop, Dispatch, ServedStream
+from rossec.net.rpc.turns import AT_ONCE, TurnOwner, of_loop
 from rossec.ros import xmlrpc
-from rossec.ros.callclient import CallClient, body_of, value_in
+from rossec.ros.callclient import CallClient, body_of, value_in, value_steps
+from rossec.ros.xmlrpc import BODY_LIMIT, Encoded
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last
 CALL_DEADLINE: Final = 10.0
@@ -45,16 +49,20 @@ async def serve_calls(
     request_deadline: float = REQUEST_DEADLINE,
     idle_deadline: float | None = None,
     compact: bool = True,
+    bound: Callable[[], int] | None = None,
+    urgent: bool = False,
 ) -> None:
     """Answer the calls on `stream` until the peer closes it or breaks the protocol.
 
     `dispatch` may return an awaitable; any other value is answered at once.
     `idle_deadline` is how long it may take from one answer to the next, reading it included.
     `compact`: take an offer of the compact form; not from a program, whose bytes come as they may.
+    `bound`: how long a call may be that is parsed now, for a peer without rights less than `limit`.
+    `urgent`: long calls of this peer precede those of others.
     """
     calls = CallLoop(
         stream, dispatch, limit=limit, deadline=request_deadline, idle=idle_deadline,
-        compact=compact,
+        compact=compact, bound=bound, urgent=urgent,
     )  # fmt: skip
     try:
         await calls.run()
@@ -83,6 +91,7 @@ class RpcClient:
         self._deadline = deadline
         self._limit = limit
         self._turn = asyncio.Lock()
+        self._source = TurnOwner(self, self)
         self._closed = False
 
     @property
@@ -104,7 +113,10 @@ class RpcClient:
             WireError: the answer is malformed.
             XmlRpcRefused: a parameter cannot be carried (nothing was sent).
         """
-        return value_in(await self._answer(method, params), self._limit)
+        answer = await self._answer(method, params)
+        if isinstance(answer, Encoded) and len(answer.body) > AT_ONCE:
+            return await of_loop().run(self._source, value_steps(answer, self._limit))
+        return value_in(answer, self._limit)
 
     async def fetch(self, method: str, *params: object) -> bytes:
         """Like `call`, but the body of an XML-RPC response, unparsed if it came so.
@@ -131,14 +143,28 @@ class RpcClient:
         async with self._turn:
             if self._closed:
                 raise CallFailed(f"{method}: the connection is closed")
-            return await self._exchange(method, self._calls.request(method, params))
+            request = self._calls.request(method, params)
+            if len(request) > BODY_LIMIT:
+                self._calls.take_back()
+                raise XmlRpcRefused(
+                    f"a call of {len(request)} bytes, at most {BODY_LIMIT} are sent"
+                )
+            try:
+                return await self._exchange(method, request)
+            except ChannelError as error:
+                if len(request) <= UNSHOWN_UNIT:
+                    raise
+                raise XmlRpcRefused(
+                    f"a call of {len(request)} bytes ended the connection: without a grant at most"
+                    f" {UNSHOWN_UNIT} are taken"
+                ) from error
 
     async def _exchange(self, method: str, request: bytes) -> object:
         complete = False
         try:
             async with asyncio.timeout(self._deadline):
                 await self._stream.send(request)
-                while (answer := self._calls.take(await self._stream.receive())) is None:
+                while (answer := await self._take(await self._stream.receive())) is None:
                     pass
             complete = not self._calls.closing
         except TimeoutError as error:
@@ -147,6 +173,11 @@ class RpcClient:
             if not complete:
                 await self._abandon()
         return answer
+
+    async def _take(self, data: bytes) -> object:
+        if len(data) <= AT_ONCE:
+            return self._calls.take(data)
+        return await of_loop().run(self._source, self._calls.take_steps(data))
 
     async def _abandon(self) -> None:
         self._closed = True

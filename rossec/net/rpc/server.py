@@ -3,17 +3,23 @@
 Both forms of a call (`rossec.ros.callserver`) go to the same dispatcher.
 A call whose value is available at once costs no task switch, no timer and no turn of the loop;
 `run` awaits what takes time (an awaitable value, a peer that does not read). One call is answered
-in each turn of the loop, so that one peer with many calls cannot keep the others waiting.
+in each turn of the loop, so that one peer with many calls cannot keep the others waiting. A long
+one is parsed and answered in the turns of its peer (`rossec.net.rpc.turns`), as is a short one when
+others of this pass of the loop took long, and one that is too long for what the peer has shown is
+answered with a fault, unparsed.
 """
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any, Final, Generic, Protocol, TypeVar
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from time import monotonic
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from rossec.errors import CompactRefused, HangUp, HttpRefused, RossecError, XmlRpcRefused
+from rossec.net.rpc.turns import AT_ONCE, URGENT, TurnOwner, of_loop, source_of
 from rossec.ros.callserver import CallServer
+from rossec.ros.httpread import Oversized
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
 _CRASHED: Final = Fault(FAULT_CODE, "rossec: internal error")
@@ -22,6 +28,12 @@ _log = logging.getLogger("rossec.net.callloop")
 PeerT = TypeVar("PeerT")
 PeerT_co = TypeVar("PeerT_co", covariant=True)
 PeerT_contra = TypeVar("PeerT_contra", contravariant=True)
+
+
+class _Message(NamedTuple):
+    """The bytes of an answer."""
+
+    data: bytes
 
 
 class ServedStream(Protocol[PeerT_co]):
@@ -74,6 +86,7 @@ class CallLoop(Generic[PeerT]):
     """Serves one stream; see `rossec.net.rpc.client.serve_calls`."""
 
     __slots__ = (
+        "_bound",
         "_busy",
         "_calls",
         "_deadline",
@@ -86,8 +99,10 @@ class CallLoop(Generic[PeerT]):
         "_loop",
         "_scope",
         "_stream",
+        "_turns",
+        "_urgent",
         "_value",
-    )  # fmt: skip  # fmt: skip
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -98,8 +113,13 @@ class CallLoop(Generic[PeerT]):
         deadline: float,
         idle: float | None,
         compact: bool = True,
+        bound: Callable[[], int] | None = None,
+        urgent: bool = False,
     ) -> None:
         self._stream = stream
+        self._bound = bound
+        self._urgent = urgent
+        self._turns = of_loop()
         self._dispatch = dispatch
         self._calls = CallServer(limit=limit, compact=compact)
         self._deadline = deadline
@@ -136,10 +156,10 @@ class CallLoop(Generic[PeerT]):
         self._cancel_deadline()
         if self._job.done() and not self._job.cancelled() and self._job.exception() is None:
             job = self._job.result()
-            if job is not None:  # neither was started, nor its awaitable
+            if job is not None:  # it was not started
                 job.close()
-                if isinstance(self._value, Coroutine):
-                    self._value.close()
+        if isinstance(self._value, Coroutine):  # perhaps it was not started
+            self._value.close()
 
     # -- one call
 
@@ -193,7 +213,7 @@ class CallLoop(Generic[PeerT]):
             self._ended = True
             self._job.set_exception(error)
 
-    def _next_request(self, unit: bytes | None) -> bytes | None:
+    def _next_request(self, unit: bytes | None) -> bytes | Oversized | None:
         """The next call; `unit`, if not None, follows everything buffered."""
         calls, stream = self._calls, self._stream
         request = calls.take() if unit is None and calls.pending else None
@@ -209,7 +229,26 @@ class CallLoop(Generic[PeerT]):
             self._cancel_deadline()
         return request
 
-    def _answer(self, request: bytes) -> None:
+    def _answer(self, request: bytes | Oversized) -> None:
+        turns = self._turns
+        if (
+            isinstance(request, Oversized)
+            or len(request) > AT_ONCE
+            or not turns.has_time(self._source)
+        ):
+            steps = self._answer_steps(request)
+            self._wait_for(self._respond_later(turns.run(self._source(), steps)))
+            return
+        began = monotonic()
+        try:
+            self._answer_at_once(request)
+        finally:
+            turns.spend(self._source, monotonic() - began)
+
+    def _source(self) -> TurnOwner:
+        return URGENT if self._urgent else source_of(self._stream.peer)
+
+    def _answer_at_once(self, request: bytes) -> None:
         try:
             call = self._calls.load(request)
             value = self._dispatch(call.method, call.params, self._stream.peer)
@@ -226,6 +265,20 @@ class CallLoop(Generic[PeerT]):
             message = self._calls.respond(_failure(error))
         self._respond(message)
 
+    def _answer_steps(
+        self, request: bytes | Oversized
+    ) -> Generator[None, None, "_Message | Awaitable[object]"]:
+        """The bytes of the answer to a call, or what to await for its value."""
+        bound = None if self._bound is None else self._bound()
+        call = yield from self._calls.load_steps(request, bound)
+        yield
+        value = self._dispatch(call.method, call.params, self._stream.peer)
+        if type(value) is not list and isinstance(value, Awaitable):
+            self._value = value
+            return value
+        yield
+        return _Message(self._calls.respond(value))
+
     def _respond(self, message: bytes) -> None:
         if self._stream.lags:
             self._wait_for(self._stream.send(message))
@@ -237,8 +290,11 @@ class CallLoop(Generic[PeerT]):
 
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:
-            message = self._calls.respond(await value)
-        except HangUp:
+            found = await value
+            if found is self._value and isinstance(found, Awaitable):
+                found = await found
+            message = found.data if isinstance(found, _Message) else self._calls.respond(found)
+        except (HangUp, CompactRefused):
             raise
         except Exception as error:  # noqa: BLE001 - handled in `_failure`
             message = self._calls.respond(_failure(error))

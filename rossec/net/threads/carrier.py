@@ -11,15 +11,22 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from copy import copy
 from threading import Lock
-from typing import Any, Final, Generic
+from typing import Any, Final, Generic, cast
 
 from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Bytes
-from rossec.channel.states import Authenticated, ConnectionState, UnitReceived
+from rossec.channel.states import (
+    Authenticated,
+    Closed,
+    ConnectionState,
+    GrantsPresented,
+    IdentityRenewed,
+    Renewal,
+    UnitReceived,
+)
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 
@@ -47,6 +54,8 @@ class Carrier(Generic[PeerT]):
         self._core = core
         self._on_released: Callable[[], None] | None = on_released
         self._units: deque[bytes | memoryview] = deque()
+        self._renewed: deque[Renewal[PeerT]] = deque()
+        self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
         self._error: ChannelError | None = None
         self._timers_run_at = -1
         self._aborted = False
@@ -54,6 +63,8 @@ class Carrier(Generic[PeerT]):
         self._reading = Lock()
         self._writing = Lock()
         forget_in_children(self)
+        if core.streams is not None:
+            core.streams.add(self)
 
     def abandon(self) -> None:
         """As of `Inherited`: this descriptor is closed, the connection of the parent is not.
@@ -103,6 +114,8 @@ class Carrier(Generic[PeerT]):
                 self._fail(ChannelClosed("the peer closed the connection"))
             else:
                 self._handle_events(self._call_core(self._core.buffer_updated, count, _now()))
+        if self._renewed:
+            self._tell_renewals()
         if self._error is None:
             self._flush(end)
         else:
@@ -116,8 +129,62 @@ class Carrier(Generic[PeerT]):
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
                 self._release()
-            else:
+            elif isinstance(event, Closed):
                 self._fail(ChannelClosed("the peer closed the connection"))
+            else:
+                self._take_renewal(cast("Renewal[PeerT]", event))
+
+    # -- what is renewed
+
+    def _take_renewal(self, event: Renewal[PeerT]) -> None:
+        if isinstance(event, IdentityRenewed):
+            self.peer = event.identity
+        if isinstance(event, GrantsPresented):  # the newest counts, also before anybody listens
+            others = (each for each in self._renewed if not isinstance(each, GrantsPresented))
+            self._renewed = deque((*others, event))
+        elif self._on_renewal is not None:
+            self._renewed.append(event)
+
+    def _tell_renewals(self) -> None:
+        """Tell the user, with no lock of the core held: judging takes its time, and locks."""
+        while self._on_renewal is not None and self._renewed:
+            self._on_renewal(self._renewed.popleft())
+
+    def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
+        """Call back, in the thread that reads, with what the peer renews."""
+        self._on_renewal = callback
+        self._tell_renewals()
+
+    @property
+    def takes_renewals(self) -> bool:
+        """As of `Connection`."""
+        return self._core.takes_renewals
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        """As of `Connection`, from any thread; it is sent now, or with what is sent next."""
+        with self._core_lock:
+            self._core.present_identity(chain)
+        self._send_queued()
+
+    def present_grants(self, data: bytes) -> bool:
+        """As of `Connection`, from any thread; as `present_identity`."""
+        with self._core_lock:
+            taken = self._error is None and self._core.present_grants(data)
+        self._send_queued()
+        return taken
+
+    def _send_queued(self) -> None:
+        """Send what the core has queued as far as that needs no waiting."""
+        if self.peer is None or not self._writing.acquire(blocking=False):
+            return  # who writes just now sends it after that
+        try:
+            with self._core_lock:
+                if self._core.has_data_to_send:
+                    self._core.put_back(self._send_nowait(self._core.data_to_send()))
+        except ChannelError:
+            pass  # the connection has ended: its users get the error
+        finally:
+            self._writing.release()
 
     def _call_core(self, step: Callable[..., Any], *arguments: object) -> Any:
         try:
@@ -132,7 +199,7 @@ class Carrier(Generic[PeerT]):
             self._socket.send(flight, AT_ONCE)
 
     def _fail(self, error: ChannelError) -> None:
-        self._error = self._error or error
+        self._error = self._error or error.bare()
 
     def _release(self) -> None:
         """Call `on_released`: the peer is authenticated, or the socket was given back."""
@@ -142,7 +209,7 @@ class Carrier(Generic[PeerT]):
 
     def _raise_if_ended(self) -> None:
         if self._error is not None:
-            raise copy(self._error)  # the original would keep the frames alive it was raised in
+            raise self._error.bare()
 
     # -- sending
 

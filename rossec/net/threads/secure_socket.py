@@ -79,6 +79,11 @@ class SecureSocket(Carrier[PeerT]):
         with self._core_lock:
             self._core.raise_unit_limit(limit)
 
+    def pad_units(self, multiple: int) -> None:
+        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+        with self._core_lock:
+            self._core.pad_units(multiple)
+
     # -- bytes
 
     def do_handshake(self) -> PeerT:

@@ -47,12 +47,11 @@ class CallMaster:
 
 @dataclass(frozen=True)
 class CallProgram:
-    """Call a program's slave API. -> Answered; RawResponse if not `parse`; NoAnswer"""
+    """Call a program's slave API. -> Answered; NoAnswer"""
 
     local: Endpoint
     method: str
     params: tuple[object, ...]
-    parse: bool = True
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ program gets the last message that passed for its key, unless the rate limit has
 one. So connecting does not reveal whether a message changed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final, Protocol
 from weakref import WeakKeyDictionary
@@ -27,6 +27,18 @@ class MessageGuard(Protocol):
 
     def apply(self, message: bytes, now: float) -> list[Buffer] | None:
         """As of `Guard`."""
+
+
+class ReplaceableGuard:
+    """A guard that another one replaces between two messages; it costs no call more than one."""
+
+    def __init__(self, guard: Guard) -> None:
+        self.check = guard.check
+        self.apply: Callable[[bytes, float], list[Buffer] | None] = guard.apply
+
+    def replace(self, guard: Guard) -> None:
+        """Use `guard` from the next message on."""
+        self.check, self.apply = guard.check, guard.apply
 
 
 class _LastMessage:
@@ -56,6 +68,10 @@ class SharedGuard:
         self._guard = guard
         self._group = group
         self._latching = latching
+
+    def replace(self, guard: Guard) -> None:
+        """Use `guard`, of the same key or without limits, from the next message on."""
+        self._guard = guard
 
     def check(self, now: float) -> None:
         """As of `Guard`."""
@@ -95,13 +111,13 @@ class CopyTracker:
     @contextmanager
     def share(
         self, guard: Guard | None, now: float, *, latching: bool
-    ) -> Iterator[tuple[MessageGuard | None, list[Buffer]]]:
+    ) -> Iterator[tuple[SharedGuard | ReplaceableGuard | None, list[Buffer]]]:
         """The guard of one connection while the block runs; None: the connection is unrestricted.
 
         With it the first message for the peer, in pieces; empty: none.
         """
         if guard is None or guard.memory is None:
-            yield guard, []
+            yield None if guard is None else ReplaceableGuard(guard), []
             return
         group = self._groups.setdefault(guard.memory, _Group())
         shared_guard = SharedGuard(guard, group, latching=latching)

@@ -125,6 +125,13 @@ class EndpointMap:
         """The program's own URI, byte for byte."""
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
+    def network_of(self, local: Endpoint) -> Endpoint:
+        """Where peers reach `local`; without a port for it, an address that nothing registered."""
+        for network, program in self._ingress.items():
+            if program == local:
+                return network
+        return replace(local, host=self.host)
+
     def program_at(self, network: Endpoint) -> Endpoint | None:
         """The program of this identity at a network endpoint."""
         return self._ingress.get(_casefolded(network))

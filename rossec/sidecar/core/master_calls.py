@@ -224,13 +224,14 @@ def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | Non
     """The address, for the master, of an endpoint that a program names.
 
     An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No
-    program can register one as its own; the sidecar would call itself.
+    program can register one as its own; the sidecar would call itself. Only who registers opens a
+    port: who unregisters may name that of a program that has ended, which another one has now.
     """
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
-    if remote is not None:
-        return None if method in REGISTERS else remote.uri
-    return (yield from agent.ingress_endpoint(local)).uri
+    if method not in REGISTERS:
+        return (remote or agent.endpoints.network_of(local)).uri
+    return None if remote is not None else (yield from agent.ingress_endpoint(local)).uri
 
 
 def _own_api(rule: CallRule, params: tuple[object, ...]) -> Endpoint | None:
@@ -287,7 +288,10 @@ def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
 
 def _not_covered(agent: AgentState, caller: str) -> str:
     name = agent.identity.name
-    return (
-        f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
-        f" start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
-    )
+    told = f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
+    if caller.startswith(f"{name}_"):  # as programs do that may run several times
+        return (
+            f"{told} start it with __name:={name.rpartition('/')[2]}, or enroll it for anonymous"
+            f" nodes too, with a key of its own: rossec node request {name} --anonymous"
+        )
+    return f"{told} start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"

@@ -6,8 +6,9 @@ for every topic: the program is asked once an authorized peer connects to it (N5
 peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
 Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
 positive code for success, and stock parsers accept what ours refuses; a program would connect in
-plaintext to an address that the sidecar did not see. Only the answer of `getBusStats` is forwarded
-unparsed: roscpp's is malformed, and it holds no address.
+plaintext to an address that the sidecar did not see. `getBusStats` is empty for peers: it would
+count what a grant withholds. Only an older peer's is forwarded unparsed: roscpp's is malformed, and
+it holds no address.
 """
 
 from typing import Final
@@ -77,11 +78,9 @@ def handle_peer_call(
         return (yield from _answer_with_port(agent, local, method))
     named = (caller_here(peer, str(params[0])), *params[1:])
     changed = yield from _params_for_program(agent, local, method, named)
-    event = yield CallProgram(local, method, changed, parse=method not in _UNPARSED)
+    event = yield CallProgram(local, method, changed)
     yield from _require_alive(agent, local, event)
     match event:
-        case RawResponse(body=body) if method in _UNPARSED:
-            return Encoded(body)
         case Answered(value=[code, str() as status, value]) if succeeded(code):
             described = answer_for(peer, method, value)
             return (yield from _answer_for_peer(agent, local, method, status, described))
@@ -98,7 +97,7 @@ def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> 
     refused = without_caller(params, RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
         return _invalid_request_topic(params) or alias_asked(method, params)
-    if refused is None and method in _UNPARSED and peer.is_foreign:
+    if refused is None and method in _UNPARSED:
         return [1, "", answer_for(peer, method, None)]
     return refused
 

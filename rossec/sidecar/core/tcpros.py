@@ -37,6 +37,8 @@ from rossec.participant.wire_names import granted_name
 from rossec.participant.wishes import (
     NO_WISHES,
     Wishes,
+    carried_out,
+    check_carried_out,
     requested_wishes,
     taken_wishes,
     without_wishes,
@@ -58,6 +60,11 @@ _LONGEST_NAME = 255
 FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
 
 
+def unrestricted(decision: Decision) -> None:
+    """No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision."""
+    decision.require_unrestricted()
+
+
 @dataclass(frozen=True)
 class AdmittedConnection:
     """A connection whose two ends may exchange messages.
@@ -69,6 +76,7 @@ class AdmittedConnection:
         service: both directions carry data; else only from publisher to subscriber.
         message_size: of every message to a program, if the size is fixed and known.
         wishes: of a peer that subscribes.
+        rebuild: makes the guard for another decision of the same peer, right and name.
     """
 
     answer: Mapping[str, bytes]
@@ -77,6 +85,7 @@ class AdmittedConnection:
     service: bool
     message_size: int | None = None
     wishes: Wishes = NO_WISHES
+    rebuild: Callable[[Decision], Guard | None] = unrestricted
 
     @property
     def latching(self) -> bool:
@@ -108,21 +117,32 @@ def admit_peer(
         target = local
     else:
         decision = topic_handshake.admit_subscriber(fields, peer, agent.access, now)
-        wishes = requested_wishes(fields)
+        wishes = carried_out(requested_wishes(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
     event = yield ConnectProgram(target, fields_here(without_grants(fields), peer))
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
     arrived = _require_header(event)
     answer = _answer_for_peer(agent, fields, arrived.fields, peer)
-    guard = None
-    if decision.restrictions:
-        kind = sender_definition(from_header(answer), decision, agent.known_types)
-        guard = guard_for(
-            kind, decision, filter_key, memory_scope_of(_program_name(arrived.fields))
-        )
     own = {**_own_proof(agent, fields, arrived.now), **wishes.fields}
-    return AdmittedConnection({**answer, **own}, decision, guard, service, wishes=wishes)
+    if service:
+        return AdmittedConnection({**answer, **own}, decision, None, service)
+    sent, program = from_header(answer), _program_name(arrived.fields)
+
+    def guard_under(decision: Decision) -> Guard | None:
+        check_carried_out(wishes, decision)
+        if not decision.restrictions:
+            return None
+        kind = sender_definition(sent, decision, agent.known_types)
+        return guard_for(kind, decision, filter_key, memory_scope_of(program))
+
+    if decision.restrictions:
+        kind = sender_definition(sent, decision, agent.known_types)
+        answer |= {} if kind is sent else definition_fields(kind, decision)
+    return AdmittedConnection(
+        {**answer, **own}, decision, guard_under(decision), service,
+        wishes=wishes, rebuild=guard_under,
+    )  # fmt: skip
 
 
 def _request_topic(
@@ -213,7 +233,6 @@ def connect_to_peer(
     """
     service = _is_service(fields)
     wanted = text(fields, "service" if service else "topic")
-    guard = message_size = None
     if service:
         request = fields_on_wire(without_grants(fields))
         request[_CALLER] = _caller_name(agent, fields, is_alias(wanted))
@@ -225,25 +244,31 @@ def connect_to_peer(
         )
         decision.require_unrestricted()
         answer = fields_here(without_grants(arrived.fields), peer)
-    else:
-        own = from_header(fields)
-        granted, caller = yield from _name_granted(agent, remote, fields)
-        request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
-        expected = topic_handshake.ExpectedTopic(granted, own.name, own.md5sum)
-        request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
-        arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
-        decision = topic_handshake.admit_publisher(
-            arrived.fields, peer, expected, agent.access, arrived.now
-        )
-        taken_wishes(arrived.fields, NO_WISHES)
-        sent = from_header(arrived.fields)
+        return AdmittedConnection(answer, decision, None, service)
+    own, program = from_header(fields), _program_name(fields)
+    granted, caller = yield from _name_granted(agent, remote, fields)
+    request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
+    expected = topic_handshake.ExpectedTopic(granted, own.name, own.md5sum)
+    request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
+    arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
+    decision = topic_handshake.admit_publisher(
+        arrived.fields, peer, expected, agent.access, arrived.now
+    )
+    taken_wishes(arrived.fields, NO_WISHES)
+    sent = from_header(arrived.fields)
+    kind = receiver_definition(own, sent, decision, agent.known_types)
+
+    def guard_under(decision: Decision) -> Guard | None:
         kind = receiver_definition(own, sent, decision, agent.known_types)
-        if decision.restrictions:
-            guard = guard_for(kind, decision, filter_key, memory_scope_of(_program_name(fields)))
-        named = fields_here(without_grants(arrived.fields), peer, wanted)
-        answer = named | definition_fields(kind, decision)
-        message_size = size_of(reported_definition(kind, sent))
-    return AdmittedConnection(answer, decision, guard, service, message_size)
+        if not decision.restrictions:
+            return None
+        return guard_for(kind, decision, filter_key, memory_scope_of(program))
+
+    named = fields_here(without_grants(arrived.fields), peer, wanted)
+    return AdmittedConnection(
+        named | definition_fields(kind, decision), decision, guard_under(decision), service,
+        size_of(reported_definition(kind, sent)), rebuild=guard_under,
+    )  # fmt: skip
 
 
 def _name_granted(

@@ -88,6 +88,15 @@ def test_every_shorter_or_longer_text_is_refused() -> None:
             parse(text + more)
 
 
+def test_a_text_whose_line_was_broken_is_read() -> None:
+    """By a mail or a chat."""
+    text = CODE.text()
+    lines = [text[at : at + 40] for at in range(0, len(text), 40)]
+    assert parse(" \n" + "\r\n ".join(lines) + "\n\n") == CODE
+    with pytest.raises(CodeRefused):
+        parse("\n".join(lines[:-1]))
+
+
 def test_every_changed_octet_is_refused() -> None:
     body = CODE.body()
     for at in range(len(body)):

@@ -205,7 +205,7 @@ def test_a_foreign_database_is_refused_and_left_as_it_is(new: Path) -> None:
     foreign.close()
     new.chmod(0o600)
     before = new.read_bytes()
-    with pytest.raises(StoreError, match="is not a record of this version of rossec"):
+    with pytest.raises(StoreError, match="is not a record of rossec"):
         Database.open(new)
     assert new.read_bytes() == before
 
@@ -214,9 +214,10 @@ def test_a_record_from_the_future(new: Path) -> None:
     made = Database.create(new)
     made.connection.execute(f"PRAGMA user_version = {schema.VERSION + 1}")
     made.close()
-    with pytest.raises(StoreError, match="not a record of this version") as caught:
+    with pytest.raises(StoreError, match="written by a newer version of rossec") as caught:
         Database.open(new)
-    assert "update rossec" in caught.value.hint
+    assert "use that version" in caught.value.hint
+    assert "rossec ca restore FILE --list FILE" in caught.value.hint
 
 
 @pytest.mark.parametrize("data", [b"", b"garbage" * 1000])

@@ -144,12 +144,38 @@ def test_the_newest_live_certificate(store: Store) -> None:
     store.add_certificate(certificate(2), NOW)
     store.add_certificate(certificate(3, "/b", OTHER), NOW)
     assert store.valid_certificate("/a", NOW + DAY).serial == 2
-    with pytest.raises(StoreError, match="no valid identity"):
+    with pytest.raises(StoreError, match="the identity of /a ended on 20") as caught:
         store.valid_certificate("/a", NOW + DAY + 1)
+    assert "rossec ca renew --expired /a" in caught.value.hint
     store.revoke(KEY, "lost", NOW)
-    with pytest.raises(StoreError, match="the identity of /a is revoked") as caught:
-        store.valid_certificate("/a", NOW)
-    assert "move the directory of its key away" in caught.value.hint
+    for when in (NOW, NOW + DAY + 1):
+        with pytest.raises(StoreError, match="the identity of /a is revoked") as caught:
+            store.valid_certificate("/a", when)
+        assert "move the directory of its key away" in caught.value.hint
+
+
+def test_one_that_is_over_may_be_renewed_and_one_that_is_revoked_may_not(store: Store) -> None:
+    over = NOW + DAY + 1
+    with pytest.raises(StoreError, match="no valid identity"):
+        store.renewable_certificate("/a", NOW, expired=True)
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2), NOW)
+    assert store.renewable_certificate("/a", NOW, expired=True).serial == 2
+    assert store.renewable_certificate("/a", over, expired=True).serial == 2
+    with pytest.raises(StoreError, match="ended on"):
+        store.renewable_certificate("/a", over, expired=False)
+    store.revoke(KEY, "lost", NOW)
+    for when in (NOW, over):
+        with pytest.raises(StoreError, match="is revoked"):
+            store.renewable_certificate("/a", when, expired=True)
+
+
+def test_an_older_key_does_not_come_back_in_the_place_of_a_revoked_one(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW, renews=KEY)
+    store.revoke(OTHER, "stolen", NOW)
+    with pytest.raises(StoreError, match="is revoked"):
+        store.renewable_certificate("/a", NOW + DAY + 1, expired=True)
 
 
 def test_valid_keys_are_neither_expired_nor_revoked(store: Store) -> None:

@@ -100,14 +100,36 @@ def test_what_was_approved_can_still_be_denied(store: Store) -> None:
         store.requests.deny(request.digest, NOW)
 
 
-def test_everything_is_collected_at_its_date(store: Store) -> None:
+@pytest.mark.attack("clock-ahead")
+def test_a_clock_that_is_ahead_deletes_nothing(store: Store) -> None:
     waiting, denied = pending(store), pending(store, "/b")
     store.requests.deny(denied.digest, NOW)
-    assert store.requests.collect(NOW + DAY) == []
-    assert [row.digest for row in store.requests.collect(NOW + DAY + 1)] == [waiting.digest]
-    assert [row.digest for row in store.requests.collect(NOW + 8 * DAY)] == [denied.digest]
-    assert log_of(store)[-2:] == [("collected", "/a", "pending"), ("collected", "/b", "denied")]
-    assert store.requests.all() == []
+    for later in (DAY + 1, 8 * DAY, 4000 * DAY):
+        assert store.requests.collect(NOW + later) == []
+        assert store.requests.open(NOW + later) == []
+    assert store.requests.all(NOW + 2 * DAY) == [store.requests.get(denied.digest)]
+    assert [row.digest for row in store.requests.open(NOW)] == [waiting.digest]
+    assert store.requests.approve(waiting.digest, NOW)
+
+
+def test_of_what_expired_long_ago_the_newest_stay(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(request_record, "KEPT_EXPIRED", 2)
+    made = [pending(store, f"/{letter}", NOW + at) for at, letter in enumerate("abc")]
+    assert store.requests.collect(NOW + 20 * DAY) == []
+    late = NOW + 32 * DAY
+    assert [row.digest for row in store.requests.collect(late)] == [made[0].digest]
+    assert log_of(store)[-1:] == [("collected", "/a", "pending")]
+    assert store.requests.collect(late) == []
+
+
+def test_what_expired_can_be_asked_anew(store: Store) -> None:
+    request, der = asked()
+    store.requests.add(request, der, "", NOW)
+    again = store.requests.add(request, der, "screen", NOW + 2 * DAY)
+    assert (again.arrived, again.source) == (NOW + 2 * DAY, "screen")
+    assert len(store.requests.all()) == 1
 
 
 def test_a_void_request_is_not_approved(store: Store) -> None:
@@ -116,10 +138,18 @@ def test_a_void_request_is_not_approved(store: Store) -> None:
         store.requests.approve(request.digest, NOW + DAY + 1)
 
 
-def test_adding_a_request_deletes_expired_ones(store: Store) -> None:
-    pending(store)
-    request = pending(store, "/b", NOW + 2 * DAY)
-    assert [row.digest for row in store.requests.all()] == [request.digest]
+@pytest.mark.attack("looker-floods")
+def test_those_who_join_leave_room_for_who_enrolls_by_hand(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(request_record, "MAX_JOINING", 2)
+    for _ in range(2):
+        request, der = asked()
+        store.requests.add(request, der, "invitation 12345678", NOW)
+    request, der = asked()
+    with pytest.raises(RequestClosed):
+        store.requests.add(request, der, "invitation 87654321", NOW)
+    assert store.requests.add(request, der, "file", NOW)
 
 
 def test_the_number_of_open_requests_is_limited(

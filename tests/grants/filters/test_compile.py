@@ -13,7 +13,7 @@ from grants.filters.compile import compile_filter
 from grants.filters.layout import parse
 from grants.model import FilterRule, filter_rules
 from tests.grants.filters.test_layout import ros_types
-from tests.grants.messages import LAYOUT, fill, layout, seeded_random, serialized, text
+from tests.grants.messages import LAYOUT, SEPARATOR, fill, layout, seeded_random, serialized, text
 
 Rules = dict[str, dict[str, object]]
 CLEAR: dict[str, object] = {"clear": True}
@@ -301,3 +301,35 @@ def test_a_type_without_treatment_is_refused(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(operators.OPERATORS, "shrug", lambda *_: lambda _: operators.DESCEND)
     with pytest.raises(FilterRefused, match="i8: no treatment for int8"):
         apply({"i8": {"shrug": True}})
+
+
+NOTHINGS = "Nothing[] many\nPair[] pairs\nNothing one\nstring text\n" + "\n".join(
+    [SEPARATOR, "MSG: t/Nothing", SEPARATOR, "MSG: t/Pair", "Nothing[] inner", "Nothing single",
+     "Nothing[3] fixed", SEPARATOR]
+).removesuffix("\n" + SEPARATOR)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        {"many": {"zero": True}},
+        {"many": {"round": {"step": 1}}},
+        {"pairs[*].inner": {"zero": True}},
+        {"pairs[*].inner": {"clamp": {"low": 0, "high": 1}}, "pairs[*].single": CLEAR},
+        {"pairs[*].fixed": CLEAR, "one": CLEAR},
+        {"pairs": {"round": {"step": 1}}, "many": {"round": {"step": 2}}, "text": CLEAR},
+    ],
+)
+def test_elements_without_bytes_are_counted_and_passed(rules: Rules) -> None:
+    kind = parse("t/Nothings", NOTHINGS)
+    nine = bytes([9, 0, 0, 0])
+    for count in (b"\0\0\0\0", nine):
+        message = count + bytes([2, 0, 0, 0]) + 2 * count + text("t" if "text" not in rules else "")
+        assert b"".join(compile_filter(kind, filter_rules(rules))(message)) == message
+
+
+@pytest.mark.parametrize("operator", ["truncate", "sort"])
+def test_the_refusal_of_elements_without_bytes_names_what_is_needed(operator: str) -> None:
+    treatment = {"truncate": {"length": 1}, "sort": True}[operator]
+    with pytest.raises(FilterRefused, match="elements have"):
+        compile_filter(parse("t/Nothings", NOTHINGS), filter_rules({"many": {operator: treatment}}))

@@ -1,8 +1,10 @@
 """Pixelation: compared pixel by pixel, and every inconsistent image."""
 
+import math
 import struct
-from itertools import product
+from itertools import groupby, product
 
+import numpy as np
 import pytest
 
 from grants.errors import FilterRefused, MessageRefused
@@ -162,6 +164,78 @@ def test_colours_become_one_grey_and_opacity_is_lost(encoding: str, size: int) -
     mean = (10 + 20 + 61 + 200 + 200 + 201) * 256 // (256 * 6)
     pixel = bytes([mean] * 3) + bytes([255] * (size - 3))
     assert found.endswith(pixel * 2 + bytes(2))
+
+
+def side(high: int, wide: int, across: int, block: int = 2) -> int:
+    """Of a square, as the specification has it."""
+    return max(block, math.ceil(max(high, wide) / across))
+
+
+SHAPES = [(1, 1), (1, 40), (40, 1), (48, 64), (64, 48), (33, 47), (17, 320), (240, 320)]
+
+
+@pytest.mark.parametrize(("high", "wide"), SHAPES)
+@pytest.mark.parametrize("across", [1, 2, 16, 20, 65535])
+def test_so_many_squares_fit_across_at_most(high: int, wide: int, across: int) -> None:
+    data = seeded_random(high * wide).randbytes(high * wide)
+    before = image(high, wide, "mono8", wide, data)
+    for block in (2, 32):
+        given = {"across": across} if block == 2 else {"across": across, "block": block}
+        same = {"block": side(high, wide, across, block)}
+        assert treated(before, LAYOUT, **given) == treated(before, LAYOUT, **same)
+        assert treated(before, LAYOUT, levels=8, **given) == treated(
+            before, LAYOUT, levels=8, **same
+        )
+    found = np.frombuffer(treated(before, across=across)[-high * wide :], np.uint8)
+    rows = found.reshape(high, wide)
+    size = side(high, wide, across)
+    for axis in (0, 1):
+        changes = np.flatnonzero(np.any(np.diff(rows, axis=axis) != 0, axis=1 - axis)) + 1
+        assert len(changes) < across
+        assert not np.any(changes % size)
+
+
+def test_a_picture_that_lies_about_its_size_shows_no_more_squares() -> None:
+    """The same 40 x 60 bytes as other shapes: 16 values across and no more, in either direction."""
+    data = seeded_random(5).randbytes(40 * 60)
+    for high, step in ((40, 60), (1, 2400), (2400, 1), (60, 40), (2, 1200), (1200, 2), (48, 50)):
+        for wide in {1, step // 2, step} - {0}:
+            sent = treated(image(high, wide, "mono8", step, data), across=16)[-2400:]
+            assert len(set(sent)) <= 16 * 16 + 1  # and the zeros beside the rows
+            rows = [sent[at : at + step] for at in range(0, 2400, step)]
+            assert len(set(rows)) <= 16
+            assert all(len(list(groupby(row[:wide]))) <= 16 for row in rows)
+            assert all(not any(row[wide:]) for row in rows)
+
+
+def test_a_region_has_the_squares_of_the_whole_picture() -> None:
+    """Not of its own size, and a grey is that of the whole square, also beyond the edge."""
+    data = bytes(range(64))
+    picture = image(8, 8, "mono8", 8, data)
+    whole = treated(picture, across=2, levels=256)[-64:]
+    found = treated(picture, across=2, levels=256, x=3, y=3, width=2, height=2)[-64:]
+    inside = {8 * row + column for row in (3, 4) for column in (3, 4)}
+    assert [found[at] for at in range(64)] == [
+        whole[at] if at in inside else data[at] for at in range(64)
+    ]
+
+
+def test_squares_larger_than_32_bits_can_sum() -> None:
+    """A column of 17 million white pixels is white, not what is left of an overflow."""
+    high = (1 << 24) + (1 << 17)
+    assert high * 255 > 1 << 32
+    content, length = pixelation(2, None, 8, 1)(b"\xff" * high, high, 1, "mono8", 1)
+    assert length == high
+    assert set(content) == {255}
+
+
+@pytest.mark.parametrize("message", [
+    image(1 << 31, 1 << 31, "mono8", 1 << 31, bytes(4)), image(2, 2, "mono8", 2, bytes(5)),
+    image(0, 9, "mono8", 2, b""), image(2, 2, "bayer_rggb8", 2, bytes(4)),
+])  # fmt: skip
+def test_of_a_size_that_cannot_be_nothing_is_sent(message: bytes) -> None:
+    with pytest.raises(MessageRefused):
+        treated(message, across=16)
 
 
 def test_a_region_in_grey_leaves_the_rest() -> None:

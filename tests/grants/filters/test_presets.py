@@ -82,18 +82,19 @@ def test_hysteresis_hides_the_border_of_a_cell() -> None:
     assert len({seen for _, seen in observed(COARSE, walk)}) == 1
 
 
-def test_the_rate_hides_the_time_of_a_change() -> None:
-    """At full rate the time of a change is exact; the preset's rate leaves 30 s of uncertainty."""
+def test_the_slot_hides_the_time_of_a_change() -> None:
+    """At full rate the time of a change is exact; the preset's slot leaves 30 s of uncertainty."""
     walk = [0.5 * n / SCAN for n in range(300 * SCAN)]  # 0.5 m/s
     exact = list(observed(only_rounded(2.0), walk))
     changes = [n for (_, a), (n, b) in itertools.pairwise(exact) if a != b]
     assert max(abs((walk[n] % 2) - 1) for n in changes) < 0.06
     coarse = [n for n, _ in observed(COARSE, walk)]
-    assert [b - a for a, b in itertools.pairwise(coarse)] == [30 * SCAN] * 9
+    assert [b - a for a, b in itertools.pairwise(coarse)] == [30 * SCAN] * 8
 
 
 def test_coarse_position_treats_related_fields() -> None:
     one = guard(COARSE)
+    assert one.apply(pose(1234, 0.3), NOW - 1) is None, "the first slot tells no beginning"
     made = one.apply(pose(1234, 0.3), NOW)
     assert made is not None
     seq, seconds, nanoseconds = struct.unpack_from("<III", b"".join(made))

@@ -23,6 +23,8 @@ ROOMS = "{rooms: {kitchen: '0 0, 4 3', hysteresis: 0.5}}"
 TIMES = "header.stamp: {round: 10}, header.seq: {clear: true}"
 REST = f"pose.orientation: {{clear: true}}, {TIMES}"
 LIMIT = "limit: {rate: 0.2}"
+SECOND = ", limit: {rate: 1}"
+SQUARES = "{pixelate: {across: 16, block: 32, levels: 8}}"
 COARSE = (
     f"id: coarse, who: /x, allow: {{subscribe: [/pose]}}, {LIMIT},"
     f" filter: {{pose.position: {CELLS}, {REST}}}"
@@ -125,9 +127,22 @@ PARAMETERS = (
          (filtered("/joints", "position: {round: 0.001}"),)),
     Leak("squares of 4 pixels", "pixels-too-small", (filtered("/camera", "data: {pixelate: 4}"),)),
     Leak("squares of colours", "no-grey-levels",
-         (filtered("/camera", "data: {pixelate: 32}"),)),
+         (filtered("/camera", "data: {pixelate: {across: 16}}", SECOND),)),
     Leak("squares of a hundred greys", "no-grey-levels",
-         (filtered("/camera", "data: {pixelate: {block: 32, levels: 100}}"),)),
+         (filtered("/camera", "data: {pixelate: {across: 20, levels: 100}}", SECOND),)),
+    *(
+        Leak(f"squares of {size} pixels", code,
+             (filtered("/camera", f"data: {{pixelate: {{block: {size}, levels: 8}}}}", SECOND),))
+        for size, code in ((16, "pixels-too-small"), (24, "pixels-too-small"),
+                           (32, "pixels-fixed"), (100, "pixels-fixed"))
+    ),
+    Leak("forty squares across", "pixels-too-small",
+         (filtered("/camera", "data: {pixelate: {across: 40, levels: 8}}", SECOND),)),
+    Leak("a region alone", "region-open",
+         (filtered("/camera", "data: {pixelate: {across: 8, levels: 8, x: 0, y: 0, width: 9, "
+                   "height: 9}}", SECOND),)),
+    Leak("every picture in squares", "no-rate",
+         (filtered("/camera", f"data: {SQUARES}"),)),
     Leak("rooms without hysteresis", "no-hysteresis",
          (pose("{rooms: {hall: '0 0, 4 3', kitchen: '4 0, 9 3'}}"),)),
     Leak("clamped", "clamp-keeps-values",
@@ -155,7 +170,7 @@ RELATIVES = (
     Leak("/odom at a millimetre beside /pose", "exact-relative step-does-nothing",
          (COARSE, filtered("/odom", "pose.pose.position: {round: 0.001}"))),
     Leak("another camera", "exact-relative",
-         (filtered("/camera", "data: {pixelate: {block: 32, levels: 8}}"), also("/camera2"))),
+         (filtered("/camera", f"data: {SQUARES}", SECOND), also("/camera2"))),
     Leak("other diagnostics", "exact-relative",
          (filtered("/diagnostics", "status[*].name: {clear: true}, status[*].hardware_id: "
                    "{clear: true}"), also("/diag2")),

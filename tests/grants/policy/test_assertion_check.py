@@ -220,3 +220,38 @@ tests:
 """
     found = outcomes("{who: /h, sees: {/pose: {pose.position: 4.0, header.stamp: no}}}", text)
     assert [each.failure for each in found] == ["", ""]
+
+
+TREES = """rossec: 1
+robot: r
+identities: {{phone: {{key: "sha256:{key}"}}}}
+rules:
+  - {{id: r, who: {who}, allow: {{{right}: [{name}]}}}}
+tests:
+  - {{who: /a, may_not: {{{right}: [{asked}]}}}}
+"""
+
+
+@pytest.mark.parametrize("right", ["param-set", "param-get"])
+@pytest.mark.parametrize(
+    ("name", "asked", "holds"),
+    [
+        ("/safety/max_speed", "/safety", False), ("/safety/a/b", "/safety", False),
+        ("/safety", "/safety/max_speed", False), ("/**", "/safety", False),
+        ("/safety", "/safety", False), ("/safetyx", "/safety", True),
+        ("/other/safety", "/safety", True),
+        ("'{node}/p'", "/a", False),
+    ],
+)  # fmt: skip
+def test_a_parameter_that_may_not_be_set_is_so_in_all_its_parts(
+    right: str, name: str, asked: str, *, holds: bool
+) -> None:
+    text = TREES.format(key="11" * 32, who="/a", right=right, name=name, asked=asked)
+    (outcome,) = check_tests(policy(text), layout_of)
+    assert bool(outcome) is holds
+
+
+def test_an_identity_that_is_a_key_alone_may_be_any_node() -> None:
+    text = TREES.format(key="11" * 32, who="phone", right="publish", name="/x", asked="/x")
+    (outcome,) = check_tests(policy(text), layout_of)
+    assert not outcome

@@ -330,3 +330,20 @@ types: {{/r/pose: geometry_msgs/PoseStamped}}
         assert (by_default.rate, by_default.lifetime) == (exact.rate, 86400)
     else:
         assert (by_default.restrictions, by_default.rate) == ((), None)
+
+
+@pytest.mark.parametrize("right", [Right.PARAM_GET, Right.PARAM_SET])
+def test_a_parameter_is_given_no_longer_than_what_is_below_it(right: Right) -> None:
+    """A grant on /a is one on /a/b: it would outlive what was said of /a/b."""
+    head = HEADER + "defaults: {lifetime: 30d}\n"
+    policy = rules(
+        f"{{id: all, who: /n, allow: {{{right.label}: [/a]}}}}",
+        f"{{id: part, who: /n, allow: {{{right.label}: [/a/b]}}, lifetime: 1h}}",
+        head=head,
+    )
+    for key in ("/a", "/a/b", "/a/b/c"):
+        found = decide(policy, node("/n"), right, key)
+        assert (found.effect, found.lifetime) == (Effect.ALLOW, 3600), key
+    assert decide(policy, node("/n"), right, "/a/c").lifetime == 30 * 86400
+    part = rules(f"{{id: part, who: /n, allow: {{{right.label}: [/a/b]}}}}", head=head)
+    assert decide(part, node("/n"), right, "/a").effect is Effect.DENY

@@ -1,5 +1,11 @@
 """Adding rules leaves everything else as it was written."""
 
+from dataclasses import replace
+
+import pytest
+
+from grants.errors import PolicyRefused
+from grants.policy import editing
 from grants.policy.editing import NewRule, add_rules, empty, free_id
 from tests.grants.policy.policies import policy
 
@@ -72,3 +78,59 @@ def test_a_single_rule_without_a_dash_becomes_a_list() -> None:
 
 def test_free_ids() -> None:
     assert [free_id(taken, "a") for taken in ((), ("a",), ("a", "a-2"))] == ["a", "a-2", "a-3"]
+
+
+KINDS = """rossec: 1
+robot: r
+types: {/s: std_msgs/String, /scan: sensor_msgs/LaserScan}
+rules:
+  - id: "1"
+    why: %s
+    who: /a
+    allow: {subscribe: [/s, "/scan"]}
+"""
+
+
+@pytest.mark.parametrize(
+    "why",
+    [
+        '"bed  room %s"' % ("x" * 90),
+        '"bed  room"',
+        "'it''s  one'",
+        "yes",
+        '"no"',
+        "0o17 and 1_000",
+        "2026-11-20",
+        "22:00",
+        "0x1F",
+        "1_000",
+        "~",
+        "|\n      two\n      lines  here\n",
+        ">-\n      folded  text\n      of lines\n",
+        '"a\\tb\\u00e9\\\n      c"',
+        "plain text  of\n      two lines",
+        "x" + " y" * 400,
+    ],
+)
+def test_what_is_written_is_what_was_read_and_the_new_rule(why: str) -> None:
+    before = policy(KINDS % why)
+    after = policy(add_rules(KINDS % why, [rule(types={})]))
+    assert [item.why for item in after.rules] == [before.rules[0].why, "because"]
+    assert replace(after.rules[0], line=0) == replace(before.rules[0], line=0)
+    assert (after.types, after.robot) == (before.types, before.robot)
+
+
+def test_a_text_in_a_condition_keeps_its_spaces() -> None:
+    """The fold of a long line made one space of two, and a withheld pose was sent."""
+    when = "'" + "true && " * 12 + 'msg.data == "bed  room"\''
+    text = KINDS % "none" + f"    when: {when}\n"
+    text = text.replace('[/s, "/scan"]', "[/s]")
+    after = policy(add_rules(text, [rule(types={})]))
+    assert '"bed  room"' in after.rules[0].clauses[0].lines()[0]
+
+
+def test_a_rewriting_that_changes_anything_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(editing, "_add_types", lambda data, _: data.update(robot="other"))
+    with pytest.raises(PolicyRefused, match="nothing was written") as error:
+        add_rules(KINDS % "none", [rule(types={})])
+    assert error.value.hint == "add the rules by hand: allow for /b (two)"

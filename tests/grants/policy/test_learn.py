@@ -182,3 +182,29 @@ def test_own_topics_that_differ_in_type_are_learned_by_their_names() -> None:
     again = "rossec: 1\nrobot: r\ntypes: {~/at: nav_msgs/Odometry}\nrules: []\n"
     learned, _ = learn(again, Decider(policy(again)), seen[:1], "2026-11-20")
     assert policy(learned).type_of("/a/at") == pose
+
+
+@pytest.mark.parametrize("length", [60, 71, 72, 80, 200])
+def test_nodes_whose_names_begin_alike_get_rules_of_their_own(length: int) -> None:
+    """Ids are cut: a right of one node was in the rule of the other."""
+    first, second = (f"/{'n' * length}/{end}" for end in ("first", "second"))
+    seen = [Observation(first, Right.CALL, "/a"), Observation(second, Right.CALL, "/b")]
+    text = "rossec: 1\nrobot: r\nrules: []\n"
+    for one in (seen[:1], seen[1:], seen):
+        text, _ = learn(text, Decider(policy(text)), one, "2026-11-27")
+    read = policy(text)
+    assert [(rule.who[0].node, rule.clauses[0].pattern) for rule in read.rules] == [
+        (first, "/a"), (second, "/b"),
+    ]  # fmt: skip
+
+
+def test_a_learned_rule_that_was_changed_is_not_extended() -> None:
+    """Its id is kept by whoever reviewed it, and is for others by now."""
+    for changed in ('who: "*", allow: {call: [/x]}', "who: /a, deny: {call: [/x]}",
+                    "who: /a, allow: {call: [/x]}, lifetime: 1h"):  # fmt: skip
+        text = f"rossec: 1\nrobot: r\nrules:\n  - {{id: learned-a, {changed}}}\n"
+        new, (rule,) = learn(
+            text, Decider(policy(text)), [Observation("/a", Right.CALL, "/b")], "2026-11-27"
+        )
+        assert rule.id == "learned-a-2"
+        assert [len(each.clauses) for each in policy(new).rules] == [1, 1]

@@ -1,5 +1,6 @@
 """Lint as a whole: seeded leaks are found, wise policies get no advice, advice can be followed."""
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,13 @@ from grants.policy.lint import ADVICE, CHECKS, Finding, lint, sample_subject
 from grants.policy.model import SubjectPattern
 from grants.vocabulary.words import LEVELS
 from tests.grants.policy.lint_cases import TYPES, applied, codes, findings, layout_of, text_of
-from tests.grants.policy.lint_leaks import HOME, LEAKS, WISE, Leak
+from tests.grants.policy.lint_leaks import HOME, Leak
+from tests.grants.policy.lint_leaks import LEAKS as OF_FIELDS
+from tests.grants.policy.lint_leaks import WISE as OF_ALL
+from tests.grants.policy.lint_leaks_related import RELATED, UNRELATED
 from tests.grants.policy.policies import policy
+
+LEAKS, WISE = (*OF_FIELDS, *RELATED), (*OF_ALL, *UNRELATED)
 
 
 def of(leak: Leak) -> str:
@@ -50,6 +56,7 @@ def test_no_lifetime() -> None:
     assert [item.code for item in findings(text)] == ["no-lifetime"]
 
 
+@cache
 def with_suggestions() -> list[tuple[str, Finding]]:
     return [(of(leak), item) for leak in LEAKS for item in findings(of(leak)) if item.suggestions]
 

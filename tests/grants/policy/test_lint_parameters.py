@@ -9,6 +9,8 @@ from tests.grants.policy.lint_leaks import (
     LIMIT,
     PARAMETERS,
     REST,
+    SECOND,
+    SQUARES,
     TIMES,
     Leak,
     also,
@@ -31,9 +33,18 @@ HINTS = {
     "a hysteresis of a millimetre": "write pose.position: {round: {step: 2.0, hysteresis: 1.0}}",
     "/odom at a millimetre": "write pose.pose.position: {round: {step: 4.0, hysteresis: 2.0}}",
     "joints at a milliradian": "write position: {round: 0.5}",
-    "squares of 4 pixels": "write data: {pixelate: {block: 32, levels: 8}}",
-    "squares of colours": "write data: {pixelate: {block: 32, levels: 8}}",
-    "squares of a hundred greys": "write data: {pixelate: {block: 32, levels: 8}}",
+    "squares of 4 pixels": "write data: {pixelate: {across: 16, block: 32, levels: 8}}",
+    **{
+        f"squares of {size} pixels": (
+            f"write data: {{pixelate: {{across: 16, block: {max(size, 32)}, levels: 8}}}}"
+        )
+        for size in (16, 24, 32, 100)
+    },
+    "forty squares across": "write data: {pixelate: {across: 16, block: 32, levels: 8}}",
+    "a region alone": "write data: {pixelate: {across: 16, block: 32, levels: 8}}",
+    "every picture in squares": "add limit: {rate: 0.03}",
+    "squares of colours": "write data: {pixelate: {across: 16, levels: 8}}",
+    "squares of a hundred greys": "write data: {pixelate: {across: 20, levels: 8}}",
     "rooms without a rate": "add limit: {rate: 0.03}",
     "rooms without hysteresis": 'write pose.position: {rooms: {hall: "0 0, 4 3", kitchen: "4 0, 9'
                                 ' 3", hysteresis: 0.5}}',
@@ -105,12 +116,13 @@ def test_a_hysteresis_of_another_rule_counts() -> None:
     assert codes(COARSE, again) == []
 
 
-def test_a_region_of_a_picture_keeps_its_place() -> None:
-    region = "data: {pixelate: {block: 4, x: 1, y: 2, width: 3, height: 4}}"
-    [finding] = findings(text_of(filtered("/camera", region)))
-    assert finding.hint == (
-        "write data: {pixelate: {block: 32, height: 4, levels: 8, width: 3, x: 1, y: 2}}"
-    )
+def test_a_region_of_a_picture_becomes_the_whole() -> None:
+    region = "data: {pixelate: {block: 99, x: 1, y: 2, width: 3, height: 4}}"
+    [finding] = findings(text_of(filtered("/camera", region, SECOND)))
+    assert finding.hint == "write data: {pixelate: {across: 16, block: 99, levels: 8}}"
+    whole = filtered("/camera", f"data: {SQUARES}", SECOND).replace("id: a", "id: b")
+    assert codes(filtered("/camera", region.replace("block: 99", "across: 9, levels: 8"), SECOND),
+                 whole) == []  # fmt: skip
 
 
 def test_a_step_for_a_whole_pose_is_measured_by_its_position() -> None:

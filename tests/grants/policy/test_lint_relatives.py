@@ -11,6 +11,7 @@ from tests.grants.policy.lint_leaks import (
     OWNER,
     RELATIVES,
     REST,
+    TIMES,
     Leak,
     also,
     filtered,
@@ -49,10 +50,13 @@ def test_a_filter_of_another_topic_is_enough_if_it_treats_the_place() -> None:
     assert codes(COARSE, still) == ["exact-relative"]
 
 
-def test_pictures_are_given_away_by_pictures_only() -> None:
-    blurred = filtered("/camera", "data: {pixelate: {block: 32, levels: 8}}")
+def test_pictures_are_given_away_by_pictures_and_points_in_space() -> None:
+    blurred = filtered(
+        "/camera", "data: {pixelate: {across: 16, block: 32, levels: 8}}", ", limit: {rate: 1}"
+    )
     assert codes(blurred, also("/odom, /scan")) == []
-    assert codes(blurred, also("/camera2")) == ["exact-relative"]
+    for other in ("/camera2", "/cloud"):
+        assert codes(blurred, also(other)) == ["exact-relative"]
 
 
 def test_names_are_given_away_by_the_same_type_only() -> None:
@@ -134,3 +138,34 @@ def test_one_receiver_may_have_one_key_for_two_topics() -> None:
     types = {"/d2": "diagnostic_msgs/DiagnosticArray"}
     both = also("/diagnostics, /d2", f", filter: {{{hashed}}}")
     assert codes(both, types=types) == []
+
+
+def test_the_climate_that_a_sensor_is_carried_through() -> None:
+    types = {"/air": "sensor_msgs/Temperature"}
+    assert codes(COARSE, also("/air"), types=types) == ["exact-relative"]
+    coarse = "id: b, who: /x, allow: {subscribe: [/air]}, see: {position: room}"
+    assert codes(COARSE, coarse, types=types) == []
+
+
+def test_wheels_in_steps() -> None:
+    cleared = "velocity: {clear: true}, effort: {clear: true}, " + TIMES
+    steps = filtered("/joints", f"position: {{round: 0.5}}, {cleared}")
+    assert codes(COARSE, steps) == ["wheels-open"]
+    assert codes(steps) == []
+    assert codes(COARSE, steps.replace("{round: 0.5}", "{clear: true}")) == []
+
+
+def of_frame(topic: str, frame: str, position: str = "{round: {step: 4, hysteresis: 2}}") -> str:
+    when = f"when: 'msg.header.frame_id == \"{frame}\"'"
+    fields = f"pose.position: {position}, pose.orientation: {{clear: true}}, {TIMES}"
+    more = f", limit: {{rate: 0.03}}, {when}"
+    return filtered(topic, fields, more).replace("id: a", f"id: r{topic[1:]}")
+
+
+def test_equal_grids_in_two_frames_or_plans() -> None:
+    assert codes(of_frame("/pose", "map"), of_frame("/goal", "odom")) == ["two-versions"]
+    assert codes(of_frame("/pose", "map"), of_frame("/goal", "map")) == []
+    plans = [f"{{rooms: {{k: '{x} 0, 5 4', hysteresis: 0.5}}}}" for x in (0, 1)]
+    mine, other = of_frame("/pose", "map", plans[0]), of_frame("/goal", "map", plans[1])
+    assert codes(mine, other) == ["two-versions"]
+    assert codes(mine, other.replace("1 0, 5 4", "0 0, 5 4")) == []

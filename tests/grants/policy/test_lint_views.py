@@ -111,8 +111,10 @@ def test_a_slot_is_slow() -> None:
 
 
 def test_floors() -> None:
-    assert too_small(FilterRule("data", "pixelate", (("block", 15),)))
-    assert not too_small(FilterRule("data", "pixelate", (("block", 16),)))
+    for small in ({"block": 31}, {"across": 21}, {"across": 21, "block": 31}):
+        assert too_small(FilterRule("data", "pixelate", tuple(small.items())))
+    for large in ({"block": 32}, {"across": 20}, {"across": 20, "block": 2}):
+        assert not too_small(FilterRule("data", "pixelate", tuple(large.items())))
     step = FilterRule("p", "round", (("step", 0.01),))
     assert too_fine(step, Aspect.POSITION, "p.x")
     assert not too_fine(step, Aspect.POSITION, "latitude")

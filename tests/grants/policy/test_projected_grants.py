@@ -1,6 +1,7 @@
 from grants.policy.model import Subject
 from grants.policy.projected_grants import projected_for_names, projected_grants
-from tests.grants.policy.policies import HEATING, OTHER_KEY, policy, rules
+from grants.policy.read import load
+from tests.grants.policy.policies import HEATING, OTHER_KEY, definition, policy, rules
 
 
 def test_rules_for_a_name_are_listed() -> None:
@@ -37,3 +38,16 @@ def test_own_names_are_shown_for_the_name() -> None:
     ]
     assert projected_grants(own, Subject("/remote/lab/a", OTHER_KEY)) == []
     assert projected_for_names(own, "/nav/*") == ["*: allow publish {node}/pose (rule a)"]
+
+
+def test_what_every_program_needs_is_one_line() -> None:
+    """A screen of twelve lines for each node that is invited hid what matters."""
+    whole = load(
+        "rossec: 1\nrobot: r\nbasics: true\n"
+        'rules: [{id: a, who: "*", why: it shines, allow: {publish: [/lamp]}}]\n',
+        definition,
+    )
+    basics = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"
+    lamp = "allow publish /lamp (rule a: it shines)"
+    assert sorted(projected_grants(whole, HEATING)) == [lamp, basics]
+    assert sorted(projected_for_names(whole, "/*")) == [f"*: {lamp}", f"*: {basics}"]

@@ -37,7 +37,10 @@ def test_defaults_deny() -> None:
         ("rossec: 2\nrobot: r\nrules: []", "a policy of an unknown version", "version 1"),
         ("rossec: true\nrobot: r\nrules: []", "a policy of an unknown version", "version 1"),
         ("rossec: [1]\nrobot: r\nrules: []", "a policy of an unknown version", "version 1"),
-        ("rossec: 1\nrobot: r\n", "the policy has no 'rules'", "add rules: ..."),
+        ("rossec: 1\nrobot: r\n", "the policy has no 'rules'", "add rules: []"),
+        ("robot: r\nrules: []\n", "the policy has no 'rossec'", "add rossec: 1"),
+        ("rossec: 1\nrules: []\n", "the policy has no 'robot'",
+         "add robot: NAME, what the policy is for: a robot, a home; reports are headed with it"),
         (HEADER + "rules: 5", "a rule must be a mapping", "write key: value"),
         (HEADER + "rules: []\ndefaults: {decision: allow}",
          "unknown default decision: 'allow'", "expected one of deny, prompt"),
@@ -61,7 +64,7 @@ def test_ids_are_unique() -> None:
     rule = "  - {id: a, who: /x, allow: {call: [/y]}}\n"
     found = mistakes(HEADER + "rules:\n" + rule + rule)
     assert [item.message for item in found] == [
-        "duplicate rule 'a'; the first is in line 4",
+        "duplicate rule 'a'; the first is in 4:5",
     ]
 
 

@@ -159,3 +159,18 @@ def test_a_subject_of_another_domain_is_written_with_its_label(mistakes: Mistake
 def test_another_form_of_a_subject_is_a_mistake(text: str, mistakes: Mistakes) -> None:
     assert readers.subject(scalar(text), "x", mistakes) is None
     assert only(mistakes)[1]
+
+
+def test_entries_are_unique_by_what_their_keys_stand_for(mistakes: Mistakes) -> None:
+    entries: dict[str, tuple[YamlScalar, Part]] = {
+        text: (scalar(text), scalar(number)) for number, text in enumerate("aAb")
+    }
+    part = YamlMapping(entries, 3, 7)
+
+    def read(key: YamlScalar) -> str | None:
+        return None if key.value == "b" else str(key.value).lower()
+
+    found = [(name, value) for name, _, value in readers.by_name(part, "x", read, mistakes)]
+    assert found == [("a", entries["a"][1])]
+    assert only(mistakes) == ("x: 'a' a second time, first in 3:7", "keep one of them")
+    assert list(readers.by_name(None, "x", read, mistakes)) == []

@@ -59,9 +59,8 @@ def test_a_filter_for_one_of_two_topics() -> None:
     }  # fmt: skip
 
 
-def test_a_preset_has_its_own_rate() -> None:
-    own = 1 / 30
-    for limit, rate in (("", own), (", limit: {rate: 0.01}", 0.01), (", limit: {rate: 5}", own)):
+def test_a_coarse_position_has_a_slot_and_no_rate() -> None:
+    for limit, rate in (("", None), (", limit: {rate: 0.01}", 0.01)):
         (rule,) = rules(
             "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: coarse-position}"
             f"{limit}}}",
@@ -70,6 +69,7 @@ def test_a_preset_has_its_own_rate() -> None:
         (clause,) = rule.clauses
         assert clause.rate == rate
         assert clause.restriction is not None
+        assert clause.restriction.slot == 30
         assert "pose.position" in {item.path for item in clause.restriction.filters}
     ((message, hint),) = found(
         "{id: a, who: x, allow: {subscribe: /scan}, filter: {use: coarse-position}}"
@@ -126,7 +126,7 @@ def test_a_condition_on_time_needs_no_type() -> None:
         ("{id: a, who: x, allow: {subscribe: /b}, when: msg.header.seq > 5}",
          "the message type of /b is unknown", "add it to types: {/b: package/Type}"),
         ("{id: a, who: x, allow: {call: /b}, filter: {use: place}}", "rule a: nothing to filter",
-         "add a subscribe right"),
+         "add a subscribe or publish right"),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {}}", "rule a: nothing to filter", ""),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: 5}", "filter of rule a must be a", ""),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/pose: 5}}", "filter of /pose must",
@@ -257,3 +257,17 @@ def test_mistakes_in_own_names(text: str, message: str, hint: str) -> None:
     assert hint in mistake.hint
     assert mistake.line > 2
     assert mistake.column > 1
+
+
+def test_a_body_needs_a_slot_and_is_in_the_restriction() -> None:
+    text = "{{id: a, who: x, allow: {{subscribe: [/pose]}}, limit: {{{}}}{}}}"
+    (rule,) = rules(text.format("slot: 60, body: robot", ""), head=HEAD).rules
+    assert [item.restriction for item in rule.clauses] == [Restriction(slot=60, body="robot")]
+    coarse = ", filter: {use: coarse-position}"
+    (rule,) = rules(text.format("body: robot", coarse), head=HEAD).rules
+    (clause,) = rule.clauses
+    assert clause.restriction is not None
+    assert (clause.restriction.slot, clause.restriction.body) == (30, "robot")
+    ((message, hint),) = found(text.format("body: robot", ""))
+    assert message == "subscribe /pose: without a slot the body robot cannot be told in common"
+    assert hint == "for example limit: {slot: 30}"

@@ -24,7 +24,8 @@ def lines(found: Policy, topic: str) -> list[str]:
     verdict = decide(found, node("/heating"), Right.SUBSCRIBE, topic)
     assert verdict
     rate = [] if verdict.rate is None else [f"1 in {1 / verdict.rate:.0f} s"]
-    return [str(rule) for item in verdict.restrictions for rule in item.filters] + rate
+    slots = [f"slot of {item.slot} s" for item in verdict.restrictions if item.slot is not None]
+    return [str(rule) for item in verdict.restrictions for rule in item.filters] + slots + rate
 
 
 def only(found: str) -> tuple[str, str]:
@@ -38,7 +39,7 @@ def test_a_level_becomes_a_filter_and_a_rate() -> None:
         "header.stamp: clear",
         "pose.orientation: clear",
         "pose.position: round hysteresis 2.0 step 4.0",
-        "1 in 30 s",
+        "slot of 30 s",
     ]
 
 
@@ -53,7 +54,7 @@ def test_of_all_topics_each_gets_what_concerns_it() -> None:
 def test_by_topic() -> None:
     found = policy(text("{/camera: {image: blurred}}", "/pose, /camera"))
     assert lines(found, "/pose") == []
-    assert "data: pixelate block 32 levels 8" in lines(found, "/camera")
+    assert "data: pixelate across 16 block 32 levels 8" in lines(found, "/camera")
 
 
 def test_own_names_can_be_seen_at_a_level_too() -> None:
@@ -97,10 +98,7 @@ def test_a_filter_beside_it_holds_too() -> None:
     assert {"header.frame_id: clear", "pose.orientation: clear"} <= set(lines(found, "/pose"))
 
 
-def test_the_lower_rate_applies() -> None:
-    assert lines(policy(text("{position: room}", more=", limit: {rate: 9}")), "/pose")[-1] == (
-        "1 in 30 s"
-    )
+def test_a_rate_beside_a_slot_applies_too() -> None:
     slow = policy(text("{position: room}", more=", limit: {rate: 0.01}"))
     assert lines(slow, "/pose")[-1] == "1 in 100 s"
 
@@ -121,7 +119,7 @@ def test_what_is_published_is_not_touched() -> None:
 def test_two_rules_hold_together() -> None:
     one = text("{position: room}")
     two = "  - {id: b, who: '*', allow: {subscribe: [/pose]}, see: {position: area}}\n"
-    assert lines(policy(one + two), "/pose")[-1] == "1 in 300 s"
+    assert lines(policy(one + two), "/pose")[-2:] == ["slot of 300 s", "slot of 30 s"]
 
 
 def test_a_policy_says_what_a_bare_value_is() -> None:

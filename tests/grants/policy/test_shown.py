@@ -37,7 +37,7 @@ def test_all_rules_hold_together() -> None:
     found = seen("/heating", "/pose")
     assert {word: one.level for word, one in found.items()} == {P: "room", M: "rough"}
     assert lines(found) == [
-        "sees where it is: the room (no finer than 4 m, at most one message in 30 s)",
+        "sees where it is: the room (no finer than 4 m, one message at the start of each 30 s)",
         "sees how it moves: only by where it is",
     ]
     assert as_json(found) == {"position": "room", "movement": "rough"}

@@ -71,7 +71,7 @@ def test_plain_scalars_stay_as_written(text: str, value: object) -> None:
         ("[" * 100_000, "p.yaml:1:17: nested deeper than 16"),
         ("a: [1\nb: 2", "p.yaml:2:2: not YAML: expected ',' or ']', but got ':'"),
         ("a: \x00", "p.yaml:1:1: not YAML: unacceptable character #x0000"),
-        ("a: 1\nb: 2\na: 3", "p.yaml:3:1: duplicate key 'a', first in line 1"),
+        ("a: 1\nb: 2\na: 3", "p.yaml:3:1: duplicate key 'a', first in 1:1"),
         ("? [a]\n: 1", "p.yaml:1:3: a key must be a scalar"),
     ],
 )

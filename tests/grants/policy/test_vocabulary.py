@@ -61,7 +61,7 @@ def test_a_topic_says_what_its_value_is() -> None:
         (
             "sensor_msgs/Temperature: {temperature: format}",
             "temperature of sensor_msgs/Temperature is in the standard vocabulary",
-            "it is: temperature",
+            "it is: ambient-temperature",
         ),
         (
             "geometry_msgs/PoseStamped: {pose: home}",

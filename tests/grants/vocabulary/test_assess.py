@@ -141,11 +141,20 @@ def test_a_word_that_only_relatives_tell_can_be_asked_for() -> None:
 
 
 def test_part_of_a_picture_is_not_the_picture() -> None:
-    region = {"block": 64, "x": 0, "y": 0, "width": 9, "height": 9}
+    region = {"across": 8, "block": 64, "x": 0, "y": 0, "width": 9, "height": 9}
     assert seen("sensor_msgs/Image", 1, data={"pixelate": region})[DataWord.IMAGE].level == EXACT
     for levels, level in ((8, "blurred"), (4, "blurred"), (9, EXACT), (None, EXACT)):
-        rule = {"block": 64} | ({"levels": levels} if levels else {})
+        rule = {"across": 16, "block": 64} | ({"levels": levels} if levels else {})
         assert seen("sensor_msgs/Image", 1, data={"pixelate": rule})[DataWord.IMAGE].level == level
+
+
+def test_squares_of_so_many_pixels_are_no_level() -> None:
+    """A grant of long ago: in a large picture they show a face."""
+    for size in ({"block": 32}, {"block": 500}, {"across": 17, "block": 32}, {"across": 16}):
+        rule = {"levels": 8} | size
+        assert seen("sensor_msgs/Image", 1, data={"pixelate": rule})[DataWord.IMAGE].level == EXACT
+    full = {"across": 16, "block": 32, "levels": 8}
+    assert seen("sensor_msgs/Image", 2, data={"pixelate": full})[DataWord.IMAGE].level == EXACT
 
 
 def test_a_text_cut_to_nothing_is_hidden() -> None:
@@ -154,9 +163,88 @@ def test_a_text_cut_to_nothing_is_hidden() -> None:
     assert seen(name, source={"truncate": {"length": 1}})[DataWord.IDENTITY].level == EXACT
 
 
+def test_a_relative_in_coarse_steps_is_as_coarse_as_its_level() -> None:
+    battery = describe(layout_of("sensor_msgs/BatteryState"))
+    for level, metres in (("room", 20.0), ("area", 20.0), (NO, math.inf)):  # quarters of both
+        found = resolve(layout_of("sensor_msgs/BatteryState"), battery, {P: level})
+        given = Restriction(
+            "sensor_msgs/BatteryState", (), found.rules, found.rate, slot=found.slot
+        )
+        sight = assess(battery, [given], None, [P])[P]
+        assert (sight.level, sight.size) == (level, metres)
+    open_one = assess(battery, [Restriction("sensor_msgs/BatteryState", (), (), 0.001)], None, [P])
+    assert (open_one[P].level, open_one[P].size) == (EXACT, 0)
+    climate = describe(layout_of("sensor_msgs/Temperature"))
+    rules = resolve(layout_of("sensor_msgs/Temperature"), climate, {P: "room"})
+    given = Restriction("sensor_msgs/Temperature", (), rules.rules, rules.rate)
+    assert assess(climate, [given], None, [P])[P].size == 4
+
+
+def test_pseudonyms_of_names_in_a_fixed_order_are_no_level() -> None:
+    hashed: dict[str, object] = {"hash": {"key": "identity", "per": "receiver"}}
+    rules = filter_rules({"name": hashed, "header": CLEAR})
+    joints = describe(layout_of("sensor_msgs/JointState"))
+    found = assess(joints, [Restriction("sensor_msgs/JointState", (), rules)])
+    assert found[DataWord.IDENTITY].level == EXACT
+
+
 def test_degrees_are_measured_in_metres() -> None:
     rules: dict[str, dict[str, object]] = {
         "status": CLEAR, "latitude": rounded(0.001), "longitude": rounded(0.001),
         "altitude": CLEAR, "position_covariance": CLEAR, "position_covariance_type": CLEAR,
     }  # fmt: skip
     assert seen("sensor_msgs/NavSatFix", None, **rules)[P].size == pytest.approx(111.32)
+
+
+CLEARED = {"pose.position": CLEAR, "pose.orientation": CLEAR}
+
+
+def with_condition(*texts: str, rate: float | None = 1 / 300) -> dict[DataWord, Seen]:
+    given = [Restriction(POSE, texts, filter_rules(CLEARED), rate)]
+    return assess(describe(layout_of(POSE)), given)
+
+
+@pytest.mark.parametrize("text", ["msg.pose.position.x < 5", "5 > msg.pose.position.x + 1"])
+def test_a_field_that_a_condition_reads_is_open(text: str) -> None:
+    assert with_condition()[P].level == NO
+    found = with_condition(text)[P]
+    assert (found.level, found.besides, found.size) == (EXACT, NO, 0.0)
+    assert found.conditions == (text,)
+    assert found.open == ("pose.position.x",)
+    assert not found.is_no_finer_than(NO)
+    assert not found.is_no_finer_than(0.001)
+
+
+def test_a_condition_that_reads_no_field_of_a_word_changes_nothing() -> None:
+    clean = with_condition()
+    assert with_condition('msg.header.frame_id == "map" && now.getHours() > 8') == clean
+
+
+def test_a_condition_of_another_grant_counts_too() -> None:
+    hidden = Restriction(POSE, (), filter_rules(CLEARED))
+    asked = Restriction(POSE, ("msg.pose.orientation.w > 0.5",))
+    found = assess(describe(layout_of(POSE)), [hidden, asked])
+    assert [each.level for each in found.values()] == [EXACT, EXACT]
+
+
+@pytest.mark.parametrize("rate", [None, 10.0, 1.0, 0.21])
+def test_steps_at_a_high_rate_are_no_size(rate: float | None) -> None:
+    found = seen(POSE, rate, pose__position=rounded(2, 1), pose__orientation=CLEAR)[P]
+    assert found.is_often
+    assert (found.size_text, found.step_text) == ("", "2 m")
+    assert not found.is_no_finer_than(2)
+    slow = seen(POSE, 0.2, pose__position=rounded(2, 1), pose__orientation=CLEAR)[P]
+    assert (slow.size_text, slow.is_no_finer_than(2)) == ("2 m", True)
+
+
+def test_a_pseudonym_for_all_receivers_is_not_one_of_each() -> None:
+    key: dict[str, object] = {"hash": {"key": "ward"}}
+    own: dict[str, object] = {"hash": {"key": "ward", "per": "receiver"}}
+    kind = "actionlib_msgs/GoalID"
+    identity = DataWord.IDENTITY
+    words = {rule: assess(
+        describe(layout_of(kind)),
+        [Restriction(kind, (), filter_rules({"id": given}))], None, [identity],
+    )[identity] for rule, given in (("key", key), ("own", own))}  # fmt: skip
+    assert (words["own"].level, words["own"].is_shared) == ("pseudonym", False)
+    assert (words["key"].level, words["key"].is_shared) == (EXACT, True)

@@ -83,6 +83,19 @@ def test_a_path_within_an_own_type_may_be_named_from_above() -> None:
     assert describe(LAYOUT, own).unknown == ()
 
 
+def test_a_lamp_of_the_home_is_not_carried_about() -> None:
+    """What a policy says of a bare value keeps its meaning: `home` is not the position."""
+    for content in (Content.TEMPERATURE, Content.BRIGHTNESS, Content.READING):
+        found = describe(layout_of("std_msgs/Float64"), here={"data": content})
+        assert not found.tells(DataWord.POSITION)
+
+
+def test_only_names_that_can_be_pseudonyms_are_names() -> None:
+    assert describe(layout_of("diagnostic_msgs/DiagnosticArray")).has_names
+    assert describe(layout_of("actionlib_msgs/GoalID")).has_names
+    assert not describe(layout_of("nav_msgs/Odometry")).has_names
+
+
 def test_a_topic_says_what_its_bare_value_is() -> None:
     found = describe(layout_of("std_msgs/Float64"), here={"data": Content.TEMPERATURE})
     assert (found.unknown, found.words) == ((), (DataWord.HOME,))
@@ -100,7 +113,9 @@ def test_what_gives_a_position_away_on_a_topic_of_its_own() -> None:
     assert "linear.x" in paths("geometry_msgs/Twist", DataWord.POSITION)
     assert "position" in paths("sensor_msgs/JointState", DataWord.POSITION)
     assert "ranges" in paths("sensor_msgs/LaserScan", DataWord.POSITION, "carrying")
-    assert paths("sensor_msgs/Temperature", DataWord.POSITION) == set()
+    assert paths("sensor_msgs/Temperature", DataWord.POSITION) == {"temperature", "variance"}
+    assert "current" in paths("sensor_msgs/BatteryState", DataWord.POSITION)
+    assert paths("sensor_msgs/TimeReference", DataWord.POSITION) == set()
     assert paths("sensor_msgs/Image", DataWord.POSITION, "hints") == {"data"}
 
 
@@ -120,6 +135,7 @@ def test_a_level_concerns_a_type_that_tells_the_word_in_any_way() -> None:
         return {word for word in DataWord if describe(layout_of(name)).tells(word)}
 
     assert told("geometry_msgs/Twist") == {DataWord.MOVEMENT, DataWord.POSITION, DataWord.PRESENCE}
-    assert told("sensor_msgs/Temperature") == {DataWord.HOME, DataWord.IDENTITY, DataWord.PRESENCE}
+    assert told("sensor_msgs/Temperature") == set(DataWord) - {DataWord.IMAGE, DataWord.SOUND}
+    assert told("sensor_msgs/TimeReference") == {DataWord.IDENTITY, DataWord.PRESENCE}
     assert DataWord.POSITION in told("sensor_msgs/Image")
     assert told("std_msgs/Empty") == {DataWord.PRESENCE}

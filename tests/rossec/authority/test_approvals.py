@@ -81,7 +81,15 @@ def test_a_person_is_asked_and_may_be_late(place: Place) -> None:
     (approval,) = place.queue(later=60).pending()
     assert approval.verdict.effect == "prompt"
     assert place.queue(later=61).pending() == []
-    assert place.queue().pending() == []  # the answer was no, and stays so
+
+
+@pytest.mark.attack("clock-ahead")
+@pytest.mark.parametrize("later", [61, 4000, 10**9])
+def test_a_clock_that_is_ahead_for_one_look_answers_nothing(place: Place, later: int) -> None:
+    place.queue().add_request(place.request(LIFT))
+    assert place.queue(later=later).pending() == []
+    (approval,) = place.queue().pending()
+    assert approval.verdict.effect == "prompt"
 
 
 def test_a_person_denies_a_request(place: Place) -> None:

@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
+from ca.revocation.state import open_statement
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.authority import grant_delivery as module
-from rossec.authority.grant_delivery import RefusedDeposit
+from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
 from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
 from rossec.errors import NotDelivered
@@ -24,6 +25,8 @@ class Delivering(Office):
         self.states: dict[bytes, str] = {}
         self.refuses: dict[bytes, str] = {}
         self.answer: object = None
+        self.lacks = False  # the newest list, so it refuses everything
+        self.standing: object = None
         super().__init__(root)
 
     def opened(self) -> AuthorityService:
@@ -31,6 +34,11 @@ class Delivering(Office):
 
     def respond(self, call: MasterCall) -> object:
         self._deliver(call)
+        if call.method == "rossec.revocationStanding":
+            return self.said_of_its_list()
+        if call.method == "rossec.updateRevocations":
+            self.lacks = False
+            return 1
         (items,) = call.statement
         assert isinstance(items, list)
         if self.answer is not None:
@@ -38,9 +46,23 @@ class Delivering(Office):
         if call.method == "rossec.deliveryStates":
             return [self.states.get(item[:16], "") for item in items]
         assert call.method == "rossec.depositGrants"
+        if self.lacks:
+            return ["no list" for _ in items]
         accepted = [item for item in items if item not in self.refuses]
         self.states |= {document.grant_id(item): "waiting" for item in accepted}
         return [self.refuses.get(item, "") for item in items]
+
+    def said_of_its_list(self) -> object:
+        if isinstance(self.standing, Exception):
+            raise self.standing
+        if self.standing is not None:
+            return self.standing
+        newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
+        epoch, seq = (0, 0) if self.lacks else newest.number
+        return {"list": f"{epoch}.{seq}"}
+
+    def methods(self) -> list[str]:
+        return [call.method.removeprefix("rossec.") for call in self.calls]
 
     def grant(self, name: str = "/robot", lifetime: int = DAY, renewal: int = 0) -> bytes:
         permissions = (Permission("/p", Right.PUBLISH),)
@@ -83,8 +105,9 @@ def test_grants_are_deposited_and_those_of_this_home_stored_too(office: Deliveri
     assert office.made("rossec.depositGrants") == [[one, two]]
     assert office.robot.grants() == [one]
     assert office.asked == asked, "no passphrase is needed"
-    (call,) = office.calls
+    call, asked_after = office.calls
     assert (call.node.name, call.what, call.within) == ("/ca", "the grants", 15.0)
+    assert asked_after.method == "rossec.revocationStanding"
 
 
 def test_grants_are_deposited_in_calls_that_the_master_takes(
@@ -131,8 +154,12 @@ def test_what_the_master_does_not_have_is_deposited(office: Delivering) -> None:
     one, two, three = office.grant(), office.grant(), office.grant()
     office.states = {document.grant_id(one): "fetched"}
     office.refuses = {three: "too many"}
-    refused = [RefusedDeposit(document.grant_id(three), "/robot", "too many")]
-    assert office.service.deposit_missing() == (1, refused)
+    count, (refused,) = office.service.deposit_missing()
+    assert count == 1
+    assert refused._replace(hint="") == RefusedDeposit(
+        document.grant_id(three), "/robot", "too many"
+    )
+    assert refused.hint.endswith("rossec grant deliver")
     assert office.made("rossec.depositGrants") == [[two, three]]
     office.refuses = {}
     assert office.service.deposit_missing() == (1, [])
@@ -169,3 +196,57 @@ def test_grants_for_other_domains_are_kept_to_be_carried(office: Delivering) -> 
     (file,) = office.service.outgoing.iterdir()
     assert file.read_bytes() == data
     assert office.service.deposit_missing() == (0, [])
+
+
+def test_a_master_that_lacks_the_list_is_given_it_and_asked_again(office: Delivering) -> None:
+    """A master in another home that was started, or made anew, since the list was signed."""
+    office.enroll("/camera")
+    data, other = office.grant(), office.grant("/camera")
+    office.lacks = True
+    office.refuses = {other: "no room"}
+    (refused,) = office.service.deposit([data, other])
+    assert (refused.node, refused.reason) == ("/camera", "no room")
+    assert office.states == {document.grant_id(data): "waiting"}
+    assert office.methods() == [
+        "depositGrants", "revocationStanding", "updateRevocations", "depositGrants",
+    ]  # fmt: skip
+    office.calls.clear()
+    assert len(office.service.deposit([other])) == 1
+    assert "updateRevocations" not in office.methods(), "it has the list: that is not the reason"
+
+
+@pytest.mark.parametrize("said", [{}, {"list": 5}, "1.1", [], {"list": "1.1 "}])
+def test_an_unclear_answer_about_the_list_is_answered_with_it(
+    office: Delivering, said: object
+) -> None:
+    data = office.grant()
+    office.lacks, office.standing = True, said
+    assert office.service.deposit([data]) == []
+
+
+def test_an_older_master_is_not_asked_again(office: Delivering) -> None:
+    """The operator reads what to do."""
+    data = office.grant()
+    office.lacks, office.standing = True, NotDelivered("no such method", "rossec ca publish")
+    (refused,) = office.service.deposit([data])
+    assert refused.hint == "rossec ca publish; afterwards deliver it with: rossec grant deliver"
+    assert "updateRevocations" not in office.methods()
+
+
+def test_a_list_that_has_expired_is_to_be_signed_first(office: Delivering) -> None:
+    data = office.grant(lifetime=200 * DAY)
+    office.lacks = True
+    office.now += 100 * DAY
+    (refused,) = office.service.deposit([data])
+    assert refused.hint == "rossec ca refresh; afterwards deliver it with: rossec grant deliver"
+    with pytest.raises(NotDelivered, match="1 grant is signed, but not delivered") as caught:
+        require_delivered([refused])
+    assert caught.value.hint == refused.hint
+
+
+def test_only_what_the_master_lacks_is_not_delivered() -> None:
+    there = RefusedDeposit(bytes(16), "/robot", "no room")
+    require_delivered([there._replace(is_here=True)])
+    with pytest.raises(NotDelivered, match="2 grants are signed") as caught:
+        require_delivered([there, there])
+    assert "rossec grant deliver" in caught.value.hint

@@ -4,17 +4,25 @@ from typing import NoReturn
 
 import pytest
 
-from ca.errors import DomainsRefused, PassphraseRefused, RevocationRefused
+from ca.certificates import to_pem
+from ca.errors import DomainsRefused, PassphraseRefused, RevocationRefused, TokenRefused
+from ca.keys.hsm import KeyUri
 from ca.names import is_reserved
 from ca.revocation.state import open_list
 from ca.revocation.tree import TreeEntries, open_tree
+from ca.store.approval_replay import RESTORED
 from ca.store.record import Store
+from grants.renewal import open_delegation
+from rossec.authority import token_modules
 from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
-from rossec.authority.signing import OWN_NODE
+from rossec.authority.signing import OWN_NODE, delegations
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
 from tests.support.domains import domains, foreign
 from tests.support.pki import Site
+from tests.support.site import DAY
+from tests.support.site import Site as RunningSite
+from tests.support.token import MODULE, PIN, softhsm
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -139,3 +147,48 @@ def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
     (copy.path / ENTRIES).write_bytes(entries)
     (copy.path / ENTRIES).chmod(0o600)
     assert copy.newest_statement()[1] == entries
+
+
+def test_grants_are_renewed_while_each_master_has_confirmed_to_have_the_leave(
+    tmp_path: Path,
+) -> None:
+    """What was only signed, is another key's or is revoked renews nothing."""
+    site = RunningSite(tmp_path, clock=lambda: NOW)
+    (tmp_path / "ca.pem").write_bytes(to_pem(site.anchor.certificate))
+    home = AuthorityHome(tmp_path)
+    assert home.renewed_until(NOW) == 0
+    given = site.delegate()
+    assert home.renewed_until(NOW) == 0
+    (delegation,) = delegations(home.path, home.own_key())
+    assert open_delegation(given, home.own_key()) == delegation
+    home.confirm_delegation(delegation.id, NOW)
+    assert home.renewed_until(NOW) == delegation.expires
+    assert home.renewed_until(delegation.expires) == 0
+    longer = site.authority.issue_delegation(delegation.holder, 2 * DAY, 60, NOW)
+    stranger = site.authority.issue_delegation(bytes(32), 2 * DAY, 60, NOW)
+    for each in (longer, stranger):
+        home.confirm_delegation(open_delegation(each, home.own_key()).id, NOW)
+    until = open_delegation(longer, home.own_key())
+    assert home.renewed_until(NOW) == until.expires
+    site.authority.revoke(until.id, "", NOW)
+    assert home.renewed_until(NOW) == delegation.expires
+    site.authority.revoke(delegation.id, "", NOW)
+    assert home.renewed_until(NOW) == 0
+
+
+def test_a_key_in_a_token_is_opened_by_the_modules_that_were_named(tmp_path: Path) -> None:
+    softhsm()
+    uri = KeyUri.parse("pkcs11:token=spare;object=home-of-tests")
+    home = AuthorityHome.create(tmp_path, "home", PIN, NOW, uri)
+    assert home.key_uri() == uri
+    assert home.unlock(PIN).domain == "home"
+    assert home.load_key(PIN, [uri.module]).public_key == home.own_key()
+    with pytest.raises(TokenRefused, match="is not trusted here"):
+        home.load_key(PIN, [])
+    (tmp_path / token_modules.FILE).unlink()
+    assert home.unlock(PIN).domain == "home", "an older version made it here"
+    assert (tmp_path / token_modules.FILE).read_text() == f"{MODULE}\n"
+    home.store().log_event(RESTORED, "", "", NOW)
+    (tmp_path / token_modules.FILE).unlink()
+    with pytest.raises(TokenRefused, match="is not trusted here"):
+        home.unlock(PIN)

@@ -2,17 +2,25 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
 from ca.errors import StoreError
 from grants import document
 from grants.policy.difference import Moment
-from rossec.authority.policy_apply import grant_outright, revoke_planned, sign_planned
+from rossec.authority.policy_apply import (
+    grant_outright,
+    revoke_planned,
+    sign_each,
+    sign_planned,
+    take_away,
+)
 from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
 from rossec.authority.policyfile import PolicyFile
-from rossec.authority.signing import SKEW
-from rossec.errors import ConfigurationError
+from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.errors import AuthorityLocked, ConfigurationError
+from tests.support.refusals import refuse_to_sign_for
 from tests.support.site import DAY, Site
 
 NOW = 1_800_000_000
@@ -118,3 +126,43 @@ def test_one_node_gets_what_the_policy_gives_it(applied: Applied) -> None:
     assert grant_outright(authority, policy, ["/robot"], NOW) == []
     assert grant_outright(authority, policy, ["/nobody"], NOW) == []
     assert applied.grants() == ["/robot a", "/robot b"]
+
+
+def test_what_is_only_taken_away_goes_first(applied: Applied) -> None:
+    authority = applied.site.authority
+    sign_planned(authority, applied.plan(), NOW)
+    made = applied.plan()
+    assert take_away(authority, made, NOW) == (None, made)
+    applied.write(POLICY.replace('who: "*"', "who: /robot").replace("/odom", "/map"))
+    made = applied.plan()
+    listed, left = take_away(authority, made, NOW)
+    assert listed is not None
+    assert listed.entries == {grant.id for grant in made.taken}
+    assert applied.grants() == ["/robot a"]
+    assert (len(made.taken), len(left.revoke), left.signs) == (2, 0, 1)
+    sign_planned(authority, left, NOW)
+    revoke_planned(authority, left, NOW)
+    assert applied.plan().is_empty
+
+
+def test_a_node_for_which_nothing_can_be_signed_keeps_none_of_the_others(
+    applied: Applied, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuse_to_sign_for("/robot", monkeypatch)
+    signed, left = sign_each(applied.site.authority, applied.plan(), NOW)
+    assert applied.grants() == ["/viewer a"]
+    assert [draft.subject for draft, _ in signed] == ["/viewer"]
+    assert left.refused == ("/robot: too large",)
+    assert left.revoke == ()
+
+
+def test_refusals_about_the_key_are_of_all(
+    applied: Applied, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def locked(*_: object) -> NoReturn:
+        raise AuthorityLocked("the key is locked")
+
+    monkeypatch.setattr(SigningAuthority, "issue_grants", locked)
+    with pytest.raises(AuthorityLocked):
+        sign_each(applied.site.authority, applied.plan(), NOW)
+    assert applied.grants() == []

@@ -19,6 +19,7 @@ from rossec.authority.renewals import (
     renew,
     renew_by_name,
     renew_own_node,
+    renew_recorded,
     sign_intermediate,
 )
 from rossec.authority.signing import OWN_NODE, SigningAuthority
@@ -129,6 +130,58 @@ def test_an_operator_renews_by_name(site: Site) -> None:
     assert (after.thumbprint, after.not_after) == (before.thumbprint, NOW + 31 * DAY)
     with pytest.raises(StoreError, match="/nobody has no valid identity"):
         renew_by_name(site.authority, "/nobody", NOW)
+
+
+def test_the_record_decides_what_the_service_renews(site: Site) -> None:
+    home = site.enroll("/robot", 90 * DAY)
+    later = NOW + 60 * DAY
+    key = KeySigner(home.credentials().signer._key)  # type: ignore[attr-defined]
+    bundle = renew_recorded(site.authority, asks(home, key, later), later)
+    after = home.install(bundle, later)
+    assert after.not_after == later + 90 * DAY, "as long as the one before"
+    again = asks(home, key, later)
+    with pytest.raises(RenewalRefused, match="is not due"):
+        renew_recorded(site.authority, again, later)
+
+
+def test_one_key_has_one_certificate_until_that_is_due(site: Site) -> None:
+    """The old certificate is valid for long, and could ask without end."""
+    home = site.enroll("/robot", LIFE)
+    key = KeySigner(home.credentials().signer._key)  # type: ignore[attr-defined]
+    bundles = {renew(site.authority, asks(home, key), LATER + day * 100) for day in range(3)}
+    assert len(bundles) == 1
+    assert len(site.authority.store.identities.by_name("/robot")) == 2
+
+
+def test_what_an_intermediate_signed_is_renewed_by_the_root_itself(site: Site) -> None:
+    _, host = below(site, may_enroll=True)
+    home = NodeHome.of(site.root, "/elsewhere")
+    home.create_request("home")
+    home.install(host.issue(home.request(), NOW, LIFE), NOW)
+    key = KeySigner(home.credentials().signer._key)  # type: ignore[attr-defined]
+    with pytest.raises(RenewalRefused, match="is not in the authority's record") as caught:
+        renew_recorded(site.authority, asks(home, key), LATER)
+    assert "rossec ca import NODE.pem" in caught.value.hint
+    import_identity(site.authority, home._read("node.pem", ""), LATER)
+    assert len(from_pem(renew_recorded(site.authority, asks(home, key), LATER))) == 2
+
+
+def test_one_that_is_over_comes_back_with_its_key(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    before, late = home.identity(NOW), NOW + LIFE + DAY
+    with pytest.raises(StoreError, match="the identity of /robot ended on"):
+        renew_by_name(site.authority, "/robot", late)
+    after = home.install(renew_by_name(site.authority, "/robot", late, expired=True), late)
+    assert after.thumbprint == before.thumbprint
+    assert after.not_after == late + 30 * DAY
+
+
+def test_below_a_revoked_intermediate_nothing_comes_back(site: Site) -> None:
+    name, host = below(site, may_enroll=True)
+    import_identity(site.authority, imported(host), NOW)
+    site.authority.revoke_identity(name, "stolen", NOW)
+    with pytest.raises(StoreError, match="the intermediate that signed the identity"):
+        renew_by_name(site.authority, "/elsewhere", NOW + 60 * DAY, expired=True)
 
 
 def test_an_operator_renews_below_what_the_root_signed(site: Site) -> None:

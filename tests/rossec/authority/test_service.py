@@ -277,7 +277,7 @@ def test_a_grant_is_signed_and_revoked(office: Office) -> None:
 def test_the_policy_decides_or_a_person(office: Office) -> None:
     policy, service = office.policy(), office.opened()
     assert service.collect_grant_requests(policy) == []
-    assert service.decide_grants(policy) == ([], 0, 0, 0)
+    assert service.decide_grants(policy) == ([], 0, 0, [])
     asked = office.asked
     door = RequestedRight(Right.CALL, "/door")
     service.collect_grant_requests(policy, [office.request(POSE, LIFT, door)])
@@ -285,7 +285,7 @@ def test_the_policy_decides_or_a_person(office: Office) -> None:
     assert pending.stored.requested == LIFT
     assert office.asked == asked  # nothing needed the key
     decided = service.decide_grants(policy)
-    assert decided[1:] == (1, 1, 0)  # the third was denied when they were shown
+    assert decided[1:] == (1, 1, [])  # the third was denied when they were shown
     ((draft, data),) = decided.grants
     assert office.home.store().grants()[-1].data == data
     assert [item.pattern for item in draft.permissions] == ["/pose"]

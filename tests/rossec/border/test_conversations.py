@@ -55,7 +55,7 @@ def test_the_one_that_was_quiet_for_longest_makes_room(
     a, b = conversation("/a", b"a"), conversation("/b", b"b")
     held.add(a)
     held.add(b)
-    held.used(a)
+    held.used(a, HERE)
     held.add(conversation("/c", b"c"))
     assert ended == ["/b"]
     assert [each.name for each in held.all()] == ["/a", "/c"]
@@ -72,3 +72,32 @@ def test_answers_are_kept_for_repeated_requests() -> None:
     assert thing.remembered(HERE, 0) is None
     assert thing.remembered(HERE, REMEMBERED) == b"%d" % REMEMBERED
     assert thing.remembered(THERE, REMEMBERED) is None
+
+
+def test_where_things_are(held: Conversations) -> None:
+    there = ("::2", 5683)
+    a, b = conversation("/a", b"a"), conversation("/b", b"b")
+    held.add(a)
+    held.add(b)
+    held.used(a, there)
+    assert held.at(HERE) is b
+    assert held.at(there) is a
+    held.drop("/b")
+    assert held.at(HERE) is None
+    held.used(a, there)
+    held.drop("/a")
+    assert held.at(there) is None
+
+
+def test_where_two_were_is_the_latest() -> None:
+    held = Conversations(lambda _: None)
+    a, b = conversation("/a", b"a"), conversation("/b", b"b")
+    held.add(a)
+    held.add(b)
+    held.drop("/a")
+    assert held.at(HERE) is b
+
+
+def test_message_ids_count_from_a_number_that_is_given() -> None:
+    made = Conversation("/a", OscoreContext(bytes(16), b"", b"", b"a"), HERE, 0xFFFE)
+    assert [made.new_mid() for _ in range(3)] == [0xFFFF, 0, 1]

@@ -99,6 +99,25 @@ async def test_requests_are_sent_again_and_fail_when_the_conversation_ends(
     peer.transport.close()
 
 
+async def test_a_thing_is_answered_at_once_in_a_flood_of_strangers() -> None:
+    """All of the flood is in the socket before the thing's datagram."""
+    nobody, peer, flood = Nobody(), Peer(), Peer()
+    server = Server(OWN, nobody, nobody, "::1", 0)
+    await peer.start(server.address)
+    await flood.start(server.address)
+    address = peer.transport.get_extra_info("sockname")
+    context = OscoreContext(os.urandom(16), b"", b"a", b"b")
+    server.endpoint.conversations.add(Conversation(LAMP, context, address))
+    for number in range(400):
+        flood.transport.sendto(wire.empty(wire.CON, number))
+    peer.transport.sendto(wire.empty(wire.CON, 7))
+    assert await peer.next() == wire.empty(wire.RST, 7)
+    assert server.endpoint.counts.datagrams < 50
+    server.close()
+    for end in (peer, flood):
+        end.transport.abort()  # what the kernel has not taken is not waited for
+
+
 async def test_a_port_is_taken_once() -> None:
     nobody = Nobody()
     server = Server(OWN, nobody, nobody, "::1", 0)

@@ -11,11 +11,12 @@ from rossec.channel.records import (
     Direction,
     Epochs,
     Frame,
-    UnitAssembly,
     check_header,
     fragments,
     frame,
     header,
+    padded,
+    unpadded,
 )
 from rossec.errors import ConnectionTruncated, LimitExceeded, ProtocolViolation, RecordForged
 from tests.support.wire import Wire, alice, bob, joined
@@ -168,58 +169,25 @@ def test_unused_keys_are_not_renewed() -> None:
 # -- units
 
 
-def test_a_unit_comes_out_whole_and_the_next_begins_afresh() -> None:
-    sender, receiver = direction(), direction()
-    unit = UnitAssembly(10_000_000)
-    for size in (3_000_000, 10, 3_000_000, 700_000):
-        parts = list(fragments([b"x" * size]))
-        for part in parts[:-1]:
-            record = bytes(sender.seal(Frame.DATA, part))
-            unit.add(receiver, record[:4], memoryview(record)[4:])
-        record = bytes(sender.seal(Frame.DATA_END, parts[-1]))
-        assert unit.finish(receiver, record[:4], memoryview(record)[4:]) == b"x" * size
-        assert unit.length == 0
+@given(st.binary(min_size=1, max_size=600), st.integers(32, 300))
+def test_padding_comes_off(data: bytes, multiple: int) -> None:
+    longer = padded(data, multiple)
+    assert longer is not None
+    assert len(longer) % multiple == 0
+    assert len(data) < len(longer) <= len(data) + multiple
+    assert unpadded(longer) == data
 
 
-def test_a_unit_that_is_held_is_never_written_to() -> None:
-    """The memory of units is reused once there is no other reference."""
-    unit, sender, receiver = UnitAssembly(100_000_000), direction(), direction()
-
-    def take(*parts: bytes) -> bytes:
-        done = None
-        for number, part in enumerate(parts):
-            record = memoryview(sender.seal(Frame.DATA, part))
-            last = number == len(parts) - 1
-            done = (unit.finish if last else unit.add)(receiver, bytes(record[:4]), record[4:])
-        assert done is not None
-        return done
-
-    parts = [bytes([letter]) * 100_000 for letter in range(20)]
-    held = [take(part, part) for part in parts[:6]]
-    views = [memoryview(take(part, part)) for part in parts[6:12]]
-    for length in (1, 50_000, 100_000):
-        for part in parts[12:]:
-            assert take(part, part[:length]) == part + part[:length]
-    large = take(*parts * 9)
-    assert large == b"".join(parts * 9)
-    assert take(b"a", b"b") == b"ab"
-    assert held == [part * 2 for part in parts[:6]]
-    assert views == [part * 2 for part in parts[6:12]]
+def test_padding_never_makes_a_record_too_long() -> None:
+    assert padded(bytes(MAX_PLAINTEXT), 64) is None
+    for left in (1, 2, 63):
+        assert len(padded(bytes(MAX_PLAINTEXT - left), 4099) or b"") == MAX_PLAINTEXT
 
 
-def test_a_forged_part_is_not_part_of_the_unit() -> None:
-    unit = UnitAssembly(1000)
-    with pytest.raises(RecordForged):
-        unit.add(direction(), b"\x30\0\0\x20", memoryview(bytes(32)))
-    assert unit.length == 0
-
-
-def test_a_unit_beyond_the_limit() -> None:
-    unit = UnitAssembly(10)
-    record = bytes(direction().seal(Frame.DATA, b"x" * 11))
-    for take in (unit.add, unit.finish):
-        with pytest.raises(LimitExceeded, match="more than 10 bytes"):
-            take(direction(), record[:4], memoryview(record)[4:])
+@pytest.mark.parametrize("plaintext", [b"", b"\0", b"\1", b"\1\0", bytes(300), b"x\2\0", b"x"])
+def test_padding_without_data_or_end_is_refused(plaintext: bytes) -> None:
+    with pytest.raises(ProtocolViolation, match="padded record"):
+        unpadded(plaintext)
 
 
 SIZES = st.one_of(st.integers(0, 100), st.integers(16_000, 17_000), st.integers(260_000, 600_000))

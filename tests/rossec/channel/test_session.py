@@ -1,4 +1,6 @@
-from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, ChannelLimits
+import pytest
+
+from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, ChannelLimits, Frame
 from tests.support.wire import NOW, Wire, alice, bob, joined
 
 RECORD = HEADER + MAX_PLAINTEXT + TAG
@@ -67,3 +69,31 @@ def test_a_side_that_renewed_awaits_its_peer() -> None:
     seen.append(w.left.core.awaits_peer)
     w.left.core.close()
     assert [*seen, w.left.core.awaits_peer] == [False, True, False, False]
+
+
+@pytest.mark.parametrize("size", [1, 63, 64, 20_000, MAX_PLAINTEXT - 1, MAX_PLAINTEXT, 700_001])
+@pytest.mark.parametrize("reuse", [False, True])
+def test_a_side_pads_what_it_sends(size: int, reuse: bool) -> None:
+    w = joined()
+    w.left.core.pad_units(4096)
+    unit = bytes([7]) * size
+    small = w.left.core.seal_small(unit) if size <= 64 * 1024 else None
+    records = [small] if small else list(map(bytes, w.left.core.seal_unit(unit, reuse=reuse)))
+    sent = b"".join(map(bytes, records))
+    count = -(-(size + 1) // MAX_PLAINTEXT) if size % MAX_PLAINTEXT else size // MAX_PLAINTEXT
+    assert (len(sent) - count * (HEADER + TAG)) % 4096 == 0
+    w.right.give(sent)
+    assert w.right.units == [unit]
+    w.right.core.send_unit(b"back")
+    assert len(w.right.take()) == HEADER + 4 + TAG, "the other side does not"
+
+
+def test_a_record_that_belongs_to_no_unit_leaves_the_unit_alone() -> None:
+    w = joined()
+    sender, receiver = w.left.core._open_session(), w.right.core._open_session()
+    first, last = sender.seal_unit([bytes(MAX_PLAINTEXT), b"end"], reuse=False)
+    renewal = bytes(sender.seal_renewal(Frame.GRANTS, b"grants"))
+    w.right.give(bytes(first))
+    w.right.give(bytes(last))
+    found = receiver.open_renewal(renewal[:HEADER], memoryview(renewal)[HEADER:])
+    assert (found, w.right.units) == (b"grants", [bytes(MAX_PLAINTEXT) + b"end"])

@@ -9,6 +9,7 @@ from rossec.channel.edhoc.handshake import Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_message_1, encode_error, suites_item
 from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.opening import Accepted, classify_caller
+from rossec.channel.records import unpadded
 from rossec.errors import HandshakeFailed, ProtocolViolation
 from tests.support.wire import BOB, dice, trust
 from tests.vectors import make_wire
@@ -91,3 +92,14 @@ def test_when_keys_are_renewed(vector: dict[str, Any]) -> None:
     rekeys = [step["at"] for step in vector["steps"] if "REKEY" in step["sends"]]
     assert rekeys
     assert all(at >= vector["period"] for at in rekeys)
+
+
+@pytest.mark.parametrize("vector", load("padding"))
+def test_padding(vector: dict[str, Any]) -> None:
+    plaintext = bytes.fromhex(vector["plaintext"])
+    if vector["data"] is None:
+        with pytest.raises(ProtocolViolation):
+            unpadded(plaintext)
+    else:
+        assert unpadded(plaintext) == bytes.fromhex(vector["data"])
+        assert len(plaintext) % vector["multiple"] == 0

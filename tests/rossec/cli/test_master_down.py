@@ -57,6 +57,9 @@ def test_a_command_that_delivers_says_it_too(down: Shell) -> None:
 
 
 def test_one_for_its_administrator_says_what_else_it_takes(down: Shell) -> None:
+    said = down("master", "status")
+    assert (said.code, "there is no /master in" in said.err) == (1, True)
+    down.enroll("/master")
     for words in ADMINISTERS:
         said = down(*words.split())
         assert said.code == 1, words

@@ -64,7 +64,13 @@ def test_requests_are_signed_and_installed_together(
     assert "error: /nobody: " in renewed.err
     assert "renewed /a: a.pem" in renewed.out
     assert "renewed /ca until " in renewed.out
+    assert f"installed in {shell.node('/a')}" in renewed.out
+    for name in ("/a", "/b/c"):
+        shell.node(name).rename(tmp_path / name.replace("/", "-"))  # nodes of other machines
+    renewed = shell.unlocked("ca", "renew", "/a", "/b/c")
     assert "next, on their machines: rossec node install a.pem b.c.pem" in renewed.out
+    for name in ("/a", "/b/c"):
+        (tmp_path / name.replace("/", "-")).rename(shell.node(name))
     for file in ("a.pem", "b.c.pem"):
         assert shell("node", "install", file, "--yes").code == 0
 
@@ -77,7 +83,7 @@ def test_one_name_says_what_it_always_said(
     renewed = shell.unlocked("ca", "renew", "/robot").out.splitlines()
     assert renewed == [
         "renewed /robot: robot.pem",
-        "next, on its machine: rossec node install robot.pem",
+        f"installed in {shell.node('/robot')}",
     ]
     refused(shell.unlocked("ca", "renew", "/nobody"), "/nobody")
     refused(shell.unlocked("ca", "renew", "/a", "/b", "--out", "x"), "--out is of one", code=2)

@@ -37,6 +37,21 @@ def test_a_refusal_is_a_page_or_json() -> None:
     assert bytes(told.body) == b'{"error":"it is <locked>\\\\u000a","hint":"unlock it"}'
 
 
+def test_a_page_that_is_not_there_offers_the_first_one_once() -> None:
+    text = Browser().log_in().get("/nothing").text
+    assert text.lower().count("first page") == 1
+    assert "Is the address right?" in text
+
+
+def test_names_are_asked_for_pages_and_not_for_scripts() -> None:
+    browser = Browser().log_in()
+    browser.get("/phones")
+    assert len(browser.asked("policy-names")) == 1
+    browser.get("/phones", headers={"Accept": "application/json"})
+    browser.get("/login")
+    assert len(browser.asked("policy-names")) == 1
+
+
 @pytest.mark.parametrize("accept", ["text/html", "application/json"])
 def test_a_crash_is_logged_and_not_told(accept: str, caplog: pytest.LogCaptureFixture) -> None:
     async def crash(*_: object) -> Response:

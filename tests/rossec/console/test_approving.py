@@ -8,7 +8,7 @@ import pytest
 
 from ca.errors import EnrollmentOver, HintedError, NameRefused, PatternRefused
 from rossec.authority.console.messages import PREPARED
-from rossec.authority.console.views import IdentityRequestView, Outcome
+from rossec.authority.console.views import GrantQuestion, IdentityRequestView, Outcome
 from rossec.console import approving
 from rossec.console.approving import DAY, Act, carried_out, certificate_request, read
 from rossec.console.enrollment import Enrollment
@@ -60,6 +60,7 @@ class Sources:
         self.enrollments: Any = self
         self.service: Any = self
         self.made_codes = MadeCodes()
+        self.lifetime = 7 * DAY  # of what is asked for
 
     def get(self, number: str) -> Enrollment:
         if number not in self.known:
@@ -72,6 +73,9 @@ class Sources:
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
         return WAITS, KNOWN
+
+    async def questions(self) -> tuple[GrantQuestion, ...]:
+        return (GrantQuestion(QUESTION_ID, "/map", b"k", "", 0, 9, self.lifetime, (), ()),)
 
 
 SOURCES = Sources(e1=Adding(), e2=Adding(is_other_key=True), e3=Adding(over=True))
@@ -140,13 +144,18 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
     ("enroll", {"enrollment": "e3"}, EnrollmentOver, "it is over"),
     ("enroll", {"enrollment": "e2"}, FormRefused, "has changed meanwhile"),
     ("enroll", {"enrollment": "e1", "name": "/fridge"}, FormRefused, "has changed meanwhile"),
-    ("enroll", {"enrollment": "e2", "name": "/fridge "}, FormRefused, "the name is /fridge"),
+    ("enroll", {"enrollment": "e2", "name": "/fridges"}, FormRefused, "the name is /fridge"),
+    ("enroll", {"enrollment": "e2", "name": "//fridge"}, FormRefused, "the name is /fridge"),
+    ("enroll", {"enrollment": "e2", "name": "Fridge"}, FormRefused, "the name is /fridge"),
+    ("enroll", {"enrollment": "e2", "name": ""}, FormRefused, "the name is /fridge"),
     ("enroll", {"request": "AwMD" * 10 + "AwM"}, FormRefused, "answered already"),
     ("enroll", {"request": "AgIC" * 10 + "AgI"}, FormRefused, "has changed meanwhile"),
     ("grant", GRANT | {"question": "a+/b"}, FormRefused, "is no identifier"),
     ("grant", GRANT | {"question": ""}, FormRefused, "is no identifier"),
     ("grant", GRANT | {"question": "qqqqq"}, FormRefused, "is no identifier"),
     ("grant", GRANT | {"question": "q" * 121}, FormRefused, "is no identifier"),
+    ("grant", GRANT | {"duration": "month"}, FormRefused, "the policy allows 7 days at most"),
+    ("grant", GRANT | {"question": "r" * 22}, FormRefused, "was answered"),
     ("grant", GRANT | {"duration": "always"}, FormRefused, "not one of the durations"),
     ("grant", GRANT | {"coarse": "x" * 201}, FormRefused, "not the name of a filter"),
     ("delegate", {"days": "0", "ticket": "day"}, FormRefused, "days is a number from 1"),
@@ -176,6 +185,21 @@ async def test_a_field_without_an_answer_is_refused(
 ) -> None:
     with pytest.raises(error, match=text):
         await read(SOURCES, kind, form)
+
+
+@pytest.mark.parametrize("typed", ["/fridge", "fridge", " fridge ", "/fridge "])
+async def test_a_typed_name_counts_without_its_slash(typed: str) -> None:
+    act = await read(SOURCES, "enroll", {"enrollment": "e2", "name": typed})
+    assert act.arguments[4] is True
+
+
+async def test_today_is_not_longer_than_the_policy() -> None:
+    sources = Sources()
+    sources.lifetime = 61
+    act = await read(sources, "grant", GRANT | {"duration": "today"})
+    assert act.arguments[2] in (60, 61)
+    with pytest.raises(FormRefused, match="1 minute at most"):
+        await read(sources, "grant", GRANT)
 
 
 async def test_today_ends_before_tomorrow() -> None:

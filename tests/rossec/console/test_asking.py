@@ -3,8 +3,8 @@
 import pytest
 
 from grants.claims import scope_of
-from grants.model import Permission, Right
-from rossec.authority.console.views import AskedRight, FactView, GrantQuestion
+from grants.model import Permission, Restriction, Right, filter_rules
+from rossec.authority.console.views import AskedRight, FactView, GrantQuestion, QuestionAnswer
 from rossec.console import asking, made_up
 from rossec.console.approving import DAY
 from rossec.console.samples import Recorded
@@ -55,9 +55,66 @@ def test_the_sentence(rights: tuple[AskedRight, ...], facts: list[FactView], sai
 def test_a_way_says_what_the_node_would_get() -> None:
     plain = right("/pose")
     coarse = plain._replace(permissions=scope_of([Permission("/pose", Right.SUBSCRIBE, COARSE)]))
-    assert [told(line) for line in asking.way("", [plain]).lines] == ["see /pose (all of it)"]
-    (line,) = asking.way("coarse", [coarse]).lines
+    narrow, whole = asking.ways([("", [plain]), ("coarse", [coarse])])
+    assert [told(line) for line in whole.lines] == ["see /pose (all of it)"]
+    assert (whole.coarse, whole.label, whole.is_narrowest) == ("", "All of it, as it asks", False)
+    (line,) = narrow.lines
     assert told(line).startswith("see /pose (position to 2 m")
+    assert (narrow.coarse, narrow.is_narrowest) == ("coarse", True)
+
+
+def test_the_narrowest_way_is_chosen_beforehand_whatever_it_is_called() -> None:
+    plain = right("/pose")
+    rough = Restriction(POSE, (), filter_rules({"pose.position": {"round": {"step": 0.5}}}))
+    everything = {"header": {"clear": True}, "pose": {"clear": True}}
+    nothing = Restriction(POSE, (), filter_rules(everything), slot=60)
+    given = [("", [plain])] + [
+        (name, [plain._replace(permissions=scope_of([Permission("/pose", Right.SUBSCRIBE, each)]))])
+        for name, each in (("a", rough), ("presence-only", nothing), ("b", COARSE))
+    ]
+    found = asking.ways(given)
+    assert [each.coarse for each in found] == ["presence-only", "b", "a", ""]
+    assert [each.is_narrowest for each in found] == [True, False, False, False]
+    assert found[0].label == "Only that it is there"
+    assert found[1].label == "Coarser: b"
+    assert [each.coarse for each in asking.ways(given, 2)] == ["presence-only", ""]
+    (alone,) = asking.ways([("", [plain])])
+    assert alone.is_narrowest
+
+
+def test_what_a_node_would_do_is_told_apart_from_what_it_would_see() -> None:
+    see, drive = right("/camera"), right("/cmd_vel", "geometry_msgs/Twist", Right.PUBLISH)
+    assert not asking.acts([see])
+    assert asking.acts([drive])
+    assert asking.drives(drive._replace(type=""))
+    assert not asking.drives(see._replace(pattern="/cmd_vel"))
+    assert told(asking.sentence(question(drive), [])) == (
+        "/heating wants to drive: send commands to /cmd_vel"
+    )
+
+
+@pytest.mark.parametrize(
+    ("of", "coarse", "why"),
+    [
+        (right("/pose"), ("room",), ""),
+        (right("/lift", "", Right.CALL), (), "something that it would do"),
+        (right("/x", "", Right.PARAM_GET), (), "Only what is sent"),
+        (right("/**", ""), (), "many topics at once"),
+        (right("/camera", ""), (), "does not say of which type"),
+        (right("/x", "my_msgs/Own"), (), "fits messages of my_msgs/Own"),
+    ],
+)
+def test_why_there_is_no_coarser_choice_is_said(
+    of: AskedRight, coarse: tuple[str, ...], why: str
+) -> None:
+    assert why in asking.why_no_coarser(question(of)._replace(coarse=coarse))
+    assert bool(asking.why_no_coarser(question(of)._replace(coarse=coarse))) is bool(why)
+
+
+def test_an_answer_in_words() -> None:
+    denied = QuestionAnswer("/lamp", int(Right.SUBSCRIBE), "/camera", "denied", "no", 1)
+    assert told(asking.answer(denied)) == "/lamp may not see /camera"
+    assert told(asking.answer(denied._replace(answer="granted"))) == "/lamp may see /camera"
 
 
 def test_two_filters_that_do_the_same_have_one_picture() -> None:

@@ -1,5 +1,7 @@
 """What every page gets."""
 
+import pytest
+
 from rossec.console.context import ConsoleContext
 from rossec.console.settings import Settings
 from tests.support.consolepages import ORIGIN, Browser, MemoryClient
@@ -26,3 +28,17 @@ def test_an_enrollment_that_changes_is_news() -> None:
     context = Browser().context
     context.news.changed()
     assert context.news.number is None  # nobody waits
+
+
+@pytest.mark.attack("clock-ahead")
+def test_a_clock_that_is_ahead_for_a_look_ends_no_session() -> None:
+    browser = Browser().log_in()
+    browser.elapsed = 5.0
+    browser.context.sessions.begin(b"t" * 32, "", browser.elapsed)
+    browser.log_in()
+    browser.now += 10 * 86400
+    browser.get("/")
+    browser.now -= 10 * 86400
+    assert browser.get("/").status_code == 200
+    browser.elapsed += 9 * 3600
+    assert browser.get("/").status_code == 303

@@ -7,11 +7,12 @@ import pytest
 
 from ca.certificates import to_pem
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.node import Pending
 from ca.errors import EnrollmentExpired, EnrollmentOver
 from rossec.authority.console.views import IdentityRequestView, NodeView, Outcome
 from rossec.console.enrollment import (
+    DIFFERED,
     REJECTED,
     Destination,
     Enrollment,
@@ -34,6 +35,8 @@ class Service:
     answers: list[Outcome | KeyServiceFailed] = field(default_factory=list)
     waiting: tuple[IdentityRequestView, ...] = ()
     denied: list[tuple[bytes, str]] = field(default_factory=list)
+    revoked: list[tuple[str, str]] = field(default_factory=list)
+    refuses: KeyServiceFailed | None = None
 
     async def nodes(self) -> tuple[NodeView, ...]:
         return self.known
@@ -43,6 +46,12 @@ class Service:
 
     async def deny_request(self, request: bytes, reason: str) -> None:
         self.denied.append((request, reason))
+
+    async def revoke_node(self, name: str, reason: str) -> tuple[int, int]:
+        if self.refuses is not None:
+            raise self.refuses
+        self.revoked.append((name, reason))
+        return 1, 2
 
     async def outcome(self, statement: bytes) -> Outcome:
         assert statement == APPROVAL
@@ -149,6 +158,8 @@ async def test_what_was_not_signed_is_told_with_its_reason(state: str) -> None:
         await adding.found.deliver(Outcome(APPROVAL, state, "another key", b""))
     assert adding.found.stage is Stage.FAILED
     assert str(adding.found.error) == "the authority did not sign it: another key"
+    assert adding.found.error is not None
+    assert adding.found.error.__traceback__ is None
 
 
 async def test_a_node_that_swaps_its_request_is_told_apart() -> None:
@@ -169,6 +180,33 @@ async def test_a_person_at_the_node_says_no() -> None:
         await adding.found.deliver(adding.signed())
     assert adding.found.stage is Stage.FAILED
     assert "the node has ended the enrollment" in str(adding.found.error)
+
+
+@pytest.mark.parametrize("known", list(Known))
+async def test_digits_that_differ_end_it_and_what_was_signed(known: Known) -> None:
+    """The key may be another's; one that was known before got no more than it had."""
+    with WaitingRobot(Robot()) as robot:
+        adding = Adding(robot, Service())
+        await adding.found.fetch()
+        with pytest.raises(EnrollmentOver, match="no digits"):
+            await adding.found.differ()
+    adding.found.known, adding.found.stage = known, Stage.DIGITS
+    await adding.found.differ()
+    assert adding.found.stage is Stage.DIFFERED
+    assert adding.found.is_over
+    assert adding.found.core.state is AuthorityState.OVER
+    expected = [] if known is Known.SAME_KEY else [(NAME, DIFFERED)]
+    assert adding.service.revoked == expected
+
+
+async def test_what_could_not_be_revoked_is_kept_as_the_reason() -> None:
+    with WaitingRobot(Robot()) as robot:
+        adding = Adding(robot, Service(refuses=KeyServiceFailed("the service does not run")))
+        await adding.found.fetch()
+    adding.found.stage = Stage.ENROLLED  # somebody pressed too late
+    await adding.found.differ()
+    assert adding.found.stage is Stage.DIFFERED
+    assert str(adding.found.error) == "the service does not run"
 
 
 async def test_a_node_that_never_answers_is_not_waited_for_forever(

@@ -7,12 +7,18 @@ import pytest
 
 from ca.enrollment import qr
 from ca.errors import CodeExpired, CodeRefused, EnrollmentOver
+from rossec.authority.console import owners
 from rossec.authority.console.views import Outcome
-from rossec.console.enrollment import Enrollment, Stage
+from rossec.console.enrollment import WAITING, Enrollment, Known, Stage
 from rossec.console.enrollments import MAX_KEPT, MAX_RUNNING, Enrollments
 from rossec.errors import ConfigurationError, EnrollmentUnknown, TooManyEnrollments
 from tests.rossec.console.test_enrollment import Service
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
+
+
+def waiting() -> Outcome:
+    return Outcome(bytes(16), WAITING, "", b"")
+
 
 SIGNED = Outcome(bytes(16), "failed", "the key is broken", b"")
 
@@ -132,6 +138,30 @@ async def test_a_rejected_node_is_not_approved_afterwards(table: Table) -> None:
         await enrollments.reject("0" * 32)
 
 
+async def test_digits_that_differ_end_the_listening(
+    table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enrollments, changes = table
+
+    async def listens(*_: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr("rossec.console.enrollment.fetch", listens)
+    number = enrollments.begin(qr.label_code(b"x"), "127.0.0.1")
+    found = enrollments.get(number)
+    with pytest.raises(EnrollmentOver, match="no digits"):
+        await enrollments.differ(number)
+    assert len(enrollments._tasks) == 1, "nothing was ended"
+    found.known, found.stage = Known.SAME_KEY, Stage.DIGITS
+    await enrollments.differ(number)
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert (found.stage, len(enrollments._tasks)) == (Stage.DIFFERED, 0)
+    assert changes is not None
+    with pytest.raises(EnrollmentUnknown):
+        await enrollments.differ("0" * 32)
+
+
 async def test_a_step_that_crashes_ends_its_enrollment(
     table: Table, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -146,3 +176,36 @@ async def test_a_step_that_crashes_ends_its_enrollment(
     await asyncio.sleep(0)
     assert str(found.error) == "the console has failed at this"
     assert "crashed" in caplog.text
+
+
+@pytest.mark.attack("looker-floods")
+async def test_lookers_make_room_for_a_phone_and_approved_ones_for_nobody(
+    table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enrollments, changes = table
+    monkeypatch.setattr("rossec.console.enrollment.POLL", 600.0)
+    lookers = [owners.of_looker(bytes([number])) for number in range(2)]
+    phone, label = owners.of_phone("mine"), qr.label_code(b"a request")
+    with WaitingRobot(Robot()) as robot:
+        approved = enrollments.begin(robot.code, "", lookers[0])
+        await changes.until(enrollments.get(approved), Stage.COMPARED)
+        enrollments.approved(approved, waiting())
+
+        async def fetches(*_: object) -> None:
+            await asyncio.Event().wait()
+
+        monkeypatch.setattr("rossec.console.enrollment.fetch", fetches)
+        theirs = [enrollments.begin(robot.code, "", lookers[0]) for _ in range(MAX_RUNNING - 1)]
+        with pytest.raises(TooManyEnrollments):
+            enrollments.begin(label, "127.0.0.1:9", lookers[0])
+        enrollments.begin(robot.code, "", lookers[1])
+        assert str(enrollments.get(theirs[0]).error) == "its place was needed for another node"
+        mine = [enrollments.begin(robot.code, "", phone) for _ in range(MAX_RUNNING - 1)]
+        with pytest.raises(TooManyEnrollments):
+            enrollments.begin(label, "127.0.0.1:9", lookers[1])
+        assert len(enrollments) == MAX_RUNNING
+        assert not any(enrollments.get(each).is_over for each in mine)
+        assert enrollments.get(approved).stage is Stage.WAITING
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert len(enrollments._tasks) == MAX_RUNNING, "those of the others were ended as well"

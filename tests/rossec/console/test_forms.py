@@ -78,3 +78,13 @@ def test_bytes_are_base64url_without_padding() -> None:
 def test_other_texts_are_no_bytes(text: str) -> None:
     with pytest.raises(HttpRefused):
         from_base64url(text)
+
+
+@pytest.mark.attack("terminal-output")
+async def test_half_a_surrogate_pair_is_no_text() -> None:
+    fields = await read_json(
+        request(b'{"name": "a\\ud800", "whole": "\\ud83d\\ude00"}', "application/json")
+    )
+    with pytest.raises(HttpRefused, match="not a text"):
+        text_field(fields, "name")
+    assert text_field(fields, "whole") == "\U0001f600"

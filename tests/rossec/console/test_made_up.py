@@ -2,8 +2,11 @@
 
 import pytest
 
+from grants.filters.presets import PRESETS
 from rossec.console import made_up
+from rossec.console.pictures.looks import MAX_MESSAGES
 from rossec.console.samples import see
+from rossec.participant.host_types import layout_of
 from rossec.participant.message_types import type_names
 
 
@@ -31,3 +34,19 @@ def test_every_known_type_can_be_made_up(kind: str) -> None:
     assert found is not None
     seen = see(found._replace(messages=found.messages[:2]), "/b", [])
     assert len(seen.samples) == 2
+
+
+def test_where_one_receiver_has_slots_it_takes_ten_minutes() -> None:
+    """Of a minute, one in slots of 30 s gets one message or none: a picture would say nothing."""
+    slots = PRESETS["coarse-position"].restriction(layout_of("geometry_msgs/PoseStamped"))
+    short = made_up.recorded("/pose", "geometry_msgs/PoseStamped")
+    found = made_up.recorded("/pose", "geometry_msgs/PoseStamped", [slots])
+    assert short is not None
+    assert found is not None
+    assert (short.messages[-1][0], found.messages[-1][0]) == (59.75, 599.0)
+    assert len(found.messages) <= MAX_MESSAGES, "all of it is drawn"
+    seen = see(found, "/lamp", [slots])
+    places = {(each.fields["pose"]["position"]["x"], each.fields["pose"]["position"]["y"])
+              for each in seen.samples}  # fmt: skip
+    assert len(seen.samples) >= 15
+    assert len(places) > 2

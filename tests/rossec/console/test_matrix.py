@@ -1,6 +1,7 @@
 """Who sees what, from grants and the graph."""
 
 from grants.model import Restriction
+from rossec.console.endings import Heard
 from rossec.console.matrix import Access, Cell, build, held_grants, publishers_of
 from tests.support.consolehome import COARSE, HOUR, NOW, POSE, FakeHome, demo, sees, sends
 
@@ -153,7 +154,58 @@ def test_a_window_is_a_part_and_the_busiest_come_first() -> None:
     assert len(busy.rows[0].seen_by()) == 2
 
 
+def test_what_was_ended_is_ending_until_every_node_has_heard() -> None:
+    home = demo()
+    home.heard = Heard(NOW - 1800)  # in the second in which it was ended: that may be before it
+    found = cell(home, "/doctor", "/robot/camera")
+    assert (found.access, found.label, found.words) == (
+        Access.ENDING, "ending", "the visit is over",
+    )  # fmt: skip
+    assert "until every node has heard" in found.term
+    row = home.matrix.row("/robot/camera")
+    assert row is not None
+    assert [each.receiver for each in row.seen_by()] == ["/doctor"]
+    home.heard = Heard(NOW - 1799)
+    assert cell(home, "/doctor", "/robot/camera").access is Access.ENDED
+
+
+def test_a_grant_whose_time_is_over_is_ended_whoever_has_heard() -> None:
+    home = demo()
+    home.heard = Heard()
+    home.grant("/heating", sees("/over"), at=NOW - 2 * HOUR, last=HOUR, revoked_at=NOW - HOUR)
+    assert cell(home, "/heating", "/over").access is Access.ENDED
+    home.grant("/heating", sees("/renewed"), at=NOW - 2 * HOUR, last=HOUR, cap=NOW + HOUR,
+               revoked_at=NOW - HOUR)  # fmt: skip
+    assert cell(home, "/heating", "/renewed").access is Access.ENDING
+
+
+def test_what_stays_hides_an_ending_that_shows_no_more() -> None:
+    """A cell never shows less than a node could see."""
+    home = demo()
+    home.heard = Heard()
+    home.grant("/heating", sees("/robot/pose"), revoked_at=NOW - 9)
+    assert cell(home, "/heating", "/robot/pose").access is Access.ENDING, "all of it, still"
+    home.grant("/heating", sees("/robot/pose"))
+    assert cell(home, "/heating", "/robot/pose").access is Access.ALL
+
+
+def test_a_connection_that_outlives_a_stale_list_is_not_cut_by_time() -> None:
+    keeps, cut = Restriction(keep_when_stale=True), Heard(0, NOW)
+    home = demo()
+    home.heard = cut
+    home.grant("/heating", sees("/kept", keeps), revoked_at=NOW - 999)
+    assert cell(home, "/heating", "/kept").access is Access.ENDING
+    assert cell(home, "/doctor", "/robot/camera").access is Access.ENDED
+
+
+def test_a_type_that_neither_graph_nor_grant_tells_is_that_of_the_policy() -> None:
+    home = demo()
+    row = build(home.held, (), NOW, {"/robot/scan": "sensor_msgs/LaserScan"}.get).row("/robot/scan")  # type: ignore[arg-type]
+    assert row is not None
+    assert row.type == "sensor_msgs/LaserScan"
+
+
 def test_grants_are_newest_first() -> None:
     home = demo()
     newest = home.grant("/heating", sees("/robot/pose", COARSE), at=NOW)
-    assert held_grants(home.nodes, home.grants, NOW)[0].view == newest
+    assert held_grants(home.nodes, home.grants, NOW, home.heard)[0].view == newest

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.authority.console.views import Status
-from rossec.console.news import MAX_STREAMS, NewsFeed
+from rossec.console.news import ALIVE, MAX_STREAMS, SILENT, NewsFeed
 from rossec.errors import HttpRefused, KeyServiceFailed
 
 PERIOD = 0.01
@@ -32,7 +32,7 @@ async def next_data(stream: AsyncIterator[bytes]) -> bytes:
             found = await anext(stream)
             if found.startswith(b"data: "):
                 return found
-            assert found == b":\n\n"
+            assert found in {b":\n\n", ALIVE, SILENT}
 
 
 async def test_a_stream_tells_the_number_and_each_change_of_it() -> None:
@@ -77,7 +77,7 @@ async def test_a_stream_ends_with_its_session_and_the_questions_with_the_last() 
     await next_data(stream)
     valid[0] = False
     async with asyncio.timeout(5):
-        assert [found async for found in stream if found != b":\n\n"] == []
+        assert {found async for found in stream} <= {b":\n\n", ALIVE}
     assert news.streams == 0
     await asyncio.sleep(20 * PERIOD)
     assert news.number is None
@@ -91,9 +91,37 @@ async def test_a_service_that_is_away_is_asked_again() -> None:
     service.fails = True
     news = NewsFeed(service.status, PERIOD)
     stream = news.open(lambda: True, beat=PERIOD)
-    assert [await anext(stream) for _ in range(5)] == [b":\n\n"] * 5
+    assert [await anext(stream) for _ in range(5)] == [b":\n\n", *[SILENT] * 4]
     service.fails = False
     assert await next_data(stream) == b"data: 1.0\n\n"
+    assert await anext(stream) == ALIVE
+    await news.close()
+
+
+async def test_a_service_that_stops_answering_is_told_to_pages(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also one that hangs: then no question comes back, and none fails."""
+    monkeypatch.setattr("rossec.console.news.BEAT", 3 * PERIOD)
+    service = Service()
+    news = NewsFeed(service.status, PERIOD)
+    stream = news.open(lambda: True, beat=PERIOD)
+    await next_data(stream)
+    assert await anext(stream) == ALIVE
+    hung = asyncio.Event()
+
+    async def hang() -> Status:
+        await hung.wait()
+        return Status("home", "ab", False, 1, 1, 1, 1, True)
+
+    news._status = hang
+    async with asyncio.timeout(5):
+        while await anext(stream) != SILENT:
+            pass
+    hung.set()
+    async with asyncio.timeout(5):
+        while await anext(stream) != ALIVE:
+            pass
     await news.close()
 
 

@@ -36,6 +36,21 @@ async def test_without_a_master_there_are_the_grants() -> None:
     assert await overview.denials(made.context) == ()
 
 
+async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard() -> None:
+    home = demo()
+    home.grants, home.nodes[0] = [], home.nodes[0]._replace(revoked_at=NOW - 9)
+    home.nodes.append(home.nodes[0]._replace(name="/old", key=b"o" * 32, not_after=NOW))
+    made = Browser(as_service(home))
+    made.now = NOW
+    made.home.standing = made.home.standing._replace(nodes_with_list=0)
+    assert (await overview.load(made.context)).ending == {home.nodes[0].key.hex()}
+    made.home.standing = made.home.standing._replace(nodes_with_list=3)
+    assert (await overview.load(made.context)).ending == frozenset()
+    made.home.refusals["standing"] = KeyServiceRefused("busy")
+    home.nodes[1] = home.nodes[1]._replace(revoked_at=NOW)
+    assert (await overview.load(made.context)).ending == {home.nodes[1].key.hex()}
+
+
 async def test_a_refusal_of_the_rest_is_not_hidden() -> None:
     made = browser()
     made.home.refusals["grants"] = KeyServiceRefused("busy")

@@ -3,9 +3,11 @@
 from grants.filters.layout import Layout, parse
 from grants.model import Restriction, filter_rules
 from grants.policy.privacy import ReceiverAccess
+from rossec.console.endings import Heard
 from rossec.console.report import held_accesses, topics
+from rossec.console.words import day
 from rossec.participant.message_types import message_type
-from tests.support.consolehome import COARSE, POSE, demo, sees
+from tests.support.consolehome import COARSE, NOW, POSE, demo, sees
 
 
 def layout_of(name: str) -> Layout:
@@ -29,10 +31,12 @@ def test_the_report_of_the_demo() -> None:
         "position to 2 m": tuple(f"pose.position.{axis}" for axis in "xyz"),
     }
     (who,) = heating.receivers
-    assert heating.sees == "where it is: to 2 m; how it moves: only by where it is"
+    assert heating.sees == (
+        "where it is: in steps of 2 m, and finer while it moves; how it moves: only by where it is"
+    )
     assert doctor.sees == "where it is: exactly; how it moves: exactly"
     assert who.why == "decided by hand"
-    assert who.until.endswith("UTC")
+    assert who.until == day(NOW + 23 * 3600), "as all other times: of this host"
     assert who.by.startswith("grant ")
 
 
@@ -72,6 +76,24 @@ def test_only_what_is_wanted_is_in_it() -> None:
     (line,) = topic.groups[0].fields
     assert line.fields == ("pose.position.x", "pose.orientation.x")
     assert topics([access], layout_of, lambda who, _: who == "/b") == []
+
+
+def test_what_is_ending_is_in_it() -> None:
+    home = demo()
+    home.heard = Heard()
+    (access,) = [each for each in held_accesses(home.held, {}) if each.topic == "/robot/camera"]
+    assert (access.receiver, access.until) == ("/doctor", "every node has heard")
+    assert access.why == "it was ended, and may still see it"
+
+
+def test_a_topic_is_one_where_the_policy_or_one_grant_knows_its_type() -> None:
+    home = demo()
+    topic, *others = topics(held_accesses(home.held, {}), layout_of)
+    assert (topic.topic, topic.type, len(topic.groups)) == ("/robot/pose", POSE, 2)
+    assert [each.type for each in others] == [""]
+    types = {"/robot/scan": "sensor_msgs/LaserScan"}
+    found = topics(held_accesses(home.held, {}, lambda name: types.get(name, "")), layout_of)
+    assert [each.type for each in found] == [POSE, "sensor_msgs/LaserScan"]
 
 
 def test_what_ended_is_not_in_it_and_rules_are_named() -> None:

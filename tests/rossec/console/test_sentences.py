@@ -7,6 +7,7 @@ from ca.store.lifecycle import RequestState
 from ca.store.schema import LOGGED_TABLES
 from grants.model import Right
 from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
+from rossec.console.endings import Heard
 from rossec.console.sentences import (
     APPROVED,
     KINDS,
@@ -41,7 +42,7 @@ def test_the_story_of_the_demo() -> None:
     ]
     assert "Allowed /heating may see /robot/pose (coarse)" in texts(found)
     assert "Allowed /robot may send /robot/pose, /robot/scan, /robot/camera" in texts(found)
-    assert "Joined /doctor has a name here now" in texts(found)
+    assert "Joined /doctor belongs here now" in texts(found)
     assert [each.at for each in found] == sorted((each.at for each in found), reverse=True)
     assert {each.node for each in found} == {"/robot", "/doctor", "/heating"}
 
@@ -56,11 +57,11 @@ def test_the_story_of_the_demo() -> None:
         ("collected", "issued", ""),
         ("issued", "", ""),
         ("policy grant", "r1", ""),
-        ("certificate", "aa", "Joined /lamp has a name here now"),
+        ("certificate", "aa", "Joined /lamp belongs here now"),
         ("grant", "aa", "Allowed /lamp got a right that has ended"),
         ("revocation", "lost", "Ended what has the number /lamp: lost"),
-        ("list", "", "Signed the list of what has ended, number /lamp"),
-        ("grant request", "aa", "Asked /lamp asked to be allowed something"),
+        ("list", "", "Signed the list of ended rights, number /lamp"),
+        ("grant request", "aa", "Asked /lamp asked for a right; it is answered"),
         ("decision", "granted /x", ""),
         ("decision", "denied /x", "Denied /lamp was denied what it asked for: /x"),
         ("decision", "no answer /x", "Denied /lamp asked, no answer: /x"),
@@ -91,7 +92,7 @@ def test_an_approval_is_told_while_the_identity_is_not_issued() -> None:
     approved = EventView(1, NOW, "approved", "/lamp", "")
     issued = EventView(2, NOW, "certificate", "/lamp", "aa")
     assert texts(story([approved], (), NOTHING)) == ["Approved /lamp may join"]
-    assert texts(story([approved, issued], (), NOTHING)) == ["Joined /lamp has a name here now"]
+    assert texts(story([approved, issued], (), NOTHING)) == ["Joined /lamp belongs here now"]
 
 
 def test_a_question_to_join_is_told_until_it_is_answered() -> None:
@@ -101,7 +102,7 @@ def test_a_question_to_join_is_told_until_it_is_answered() -> None:
     assert texts(story([asked], (), NOTHING)) == ["Asked /lamp asked to join from code"]
     assert texts(story([again, issued, asked], (), NOTHING)) == [
         "Asked /lamp asked to join from code",
-        "Joined /lamp has a name here now",
+        "Joined /lamp belongs here now",
     ]
 
 
@@ -109,13 +110,27 @@ def test_ids_are_told_as_what_they_are() -> None:
     home = demo()
     key = home.nodes[1].key.hex()
     assert told("revocation", key, "sold", home.known) == (
-        "Removed /doctor has no name here any more: sold"
+        "Removed /doctor does not belong here any more: sold"
     )
     asked = AskedRight(int(Right.SUBSCRIBE), "/robot/pose", "", "", "", b"")
-    question = GrantQuestion(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,))
-    known = Known.of(questions=[question])
-    assert told("grant request", detail=b"q".hex(), known=known) == (
-        "Asked /lamp asked to see /robot/pose"
+    question = GrantQuestion(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,), b"r")
+    other = question._replace(id=b"p", rights=(asked._replace(right=1, pattern="/cmd_vel"),))
+    known = Known.of(questions=[question, other])
+    assert told("grant request", detail=b"r".hex(), known=known) == (
+        "Asked /lamp asked to see /robot/pose and send /cmd_vel"
+    )
+
+
+def test_what_is_ending_is_not_told_as_ended() -> None:
+    home = demo()
+    home.heard = Heard()  # nobody knows who has heard
+    camera, key = home.grants[2].id.hex(), home.nodes[1].key.hex()
+    known = Known.of(home.held, home.nodes, ending=frozenset({camera, key}))
+    assert told("revocation", camera, "over", known) == (
+        "Ending /doctor may still see /robot/camera, until every node has heard: over"
+    )
+    assert told("revocation", key, "", known) == (
+        "Ending /doctor may still do what it was allowed, until every node has heard"
     )
 
 

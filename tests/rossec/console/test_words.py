@@ -99,6 +99,10 @@ def test_a_region_and_a_picture_are_named() -> None:
     assert words.filters(rules, "sensor_msgs/Image") == [
         "picture in squares of 8 pixels, only in a part of it"
     ]
+    across = filter_rules({"data": {"pixelate": {"across": 16, "levels": 8}}})
+    assert words.filters(across, "sensor_msgs/Image") == [
+        "picture in squares, at most 16 across, 8 shades of grey"
+    ]
 
 
 def test_a_field_name_is_the_longest_known_end_or_the_path() -> None:
@@ -116,6 +120,12 @@ def test_a_field_name_is_the_longest_known_end_or_the_path() -> None:
 def test_a_duration_is_its_largest_unit(seconds: int, text: str) -> None:
     assert words.duration(seconds) == text
     assert words.left(seconds, 0) == f"{text} left"
+
+
+def test_a_day_of_which_seconds_are_over_is_a_day() -> None:
+    assert words.left(86400 - 5, 0) == "1 day left"
+    assert words.left(7 * 86400 - 70, 0) == "7 days left"
+    assert words.left(23 * 3600, 0) == "23 hours left"
 
 
 def test_what_is_over_is_not_left() -> None:

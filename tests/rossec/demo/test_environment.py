@@ -79,3 +79,19 @@ async def test_the_log_of_a_process_is_quoted(demo: DemoEnvironment) -> None:
     with pytest.raises(DemoFailed, match="next: rossec node request /robot"):
         await process.expect("a word", bool)
     assert process.about("/robot") == []
+
+
+async def test_a_line_of_a_log_is_waited_for(demo: DemoEnvironment) -> None:
+    process = await demo.start("rossec", "node", "show", "/robot", name="rossec")
+    assert await process.logged(r"rossec: hint: .*") != ""
+    with pytest.raises(DemoFailed, match="rossec said nothing expected: rossec: error"):
+        await process.logged("no such line", within=5)
+    await process.wait()
+
+
+async def test_the_first_process_that_ends_ends_the_demo(demo: DemoEnvironment) -> None:
+    demo.set("X", "2")
+    await demo.start("http.server", "0", "--bind", "127.0.0.1", name="server")
+    await demo.start("rossec", "node", "show", "/robot", name="rossec")
+    with pytest.raises(DemoFailed, match="rossec has ended; it logged: rossec: error"):
+        await demo.until_one_ends()

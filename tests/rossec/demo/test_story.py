@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.demo import steps
+from rossec.demo import steps, trying
 from rossec.demo.environment import DemoEnvironment, DemoFailed, Report, StepPrinter
 from rossec.demo.story import begin_story
 
@@ -51,6 +51,11 @@ async def begin(
         ("revoke", revoke),
     ):  # fmt: skip
         monkeypatch.setattr(steps, name, done)
+
+    async def ask(_: DemoEnvironment) -> None:
+        started["asked"] = ()
+
+    monkeypatch.setattr(trying, "ask", ask)
     monkeypatch.setattr(DemoEnvironment, "start", start)
     demo = DemoEnvironment(root, StepPrinter(io.StringIO().write), {}, lambda *_: 0)
     return await begin_story(demo, 7499), started
@@ -64,7 +69,7 @@ async def test_the_service_is_unlocked_and_the_console_says_its_link(
 ) -> None:
     link, started = await begin(tmp_path, monkeypatch, READY)
     assert link == "link"
-    assert list(started) == ["steps", "revoked", "authority", "console"]
+    assert list(started) == ["steps", "revoked", "asked", "authority", "console"]
     assert started["revoked"] == ("doctor", "camera")
     assert started["console"] == ("rossec", "console", "--json", "--port", "7499")
     arguments = " ".join(started["authority"])

@@ -117,3 +117,30 @@ def test_the_facts_of_an_answer_are_bounded(monkeypatch: pytest.MonkeyPatch) -> 
     assert cursor.take(answer(whole=True, more=True, added=[NODE, PUBLISHER])) is None
     with pytest.raises(AnswerMalformed, match="more than 3 facts"):
         cursor.take(answer(more=True, added=[TYPE], removed=[NODE]))
+
+
+def test_parts_that_whole_makes_void_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a site that begins anew again and again is asked for ever."""
+    cursor = SiteCursor()
+    for _ in range(MAX_PARTS):
+        assert cursor.take(answer(whole=True, more=True, added=[NODE])) is None
+    with pytest.raises(AnswerMalformed, match=f"more than {MAX_PARTS} parts"):
+        cursor.take(answer(whole=True, more=True, added=[NODE]))
+    assert cursor.params == ("", 0)
+    assert cursor.take(answer(whole=True, added=[NODE])) is not None
+    monkeypatch.setattr(answers, "MAX_GATHERED", 3)
+    for _ in range(3):
+        assert cursor.take(answer(whole=True, more=True, added=[NODE])) is None
+    with pytest.raises(AnswerMalformed, match="more than 3 facts"):
+        cursor.take(answer(whole=True, more=True, added=[NODE]))
+
+
+def test_a_new_connection_is_counted_anew_beside_what_is_held() -> None:
+    cursor = SiteCursor()
+    for _ in range(MAX_PARTS - 1):
+        cursor.take(answer(whole=True, more=True, added=[NODE]))
+    cursor.reconnected()
+    for _ in range(MAX_PARTS - 1):
+        assert cursor.take(answer(more=True)) is None
+    with pytest.raises(AnswerMalformed, match="parts"):
+        cursor.take(answer(more=True))

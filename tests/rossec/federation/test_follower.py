@@ -183,3 +183,34 @@ async def test_a_newer_list_goes_to_a_site_whose_answer_is_waited_for(pair: list
     await asyncio.sleep(0.2)
     hall.take_list(hall.site.revoke(b"k" * 32))
     await until(lambda: kitchen.list_number == (1, 2), within=3)
+
+
+async def test_a_site_that_is_followed_no_longer_leaves_nothing(pair: list[Master]) -> None:
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    mesh = hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose"))
+    ((follower, _),) = mesh._followers.values()
+    await follower.send_lists()
+    assert hall.imported("/pose"), "the newer lists are settled beside it"
+    follower.remove()
+    assert not hall.imported("/pose")
+
+
+async def test_a_site_that_was_lost_is_dialled_when_it_is_woken(
+    pair: list[Master], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(states, "LOST_FOR", 0.2)
+    hall, kitchen = pair
+    await kitchen.register("/robot", "/pose", 4711)
+    mesh = hall.follow(kitchen.as_site("kitchen"))
+    await until(lambda: hall.imported("/pose"))
+    await kitchen.stop()
+    await until(lambda: not hall.imported("/pose"))
+    ((follower, _),) = mesh._followers.values()
+    assert follower.status()["error"]
+    await kitchen.start()
+    await kitchen.register("/robot", "/pose", 4711)
+    follower.wake()
+    await until(lambda: hall.imported("/pose"))
+    assert follower.status()["error"] == ""

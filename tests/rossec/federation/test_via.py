@@ -63,7 +63,7 @@ async def test_facts_behind_a_relay_have_doors_for_addresses(pair: Pair) -> None
         assert door is not None
         assert is_door(uri)
         assert uri == f"http://127.0.0.1:{door.port}/via"
-        assert pair.state["state"] == "following"
+        await until(lambda: pair.state["state"] == "following")
         assert (pair.state["via"], pair.state["uri"]) == ("office", "")
         assert pair.state["topics"] == ["/pose"]
         assert pair.state["way"]["relay"] == "/relay"

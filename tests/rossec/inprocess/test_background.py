@@ -31,9 +31,9 @@ rospy.spin()
 )
 HASTY = (
     """
-import rossec.participant.connections
+import rossec.participant.authorized
 from rossec.participant.membership import Membership
-rossec.participant.connections.STALE_GRACE = 1
+rossec.participant.authorized.STALE_GRACE = 1
 take = Membership.update_revocations
 def take_and_print(*data):
     take(*data)

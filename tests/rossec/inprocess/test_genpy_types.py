@@ -5,7 +5,6 @@ from geometry_msgs.msg import Twist
 from rospy import AnyMsg
 from std_msgs.msg import String
 
-from rossec.channel.records import ChannelLimits
 from rossec.inprocess.genpy_types import (
     definition_of,
     installed_definition,
@@ -14,7 +13,7 @@ from rossec.inprocess.genpy_types import (
 )
 from rossec.net.bounds import BATCH_LIMIT
 from rossec.participant.message_types import message_type
-from rossec.ros.header import HEADER_LIMIT
+from rossec.ros.header import HEADER_LIMIT, MESSAGE_LIMIT
 
 pytestmark = pytest.mark.ros
 
@@ -30,8 +29,8 @@ def test_sizes_follow_the_type() -> None:
     assert max_message_size(Twist) == HEADER_LIMIT
     assert max_unit_size(Twist) == HEADER_LIMIT + BATCH_LIMIT
     for kind in (AnyMsg, String):
-        assert max_message_size(kind) == ChannelLimits.unit
-        assert max_unit_size(kind) > ChannelLimits.unit
+        assert max_message_size(kind) == MESSAGE_LIMIT
+        assert max_unit_size(kind) > MESSAGE_LIMIT
 
 
 def test_only_installed_types_have_a_definition() -> None:

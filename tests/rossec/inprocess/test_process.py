@@ -17,7 +17,7 @@ from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.process import RosConnection, SecuredProcess
 from rossec.inprocess.reporting import Reporter
-from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.authorized import AuthorizedConnection
 from rossec.ros.settings import parse_uri
 from tests.support.ports import free_port
 from tests.support.site import Site

@@ -8,6 +8,7 @@ import pytest
 
 from grants.errors import GrantError
 from rossec.participant.latch import Sample
+from tests.rossec.net.test_forks import in_child
 from tests.support.rosconnection import transport
 
 pytestmark = pytest.mark.ros
@@ -25,6 +26,24 @@ def test_a_connection_without_a_right_gets_nothing() -> None:
     assert sent == []
     broken = SimpleNamespace(socket=None)
     assert publishing._send(topic(), Sample(b"\1\0\0\0a"), [broken]) == [broken]
+
+
+def test_a_child_of_a_started_node_says_that_nobody_receives_it() -> None:
+    said: list[str] = []
+
+    def in_vain() -> object:
+        return publishing.publish(topic(resolved_name="/word"), "x"), said
+
+    node = publishing.forked_node
+    assert not node.is_child
+    node.start(said.append)
+    try:
+        result = in_child(in_vain)
+    finally:
+        node.start(None)
+    assert result.startswith("(False, ['this process was forked from a running node")
+    assert not node.is_child
+    assert not said
 
 
 class Guard:
@@ -50,6 +69,28 @@ def guarded(guard: Guard, sent: list[Any]) -> Any:
     made = transport(SimpleNamespace(ends=1 << 40, guard=guard, stream=stream))
     made.write_data = sent.append
     return made
+
+
+def test_a_guard_that_is_replaced_meanwhile_filters_for_nobody_else() -> None:
+    """Under the key of the one before, others would be sent what the new one lets pass."""
+    sent: list[Any] = []
+    wide = Guard("wide", b"secret")
+
+    class Replaced(Guard):
+        @property
+        def key(self) -> str:
+            first.socket.connection.guard = wide
+            return "coarse"
+
+        @key.setter
+        def key(self, _: str) -> None:
+            pass
+
+    first = guarded(Replaced("coarse", b"a"), sent)
+    assert not publishing._send(
+        topic(), Sample(b"\1\0\0\0m"), [first, guarded(Guard("coarse", b"a"), sent)]
+    )
+    assert sent == [b"\1\0\0\0a"] * 2
 
 
 def test_each_filter_is_applied_once() -> None:

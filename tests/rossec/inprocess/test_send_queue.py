@@ -83,6 +83,9 @@ async def test_queued_messages_are_sent_as_one_unit() -> None:
     made.socket.error = ChannelClosed("gone")
     queue.write_data(b"x")
     await until(lambda: queue._error is not None)
+    kept = queue._error
+    assert kept is not None
+    assert (kept.__traceback__, kept.__cause__, kept.__context__) == (None, None, None)
     with pytest.raises(exceptions.TransportTerminated):
         queue.write_data(b"y")
     queue._thread.join(30)

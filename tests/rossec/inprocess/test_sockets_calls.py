@@ -54,6 +54,9 @@ class Calls:
     def outgoing(self, data: bytes) -> tuple[bytes, ...]:
         return (data,)
 
+    def replace_guard(self, guard: object) -> None:
+        raise AssertionError("there is none")
+
 
 def test_calls_pass_the_filter_before_the_program_reads_them(
     local_identity: LocalIdentity, listening: RosSocket

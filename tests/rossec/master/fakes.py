@@ -4,7 +4,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from grants.errors import GrantError
+from grants.errors import GrantError, GrantMissing
 from grants.model import Permission, Right
 from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
@@ -13,6 +13,7 @@ from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
 from rossec.master.rights.caller import Caller, Peer
 from rossec.master.rights.held_lists import HeldLists, ListStanding
+from rossec.master.rights.identity_renewals import RenewalAnswer
 from rossec.master.rights.presented_grants import Presented, Renewed
 from rossec.master.rights.statements import TrustState
 
@@ -28,7 +29,7 @@ def caller(
 
 
 def refuse(_right: Right, _name: str) -> None:
-    raise GrantError("no grant covers it", "ask the authority for one")
+    raise GrantMissing("no grant covers it")
 
 
 class Everything(Reach):
@@ -123,10 +124,12 @@ class FakeStatements(TrustState):
         good = [b"" if token == b"forged" else b"renewed " + token for token in tokens]
         return Renewed(tuple(good), ("forged",) * good.count(b""))
 
-    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> RenewalAnswer:
         if request == b"forged":
             raise GrantError("not signed by the old key")
-        return b"bundle of " + request
+        if request == b"later":
+            return RenewalAnswer(b"", "the authority is asked")
+        return RenewalAnswer(b"bundle of " + request, "identity renewed")
 
     def update_delegation(self, data: bytes) -> bool:
         if data == b"forged":
@@ -136,7 +139,8 @@ class FakeStatements(TrustState):
     def current(self, now: int) -> tuple[bytes, bytes]:
         return (self.lists[-1], b"stamp") if self.lists else (b"", b"")
 
-    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
+    def take_tree(self, data: bytes, entries: bytes, now: int) -> Generator[None, None, bool]:
+        yield
         return self.update(data + entries, now)
 
     def proofs(self, entries: Sequence[bytes]) -> list[bytes]:

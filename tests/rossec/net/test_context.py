@@ -3,6 +3,7 @@
 import dataclasses
 import subprocess
 import sys
+from collections.abc import Sequence
 
 import pytest
 
@@ -24,6 +25,16 @@ TCPROS = WireProtocol.TCPROS
 @pytest.fixture(autouse=True)
 def host_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "now", lambda: NOW)
+
+
+class Told:
+    """A connection that is told of a renewed certificate."""
+
+    def __init__(self, told: list[object]) -> None:
+        self._told = told
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        self._told.append(chain)
 
 
 def connected(left: Context, right: Context, *, to_itself: bool = False) -> Wire:
@@ -121,3 +132,18 @@ def test_what_a_user_need_not_import(module: str, others: set[str]) -> None:
     text = f"import sys, {module}; print(*sorted({others!r} & sys.modules.keys()))"
     run = subprocess.run([sys.executable, "-I", "-c", text], capture_output=True, check=True)
     assert run.stdout.split() == []
+
+
+def test_a_context_that_takes_renewals_presents_its_own_where_it_is_connected() -> None:
+    live = LiveCredentials(ALICE)
+    left: Context = SecureContext(live, trust, renews=lambda new, old: new.name == old.name)
+    right: Context = SecureContext(BOB, trust, renews=lambda new, old: new.name == old.name)
+    core = left.initiator(TCPROS)
+    w = wire(core, right.responder(TCPROS)).pump()
+    assert peers(w.left) == ["/bob"]
+    assert core.streams is left.open_streams
+    told: list[object] = []
+    kept = Told(told)
+    left.open_streams.add(kept)
+    live.current = ALICE
+    assert told[-1] == ALICE.chain

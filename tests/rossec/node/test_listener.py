@@ -18,6 +18,7 @@ from rossec.participant import connections, slave_api
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
+from tests.support.attacker import fields_for
 from tests.support.contexts import unlimited
 from tests.support.site import Site
 
@@ -220,3 +221,20 @@ async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
     assert await ask("paramUpdate", "/p", 1) == -1
     assert await ask("shutdown", "bye") == 1
     await stream.close()
+
+
+async def test_a_subscriber_with_a_grant_is_answered(site: Site, robot: Node) -> None:
+    grant = site.subscribe("/viewer", "/robot/*")
+    fields = fields_for("/viewer", "/robot/pose", [grant])
+    credentials = site.enroll("/viewer").credentials()
+    stream = await connect(
+        "127.0.0.1", robot.topic_endpoint()[1], unlimited(credentials, site.anchor.verify)
+    )
+    await stream.send(header.encode(fields))
+    (answer,) = header.FrameReader().feed(await stream.receive())
+    assert header.decode(answer)["type"] == POSE.encode()
+    stream.abort("heard enough")
+    none = await request(site, robot, header.encode(fields | {"topic": "/robot/none"}))
+    assert none == {"error": b"rossec: /robot does not publish /robot/none"}
+    both = await request(site, robot, header.encode(fields | {"service": "/robot/go"}))
+    assert b"for a topic and for a service" in both["error"]

@@ -68,7 +68,7 @@ def publisher(**options: Any) -> Publisher:
 
 
 def decision(seconds: int = 99) -> Any:
-    return SimpleNamespace(expires=int(time.time()) + seconds, grant_ids=())
+    return SimpleNamespace(expires=int(time.time()) + seconds, grant_ids=(), pad=0)
 
 
 async def serve(topic: Publisher, stream: Any, guard: Any, seconds: int = 99) -> asyncio.Task[None]:

@@ -57,14 +57,17 @@ async def test_deflated_messages_arrive_as_they_were_sent(site: Site) -> None:
         assert isinstance(queue, WishQueue)
 
 
-async def test_what_is_deflated_is_what_the_filter_left(site: Site) -> None:
-    """No length depends on what was taken away."""
+async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
+    """Its length would tell what the filter left; the wish is not taken, and messages come."""
     rules = filter_rules({"data": {"truncate": {"length": 1}}})
     robot, viewer = prepare(site, Restriction(TYPE, (), rules))
     async with robot, viewer:
         publisher = await publishing(robot)
         subscriber = await viewer.subscriber(TOPIC, TYPE, deflate=True, newest=True)
         await publisher.wait_for_subscribers()
+        (queue,) = publisher.links.values()
+        assert isinstance(queue, WishQueue)
+        assert queue._wishes == Wishes(newest=True)
         say(publisher, WORDS[3])
         assert await heard(subscriber, 1) == ["3"]
 

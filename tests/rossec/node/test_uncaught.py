@@ -37,7 +37,8 @@ def ended(home: Path, way: str, *options: str) -> str:
 def test_error_and_hint_instead_of_a_traceback(tmp_path: Path, way: str) -> None:
     lines = ended(tmp_path, way).splitlines()
     assert lines[0].startswith("rossec: error: /robot has no ")
-    assert lines[1] == "rossec: hint: next: rossec node request /robot"
+    assert lines[1].startswith("rossec: hint: ")
+    assert lines[1].endswith("next: rossec node request /robot")
     assert len(lines) == 2
 
 

@@ -175,6 +175,8 @@ async def test_an_abort_is_told(pair: Pair) -> None:
     assert pair.alice.events == ["closed", "lost"]
     assert pair.bob.events == ["closed", "lost"]
     assert "reset" in str(pair.b.reason)
+    assert pair.b.reason is not None
+    assert pair.b.reason.__traceback__ is None
     assert len(pair.carrier.sent(Kind.RESET)) == 1
     for late in (pair.a, pair.b):
         late.write(b"late")

@@ -183,8 +183,8 @@ def test_a_foreigner_without_a_grant_is_told_the_command_of_the_home(
 ) -> None:
     with pytest.raises(GrantMissing, match=r"^hospital:/rounds/robot3 shows no grant") as caught:
         access.authorize(pair.peer(), None, SUBSCRIBE, HERE, NOW)
-    assert "rossec grant sign hospital:/rounds/robot3 --subscribe /robot/pose" in str(
-        caught.value.near_misses
+    assert "rossec grant sign hospital:/rounds/robot3 --subscribe /robot/pose" in (
+        caught.value.hint
     )
 
 

@@ -15,7 +15,8 @@ from ca.domains.standing import Standing
 from ca.revocation.state import Revocations, Timestamp, digest
 from rossec.clock import Clock
 from rossec.errors import ChannelClosed, LimitExceeded
-from rossec.participant.connections import STALE_GRACE, AuthorizedConnection, ConnectionTable
+from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from tests.support.domains import alone
 from tests.support.site import Site
 
@@ -25,14 +26,13 @@ KEY, ABOVE = b"k" * 32, b"i" * 32
 
 
 class FakeStream:
-    """A connection that records why it was aborted."""
-
     def __init__(self, name: str = "/viewer", ends: int = NOW + 1000) -> None:
         self.reasons: list[str] = []
         self.peer: Any = SimpleNamespace(
             name=name, keys=(KEY, ABOVE), not_after=ends, domain="home", is_foreign=False
         )
         self.on_closed: Callable[[], None] = lambda: None
+        self.pad_units: Callable[[int], None] = lambda _: None
 
     def abort(self, reason: str) -> None:
         self.reasons.append(reason)
@@ -46,7 +46,7 @@ Connection = AuthorizedConnection[FakeStream, None]
 
 def make_connection(ends: int = NOW + 1000, keep: bool = False) -> Connection:
     decision: Any = SimpleNamespace(
-        grant_ids=(GRANT,), grants=(), keep_when_stale=keep, expires=ends, name="/word"
+        grant_ids=(GRANT,), grants=(), keep_when_stale=keep, expires=ends, name="/word", pad=0
     )
     return AuthorizedConnection(FakeStream(ends=max(ends, NOW + 1000)), decision, None)
 

@@ -11,7 +11,8 @@ from grants.model import Permission, Restriction, Right
 from rossec.clock import Clock
 from rossec.errors import LimitExceeded
 from rossec.participant.access import Access
-from rossec.participant.connections import STALE_GRACE, AuthorizedConnection, ConnectionTable
+from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
+from rossec.participant.connections import ConnectionTable
 from tests.rossec.participant.test_connections import Connection, FakeStream, table
 from tests.support.domains import Pair, SomeNode, domains, foreign, grant
 from tests.support.pki import NOW

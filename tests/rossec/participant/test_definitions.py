@@ -133,7 +133,7 @@ def test_the_definition_of_what_is_forwarded_must_be_proven_or_installed() -> No
             forwarded_definition(sent, restricted(sent.name), known)
     with pytest.raises(ConnectionHeaderRefused, match="is not known on this host") as caught:
         forwarded_definition(PATH, restricted(PATH.name), nothing)
-    assert "ROS_PACKAGE_PATH" in caught.value.hint
+    assert "apt install ros-nav-msgs" in caught.value.hint
 
 
 def test_no_definition_is_looked_up_without_a_restriction_for_a_type() -> None:

@@ -11,8 +11,10 @@ from ca.certificates import from_pem
 from ca.intermediates import build_intermediate_request
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
+from ca.renewal import open_renewal
 from ca.store.record import Store
-from rossec.authority.renewals import renew, sign_intermediate
+from rossec import clock
+from rossec.authority.renewals import renew, renew_by_name, sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
@@ -145,6 +147,80 @@ async def test_a_refusal_of_the_master_is_logged(
     assert not await renew_identity(call, asks, BEGIN)
     assert not await renew_identity(call, asks, NOW)
     assert "this master renews no identities" in caplog.text
+
+
+PENDING = AnswerRefused("rossec: the authority's key is locked", code=0)
+
+
+async def test_what_is_not_there_yet_is_asked_for_again_soon(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One request, less and less often; nothing alarming is said before it takes long."""
+    caplog.set_level("INFO", "rossec.node")
+    _, _, asks = renewal(site)
+    asked = list[bytes]()
+
+    async def call(method: str, *params: Any) -> object:
+        asked.append(params[0])
+        raise PENDING
+
+    at = [NOW + second for second in range(400) if await _asks(call, asks, asked, NOW + second)]
+    assert [moment - NOW for moment in at] == [0, 5, 15, 35, 75, 135, 195, 255, 315, 375]
+    csrs = {open_renewal(data, site.anchor, NOW, lambda *_: None).csr for data in asked[:3]}
+    assert len(csrs) == 1
+    warned = [record for record in caplog.records if record.levelname == "WARNING"]
+    assert len(warned) == 1, "an hour has not passed"
+    assert warned[0].getMessage() == (
+        "/robot: the identity ends in 4d 23h and is not renewed yet:"
+        " rossec: the authority's key is locked"
+    )
+    await renew_identity(call, asks, NOW + 3700)
+    assert sum(record.levelname == "WARNING" for record in caplog.records) == 2
+
+
+async def _asks(call: MasterCall, asks: IdentityRenewal, asked: list[bytes], at: int) -> bool:
+    before = len(asked)
+    assert not await renew_identity(call, asks, at)
+    return len(asked) > before
+
+
+@pytest.mark.attack("clock-ahead")
+def test_a_look_with_the_clock_ahead_does_not_keep_it_from_asking(site: Site) -> None:
+    """It asked minutes before its end by that clock: the end would come before it asked again."""
+    _, _, asks = renewal(site)
+    due = BEGIN + LIFE * 2 // 3
+    assert asks.request(BEGIN + LIFE - 60) is not None
+    assert asks.request(due - 1) is None
+    assert asks.request(due) is not None
+    assert asks.request(due + 1) is None
+
+
+def test_one_that_is_installed_is_taken_at_once_also_after_the_end(site: Site) -> None:
+    home, credentials, asks = renewal(site)
+    late = BEGIN + LIFE + DAY
+    assert not asks.take_installed(late)
+    assert asks.ended(BEGIN + LIFE) == ""
+    said = asks.ended(late)
+    assert "the identity of /robot ended on" in said
+    assert "rossec ca renew --expired /robot" in said
+    bundle = renew_by_name(site.authority, "/robot", late, LIFE, expired=True)
+    home.install(bundle, late)
+    assert asks.take_installed(late)
+    assert not asks.take_installed(late)
+    assert credentials.current.chain == home.credentials().chain
+    assert asks.ended(late) == ""
+
+
+def test_a_clock_that_leaps_is_in_doubt(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node that runs counts seconds too: by those it is not so late."""
+    counted = [0.0]
+    monkeypatch.setattr(clock, "counter", lambda: lambda: counted[0])
+    _, _, asks = renewal(site)
+    end = BEGIN + LIFE
+    assert asks.ended(end + 300 * DAY).startswith("by this host's clock, which says")
+    counted[0] = float(LIFE + DAY)
+    assert asks.ended(end + DAY).startswith("the identity of /robot ended on")
+    assert "everything of 'home' is over" in asks.ended(end + 11 * 365 * DAY)
 
 
 def below(site: Site) -> SigningAuthority:

@@ -1,5 +1,7 @@
 """The session with the master: its life, and a master whose list is older than the node's."""
 
+import asyncio
+import contextlib
 from functools import partial
 from pathlib import Path
 
@@ -9,7 +11,8 @@ from ca.certificates import Identity
 from ca.errors import RevocationRefused
 from ca.revocation.tree import RevocationTree, sign_tree
 from rossec.errors import ConfigurationError, RossecError
-from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.master_session import MasterSession
 from rossec.ros.names import MASTER
 from rossec.ros.settings import parse_uri
@@ -101,3 +104,35 @@ async def test_another_node_at_the_address_is_not_the_master(tmp_path: Path) -> 
         )
         with pytest.raises(RossecError, match="the master is out of reach"):
             await session.call("getUri")
+
+
+async def test_a_cause_that_lasts_is_logged_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    tries = []
+
+    async def dial() -> SecureStream[Identity]:
+        tries.append(1)
+        raise ConnectionRefusedError("refused" if len(tries) < 4 else "unreachable")
+
+    async def nothing(session: MasterSession) -> None:
+        """No registrations."""
+
+    async def no_proofs(call: MasterCall) -> int:
+        return 0
+
+    monkeypatch.setattr("rossec.participant.retry.FIRST", 0.02)
+    session = MasterSession("/robot", dial, lambda *_: None, nothing, bytes, no_proofs)
+    running = asyncio.ensure_future(session.run())
+    try:
+        await until(lambda: len(tries) > 4, within=10)
+        assert caplog.messages == [
+            "/robot: no answer from the master: refused",
+            "/robot: no answer from the master: unreachable",
+        ]
+        monkeypatch.setattr("rossec.participant.master_session._SAID_AGAIN", 0.0)
+        await until(lambda: len(caplog.messages) > 3, within=10)
+    finally:
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -87,6 +87,9 @@ class Form:
     async def run(self) -> None:
         await self.fault.wait()
         raise ArithmeticError("a fault")
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(())
 
     def cut_ended(self, now: int) -> None:
         assert now <= clock.now()

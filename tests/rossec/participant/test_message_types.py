@@ -1,8 +1,21 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rossec.errors import MessageError
-from rossec.participant.message_types import MessageType, message_type, register_type
+from rossec.participant.message_types import (
+    MessageType,
+    element_of,
+    element_type,
+    field_names,
+    field_value,
+    message_type,
+    register_type,
+    registered_type,
+    set_field,
+    type_names,
+)
 
 STANDARD = [
     "std_msgs/String",
@@ -49,7 +62,7 @@ def test_the_error_for_an_unknown_field_lists_the_fields() -> None:
 def test_an_unknown_type_is_refused(name: str) -> None:
     with pytest.raises(MessageError, match="unknown message type") as caught:
         message_type(name)
-    assert "register_type" in caught.value.hint
+    assert "ROS_PACKAGE_PATH" in caught.value.hint
 
 
 @pytest.mark.parametrize("name", ["String", "std_msgs/", "/String", "std_msgs/msg/String", ""])
@@ -88,3 +101,68 @@ def test_arrays_of_messages_and_strings_begin_empty() -> None:
     message = message_type("house_msgs/Pair").create()
     assert message.names == ["", ""]
     assert [corner.x for corner in message.corners] == [0.0, 0.0]
+
+
+KEYWORDS = "float64 from\nstring class\nint32 self\nstring[] None\nuint8[2] def"
+
+
+def test_fields_named_as_keywords_of_python_are_created_set_and_sent() -> None:
+    kind = register_type("keyword_msgs/Keywords", KEYWORDS)
+    fields = {"from": 1.5, "class": "chair", "self": 7, "None": ["a"]}
+    message = kind.create(**fields)
+    assert [field_value(message, field) for field in fields] == [1.5, "chair", 7, ["a"]]
+    assert kind.create(class_="chair").class_ == "chair"
+    again = kind.deserialize(kind.serialize(message))
+    set_field(again, "def", np.array([1, 2], np.uint8))
+    assert field_value(kind.deserialize(kind.serialize(again)), "def").tolist() == [1, 2]
+    with pytest.raises(MessageError, match="no field 'for' in keyword_msgs/Keywords"):
+        kind.create(**{"for": 1})
+
+
+def test_two_fields_that_would_be_one_attribute_are_refused() -> None:
+    with pytest.raises(MessageError, match="two fields of one name"):
+        register_type("keyword_msgs/Twice", "float64 from\nfloat64 from_")
+
+
+def test_elements_of_lists_have_a_zero_and_a_type() -> None:
+    goal = message_type("actionlib_msgs/GoalStatusArray").create()
+    assert element_type(goal, "status_list") == "actionlib_msgs/GoalStatus"
+    zero = element_of(goal, "status_list")()
+    assert field_names(zero) == ["goal_id", "status", "text"]
+    path = message_type("trajectory_msgs/JointTrajectory").create()
+    assert element_type(path, "joint_names") == "string"
+    assert element_of(path, "joint_names")() == ""
+    register_type("test_msgs/Times", "time[] when\nduration[2] long\n")
+    times = message_type("test_msgs/Times").create()
+    assert (element_type(times, "when"), element_type(times, "long")) == ("time", "duration")
+    assert element_of(times, "when")().sec == 0
+    assert len(times.long) == 2
+
+
+def test_known_types_are_listed_by_their_names_in_ros() -> None:
+    names = type_names()
+    assert {"std_msgs/String", "geometry_msgs/PoseStamped"} <= set(names)
+    assert not any("/msg/" in name for name in names)
+
+
+def test_a_type_of_a_package_on_this_host_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "kitchen_msgs"
+    (package / "msg").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>kitchen_msgs</name></package>")
+    (package / "msg" / "Oven.msg").write_text("float64 heat\n")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    with pytest.raises(MessageError, match="unknown message type"):
+        registered_type("kitchen_msgs/Oven")
+    assert message_type("kitchen_msgs/Oven").create(heat=1.5).heat == 1.5
+    assert registered_type("kitchen_msgs/Oven").definition == "float64 heat\n"
+
+
+def test_what_is_no_definition_registers_nothing() -> None:
+    with pytest.raises(MessageError, match="cannot register test_msgs/Odd"):
+        register_type("test_msgs/Odd", "this is = not a (definition")
+    with pytest.raises(MessageError, match="cannot register"):
+        register_type("std_msgs/String", "float64 data\n")
+    with pytest.raises(MessageError, match="unknown message type"):
+        registered_type("test_msgs/Odd")

@@ -12,7 +12,7 @@ from ca.revocation.state import Revocations, Timestamp, digest
 from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from grants.model import Right
 from rossec.errors import AnswerMalformed
-from rossec.participant.connections import STALE_GRACE
+from rossec.participant.authorized import STALE_GRACE
 from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
 from tests.rossec.participant.test_connections import make_connection

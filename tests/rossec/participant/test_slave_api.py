@@ -6,7 +6,7 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import RollbackRefused
-from rossec.participant.slave_api import ALIAS_ASKED, SlaveApi
+from rossec.participant.slave_api import ALIAS_ASKED, NO_TRANSPORT, SlaveApi
 from tests.support.site import Site
 
 Call = tuple[object, ...]
@@ -176,7 +176,7 @@ async def test_only_tcpros_is_offered(
     node: Node, identity: Identity, protocols: list[object]
 ) -> None:
     answer = await call(node, identity, "requestTopic", "/viewer", "/t", protocols)
-    assert answer == [-1, "rossec: only TCPROS, inside the secure channel", []]
+    assert answer == [-1, NO_TRANSPORT, []]
 
 
 @pytest.mark.parametrize(

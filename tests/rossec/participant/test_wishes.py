@@ -1,13 +1,17 @@
 """Wishes in connection headers: read strictly, and answered with no more than was asked."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.participant.wishes import (
     NO_WISHES,
     Wishes,
+    carried_out,
     requested_wishes,
     taken_wishes,
     without_wishes,
@@ -71,6 +75,24 @@ def test_a_publisher_may_take_some_of_them() -> None:
     assert taken_wishes(FIELDS, ALL) == ALL
     assert taken_wishes({"rossec_newest": b"1"}, ALL) == Wishes(newest=True)
     assert taken_wishes({"rossec_rate": b"2.5"}, ALL) == Wishes(2.5)
+
+
+@pytest.mark.parametrize(
+    ("restriction", "deflates"),
+    [
+        (Restriction(rate=1.0), True),
+        (Restriction(keep_when_stale=True), True),
+        (Restriction(conditions=("hour < 5",)), False),
+        (Restriction(slot=60), False),
+        (Restriction("std_msgs/String", (), filter_rules({"data": {"clear": True}})), False),
+    ],
+)
+def test_what_is_filtered_or_withheld_is_not_deflated(
+    restriction: Restriction, deflates: bool
+) -> None:
+    decision: Any = SimpleNamespace(restrictions=(Restriction(rate=2.0), restriction))
+    assert carried_out(ALL, decision) == Wishes(2.5, newest=True, deflate=deflates)
+    assert carried_out(ALL, SimpleNamespace(restrictions=())) == ALL  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("asked", [NO_WISHES, Wishes(7)])

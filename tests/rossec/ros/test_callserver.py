@@ -6,6 +6,7 @@ from rossec.errors import CompactRefused, HttpRefused, XmlRpcRefused
 from rossec.ros import compact, xmlrpc
 from rossec.ros.callclient import CallClient, value_in
 from rossec.ros.callserver import CallServer
+from rossec.ros.httpread import Oversized
 from rossec.ros.xmlrpc import Encoded, Fault
 
 
@@ -147,7 +148,7 @@ def test_what_cannot_be_sent_leaves_the_call_to_be_answered() -> None:
         with pytest.raises(XmlRpcRefused):
             server.respond(None)
         with pytest.raises(Fault, match="ask for less"):
-            server.respond("x" * (2 << 20))
+            server.respond("x" * (5 << 20))
         assert server.respond(Fault(1, "no"))
 
 
@@ -162,3 +163,54 @@ def test_both_forms_of_malformed() -> None:
         server.take(b"GET / HTTP/1.1\r\n\r\n")
     assert server.refuse(405).startswith(b"HTTP/1.1 405")
     assert server.closing
+
+
+def stepped(
+    server: CallServer, request: bytes | Oversized, bound: int | None = None
+) -> tuple[object, int]:
+    steps, count = server.load_steps(request, bound), 0
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            call = stop.value
+            return [1, call.method, list(call.params)], count
+        count += 1
+
+
+@pytest.mark.parametrize("compact", [True, False])
+def test_a_call_is_loaded_in_steps_as_at_once(compact: bool) -> None:
+    client, server = first(compact=compact) if compact else (CallClient("x", compact=False), None)
+    server = server or CallServer(compact=False)
+    params = (["text"] * 20_000, {"a": 1})
+    data = server.take(client.request("setParam", params))
+    assert data is not None
+    value, steps = stepped(server, data)
+    assert value == [1, "setParam", list(params)]
+    assert steps > 10
+
+
+@pytest.mark.parametrize("compact", [True, False])
+@pytest.mark.parametrize(
+    ("method", "taken"),
+    [("setParam", False), ("rossec.presentGrants", True), ("rossec.unknown", True)],
+)
+def test_long_calls_without_a_grant_are_for_statements(
+    compact: bool, method: str, taken: bool
+) -> None:
+    client, server = first(compact=compact) if compact else (CallClient("x", compact=False), None)
+    server = server or CallServer(compact=False)
+    request = server.take(client.request(method, ("/x", b"y" * 2000)))
+    assert request is not None
+    for load in (server.load, lambda *args: stepped(server, *args)):
+        if taken:
+            load(request, 1000)
+        else:
+            with pytest.raises(XmlRpcRefused, match="at most 1000 are taken from a caller"):
+                load(request, 1000)
+        load(request, 10_000)
+
+
+def test_what_was_longer_than_anybody_may_send_is_refused() -> None:
+    with pytest.raises(XmlRpcRefused, match="a call of 5000000 bytes where at most"):
+        CallServer().load(Oversized(5_000_000))

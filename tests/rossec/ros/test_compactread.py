@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rossec.errors import CompactRefused
 from rossec.ros.compactread import MALFORMED, Reader
 from rossec.ros.compactwrite import ARRAY, encoded
-from rossec.ros.xmlrpc import dump_call, load_call
+from rossec.ros.xmlrpc import dump_call, load_call, run_out
 from tests.rossec.ros.test_compactwrite import ENCODINGS
 from tests.rossec.ros.values import VALUES, shape
 
@@ -19,8 +19,16 @@ LIMIT = 1 << 20
 
 
 def read(data: bytes, limit: int = LIMIT) -> object:
-    reader = Reader(data, limit)
-    (value,) = reader.items(1)
+    """What is read at once; in steps the same is read, or refused."""
+    reader, other = Reader(data, limit), Reader(data, limit)
+    try:
+        (value,) = reader.items(1)
+    except (CompactRefused, *MALFORMED) as error:
+        with pytest.raises(type(error)):
+            run_out(other.steps(1))
+        raise
+    assert shape(run_out(other.steps(1))) == shape([value])
+    assert other.at == reader.at
     if not reader.at_end:
         raise CompactRefused("not at its end")
     return value
@@ -34,6 +42,10 @@ def test_each_form_is_read_and_written_again(written: str) -> None:
 @given(VALUES)
 def test_what_is_written_is_read(value: object) -> None:
     assert shape(read(encoded(value))) == shape(value)
+
+
+def at_once(data: bytes) -> object:
+    return Reader(data, LIMIT).items(1)
 
 
 REFUSED = {
@@ -133,7 +145,7 @@ def test_times_delay_the_reader_no_longer_than_in_xml() -> None:
     unit = b"\x99" + (50_000).to_bytes(2) + encoded(when) * 50_000
     body = dump_call("setParam", [[when] * 14_000])
     assert len(body) < LIMIT
-    assert min(seconds(read, unit) for _ in range(3)) < min(
+    assert min(seconds(at_once, unit) for _ in range(3)) < min(
         seconds(load_call, body) for _ in range(3)
     )
 
@@ -160,3 +172,14 @@ def test_whatever_is_read_would_be_written_so(data: bytes) -> None:
     except (CompactRefused, *MALFORMED):
         return
     assert encoded(value) == data
+
+
+def test_a_large_value_is_read_in_steps_that_are_short() -> None:
+    value = [{f"{number}": [number, "x"]} for number in range(20_000)]
+    steps, count = Reader(encoded(value), 4 << 20).steps(1), 0
+    longest, began = 0.0, time.thread_time()
+    for _ in steps:
+        longest = max(longest, time.thread_time() - began)
+        count, began = count + 1, time.thread_time()
+    assert count == 80_001 // 1024
+    assert longest < 0.5  # of this thread: what else runs does not count

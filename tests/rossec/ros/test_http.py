@@ -40,7 +40,8 @@ def test_request_byte_by_byte() -> None:
     for byte in REQUEST:
         assert not bodies
         server.feed(bytes([byte]))
-        if (body := server.next_request()) is not None:
+        body = server.next_request()
+        if isinstance(body, bytes):
             bodies.append(body)
     assert bodies == [b"body"]
 
@@ -99,7 +100,7 @@ def test_continue_is_skipped() -> None:
         (b"POST / HTTP/1.1\r\nHost: x\r\nOrigin: null\r\nContent-Length: 0\r\n\r\n", 403),
         (b"POST / HTTP/1.1\r\nHost: x\r\n\r\n", 411),
         (b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n", 411),
-        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 101\r\n\r\n", 413),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 67108865\r\n\r\n", 413),
         (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: " + b"9" * 18 + b"\r\n\r\n", 413),
         (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: -1\r\n\r\n", 400),
         (

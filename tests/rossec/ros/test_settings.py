@@ -86,12 +86,12 @@ def test_a_name_with_a_namespace_brings_its_own() -> None:
         ((), {"ROS_IP": "http://10.0.0.1"}, "an URI", "bare address"),
         ((), {"ROS_HOSTNAME": "robot:11311"}, "with a port", "address alone"),
         ((), {"ROS_IPV6": "1"}, "ROS_IPV6 is '1'", "on and off"),
-        ((), {"ROS_NAMESPACE": "my-robot"}, "not a ROS name", "/robot1/camera"),
+        ((), {"ROS_NAMESPACE": "my-robot"}, "not a ROS name", "segments begin with a letter"),
         (("in:=",), {}, "lacks a side", "without spaces"),
         ((":=",), {}, "lacks a side", "without spaces"),
         (("__nam:=x",), {}, "not one of ROS's own", "__name"),
         (("__name:=a/b",), {}, "contains a namespace", "__ns:="),
-        (("in:=a b",), {}, "not a ROS name", "/robot1/camera"),
+        (("in:=a b",), {}, "not a ROS name", "segments begin with a letter"),
     ],
 )
 def test_refusals_have_hints(

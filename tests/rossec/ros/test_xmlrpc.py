@@ -157,3 +157,32 @@ def test_a_peers_status_is_one_printable_line() -> None:
 def test_anything_else_is_malformed(answer: object) -> None:
     with pytest.raises(AnswerMalformed):
         xmlrpc.value_of(answer)
+
+
+@pytest.mark.parametrize("value", ["x" * 300_000, list(range(30_000)), {"a": ["&<>", b"x"] * 9999}])
+def test_in_steps_the_same_is_read(value: object) -> None:
+    call, response = xmlrpc.dump_call("setParam", ("/n", value)), xmlrpc.dump_response(value)
+    assert xmlrpc.run_out(xmlrpc.call_steps(call)) == xmlrpc.load_call(call)
+    assert xmlrpc.run_out(xmlrpc.response_steps(response)) == value
+    assert sum(1 for _ in xmlrpc.call_steps(call)) == (len(call) - 1) // xmlrpc.STEP
+
+
+@pytest.mark.parametrize("cut", [3, 20_000, 100_000])
+def test_in_steps_the_same_is_refused(cut: int) -> None:
+    call = xmlrpc.dump_call("setParam", ("/n", list(range(30_000))))[:-cut]
+    with pytest.raises(XmlRpcRefused):
+        xmlrpc.run_out(xmlrpc.call_steps(call))
+
+
+@pytest.mark.parametrize("markup", ["<!--%s-->", "<value a='%s'/>", "<?%s?>", "<%s/>"])
+def test_markup_that_would_be_read_again_with_each_step_is_refused(markup: str) -> None:
+    """expat reads an incomplete tag from its beginning again: 4 MiB would be 512 MiB."""
+    call = b"<methodCall>" + (markup % ("x" * (1 << 20))).encode() + b"</methodCall>"
+    steps = xmlrpc.call_steps(call)
+    with pytest.raises(XmlRpcRefused, match="a tag or comment of more than 65536 bytes"):
+        xmlrpc.run_out(steps)
+
+
+def test_a_fault_is_raised_in_steps_too() -> None:
+    with pytest.raises(xmlrpc.Fault, match="why"):
+        xmlrpc.run_out(xmlrpc.response_steps(xmlrpc.dump_response(xmlrpc.Fault(1, "why" * 9999))))

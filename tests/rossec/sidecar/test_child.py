@@ -68,6 +68,13 @@ async def test_programs_that_cannot_be_started_have_shell_exit_codes(tmp_path: P
         assert refused.value.code == code
 
 
+async def test_a_tool_that_is_not_installed_is_told_with_its_package() -> None:
+    for command, said in (("rosrun", "apt install rosbash"), ("no-such", "is it installed")):
+        with pytest.raises(NoSuchProgram) as refused:
+            await child.run([command], {**os.environ, "PATH": "/nowhere"})
+        assert said in refused.value.hint
+
+
 async def test_the_program_inherits_passed_descriptors() -> None:
     ours, theirs = os.pipe()
     os.set_inheritable(theirs, True)

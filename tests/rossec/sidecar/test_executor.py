@@ -13,6 +13,7 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
 from rossec.net.aio import SecureStream, connect, serve
+from rossec.net.host.peeruid import Holder
 from rossec.net.rpc.client import serve_calls
 from rossec.ros import header
 from rossec.ros.xmlrpc import Fault
@@ -25,9 +26,7 @@ from rossec.sidecar.core.commands import (
     ConnectPeer,
     ConnectProgram,
     OpenEgress,
-    OpenIngress,
     Probe,
-    Suspend,
 )
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
 from rossec.sidecar.core.events import (
@@ -62,6 +61,11 @@ class FakeServices:
     def __init__(self) -> None:
         self.closed: list[Endpoint] = []
         self.answer: Any = None
+        self.taken_over: set[int] = set()
+        self.unreachable: list[tuple[Endpoint, str]] = []
+
+    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+        return local.port not in self.taken_over
 
     def open_ingress(self, local: Endpoint) -> int:
         return local.port
@@ -84,6 +88,9 @@ class FakeServices:
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
         raise PeerUnreachable(f"no peer at {remote.uri}")
+
+    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
+        self.unreachable.append((remote, str(error)))
 
     def check_peer(self, peer: Identity) -> None:
         raise AssertionError(peer)
@@ -162,19 +169,20 @@ async def test_a_master_that_does_not_answer_in_time_is_no_answer(
     assert event == NoAnswer("no answer in time")
 
 
+async def test_another_program_at_its_port_is_not_called(program: Program) -> None:
+    services = FakeServices()
+    services.taken_over.add(program.slave.port)
+    event = await outcome(services, Probe(local_endpoint(WireProtocol.HTTP, program.slave.port)))
+    assert isinstance(event, NoAnswer)
+    assert event.dead
+    assert not program.calls
+
+
 @pytest.fixture
 async def program() -> AsyncIterator[Program]:
     sidecar: Any = SimpleNamespace(uri="")
     async with Program("/robot", sidecar) as program:
         yield program
-
-
-async def test_ingress_ports_are_opened_and_suspended() -> None:
-    services = FakeServices()
-    assert await outcome(services, OpenIngress(PEER)) == Opened(PEER.port)
-    assert services.closed == []
-    assert await outcome(services, Suspend(PEER)) == CommandDone()
-    assert services.closed == [PEER]
 
 
 async def test_programs_are_probed_and_called(program: Program) -> None:
@@ -183,14 +191,11 @@ async def test_programs_are_probed_and_called(program: Program) -> None:
     def calls() -> Layer[list[Event]]:
         asked = [(yield Probe(local))]
         asked.append((yield CallProgram(local, "getPid", ("/robot",))))
-        asked.append((yield CallProgram(local, "getBusStats", ("/robot",), parse=False)))
         return asked
 
-    probed, parsed, raw = await run_layer(FakeServices(), calls())
+    probed, parsed = await run_layer(FakeServices(), calls())
     assert (probed, parsed) == (CommandDone(), Answered([1, "", 4711]))
-    assert isinstance(raw, RawResponse)
-    assert b"4711" in raw.body
-    assert [method for method, _ in program.calls] == ["getPid", "getBusStats"]
+    assert [method for method, _ in program.calls] == ["getPid"]
     await until(lambda: program.slave.connections == 0)  # the layer has ended
 
 

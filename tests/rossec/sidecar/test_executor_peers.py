@@ -8,8 +8,14 @@ import pytest
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
 from rossec.net.aio import serve
-from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer
-from rossec.sidecar.core.events import Event, NoAnswer, PeerAuthenticated
+from rossec.sidecar.core.commands import (
+    AuthenticatePeer,
+    CallPeer,
+    ConnectPeer,
+    OpenIngress,
+    Suspend,
+)
+from rossec.sidecar.core.events import CommandDone, Event, NoAnswer, Opened, PeerAuthenticated
 from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.executor import run_layer
 from tests.rossec.sidecar.test_executor import (
@@ -50,3 +56,19 @@ async def test_a_peer_that_cannot_be_authenticated_is_no_answer(peer: PeerNode) 
         FakeServices(), AuthenticatePeer(replace(PEER, protocol=WireProtocol.TCPROS))
     )
     assert isinstance(event, NoAnswer)
+
+
+async def test_a_peer_out_of_reach_is_said_for_calls_and_topics() -> None:
+    services = FakeServices()
+    topics = replace(PEER, protocol=WireProtocol.TCPROS)
+    for command in (CallPeer(PEER, "getPid", ("/robot",)), ConnectPeer(topics, {})):
+        assert isinstance(await outcome(services, command), NoAnswer)
+    assert [remote for remote, _ in services.unreachable] == [PEER, topics]
+
+
+async def test_ingress_ports_are_opened_and_suspended() -> None:
+    services = FakeServices()
+    assert await outcome(services, OpenIngress(PEER)) == Opened(PEER.port)
+    assert services.closed == []
+    assert await outcome(services, Suspend(PEER)) == CommandDone()
+    assert services.closed == [PEER]

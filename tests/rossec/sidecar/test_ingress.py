@@ -1,6 +1,7 @@
 """Network ports for programs: what peers receive, and what not."""
 
 import asyncio
+import socket
 
 import pytest
 
@@ -15,11 +16,14 @@ from rossec.participant.wishes import Wishes
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from rossec.sidecar.agent import Agent
-from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
+from rossec.sidecar.loopback_port import LoopbackPort
 from rossec.sidecar.pump import split_header
-from tests.rossec.sidecar.program import string_message
+from tests.rossec.sidecar.program import ANY_CALLER, Program, sidecar, string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.witness import until
+
+HTTP = WireProtocol.HTTP
 
 
 async def test_messages_are_forwarded_unchanged(pair: SidecarPair) -> None:
@@ -59,12 +63,12 @@ async def test_no_message_passes_a_guard_that_raises(
         file.unlink()
     rules = filter_rules({"data": {"truncate": {"length": 2}}})
     pair.site.subscribe("/listener", "/word", Restriction("std_msgs/String", (), rules))
-    stream, source = await connect(pair)
 
     def crash(*_: object) -> None:
         raise ArithmeticError
 
     monkeypatch.setattr("grants.guard.Guard.apply", crash)
+    stream, source = await connect(pair)
     await source.send(string_message("hello"))
     with pytest.raises(RossecError):
         await receive_bytes(stream, 1)
@@ -155,3 +159,67 @@ async def test_a_peer_with_wishes_gets_its_messages_as_it_wishes(pair: SidecarPa
         contents = frames.feed(await stream.receive())
     assert inflated(contents[0], 1 << 20) == message[4:]
     stream.abort("heard enough")
+
+
+async def test_a_port_that_another_program_has_now_leads_nowhere(pair: SidecarPair) -> None:
+    """`/pa` was killed, `/pb` got the number of its port: a shutdown for `/pa` ended `/pb`."""
+    site = pair.site
+    site.publish("/pa", "/a")
+    site.publish("/pb", "/b")
+    async with sidecar(site) as running:
+        first = Program("/pa", running)
+        await first.register("registerPublisher", "/a", "std_msgs/String")
+        killed = first.slave.port
+        await first.close()
+        second = Program("/pb", running)
+        await second.slave.close()
+        second.slave = LoopbackPort(ANY_CALLER, second._serve_slave, killed)
+        second.slave.open()
+        await second.register("registerPublisher", "/b", "std_msgs/String")
+        async with Program("/pa", running) as again:
+            await again.register("registerPublisher", "/a", "std_msgs/String")
+            # The master asks what it knows as the old `/pa` to shut down; then it answers others.
+            found = await second.ask(running.uri, "lookupNode", "/pb")
+            assert isinstance(found, list)
+            agents = running._agents
+            old = agents["/pa"].state.endpoints.network_of(local_endpoint(HTTP, killed))
+            await until(lambda: is_closed(old))
+            assert [method for method, _ in second.calls if method == "shutdown"] == []
+            own = agents["/pb"].state.endpoints.network_of(local_endpoint(HTTP, killed))
+            assert not is_closed(own)
+        await second.close()
+
+
+async def test_a_reused_port_of_the_same_identity_gets_another_network_port(
+    pair: SidecarPair,
+) -> None:
+    pair.site.enroll("/crew", wildcard=True)
+    pair.site.publish("/crew", "/a")
+    async with sidecar(pair.site, each=False, identity="/crew") as running:
+        first = Program("/crew_1", running)
+        await first.register("registerPublisher", "/a", "std_msgs/String")
+        state = running._agent_for("/crew").state
+        local = local_endpoint(HTTP, first.slave.port)
+        old = state.endpoints.network_of(local)
+        await first.close()
+        async with Program("/crew_2", running) as second:
+            await second.slave.close()
+            second.slave = LoopbackPort(ANY_CALLER, second._serve_slave, local.port)
+            second.slave.open()
+            # Who takes back what has ended opens nothing, whatever listens there now.
+            answer = await second.ask(running.uri, "unregisterPublisher", "/b", second.uri)
+            assert isinstance(answer, list)
+            assert state.endpoints.network_of(local) == old
+            await second.register("registerPublisher", "/a", "std_msgs/String")
+            assert state.endpoints.network_of(local) != old
+            assert state.endpoints.program_at(old) is None
+            assert is_closed(old)
+
+
+def is_closed(endpoint: Endpoint) -> bool:
+    """Whether the port refuses callers, as that of a dead node."""
+    try:
+        socket.create_connection((endpoint.host, endpoint.port), 5).close()
+    except ConnectionRefusedError:
+        return True
+    return False

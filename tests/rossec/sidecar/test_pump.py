@@ -291,3 +291,29 @@ async def test_a_subscriber_that_sends_data_is_disconnected(
         else:
             await subscribe(ends.inner, ends.outer, None, b"")
     await ends.ended(ends.program, ends.peer)
+
+
+@pytest.mark.parametrize("subscriber", ["peer", "program"])
+async def test_the_end_of_a_port_while_a_subscriber_is_waited_for_is_no_crash(
+    ends: Ends, subscriber: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its task is cancelled: a group of cancellations would be logged as a crash, with frames."""
+    waits = asyncio.Event()
+
+    async def close(_: object) -> None:
+        waits.set()
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(PlainStream, "close", close)
+    run = publish if subscriber == "peer" else subscribe
+    running = asyncio.ensure_future(run(ends.inner, ends.outer, None, b"data"))
+    if subscriber == "program":
+        ends.program.transport.write_eof()
+    else:
+        ends.peer.connection.close()
+        ends.peer.flush()
+    await waits.wait()
+    running.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert running.cancelled()

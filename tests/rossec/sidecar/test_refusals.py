@@ -1,12 +1,14 @@
 """Refusals in the log of a sidecar."""
 
 import logging
+import socket
 
 import pytest
 
 from grants.missing_rights import MissingRight, missing_right
 from grants.model import Right
-from rossec.sidecar.refusals import SAID_FOR, MissingRights, RefusalLog
+from rossec.errors import PeerUnreachable
+from rossec.sidecar.refusals import SAID_FOR, MissingRights, RefusalLog, Said
 from tests.support.witness import until
 
 NO_GOAL = (
@@ -62,7 +64,10 @@ async def test_missing_rights_are_logged_together_and_once(
     log.log("the master", "registerPublisher", [-1, NO_GOAL, 0])
     log.flush()
     [line] = caplog.messages
-    assert line.endswith("an allow rule for /rviz with publish: [/goal, /pose] would change it")
+    assert line.endswith(
+        "an allow rule for /rviz with publish: [/goal, /pose] would change it,"
+        " or rossec grant sign /rviz --publish /goal --publish /pose"
+    )
 
 
 async def test_what_was_collected_is_logged_at_the_end(caplog: pytest.LogCaptureFixture) -> None:
@@ -106,3 +111,72 @@ def test_what_is_remembered_is_bounded() -> None:
 
 def test_the_status_of_the_master_is_understood() -> None:
     assert missing_right(NO_GOAL) == missing(Right.PUBLISH, "/goal")
+
+
+def cannot_connect(cause: OSError) -> PeerUnreachable:
+    error = PeerUnreachable(f"cannot connect to r2 port 4000: {cause.strerror}")
+    error.__cause__ = cause
+    return error
+
+
+async def test_a_peer_whose_name_is_not_known_is_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The program sees a closed connection, and tries again in silence."""
+    log = RefusalLog()
+    error = cannot_connect(socket.gaierror(-2, "Name or service not known"))
+    for _ in range(3):
+        log.unreachable("http://r2:4000/", error)
+    log.unreachable("http://r3:4000/", cannot_connect(ConnectionRefusedError(111, "refused")))
+    (said,) = caplog.messages
+    assert said.startswith("http://r2:4000/ is out of reach: cannot connect to r2 port 4000: Name")
+    assert "(is ROS_IP or ROS_HOSTNAME right on its side, and its name known" in said
+
+
+def test_what_was_said_an_hour_ago_is_new() -> None:
+    hours = Hours()
+    said = Said[str](hours)
+    assert [said.add("x"), said.add("x")] == [True, False]
+    hours.now = SAID_FOR
+    assert said.add("x")
+
+
+async def test_what_a_program_does_not_hear_of_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    answer = [-1, "ERROR: parameter [key] contains illegal chars", 0]
+    log = RefusalLog()
+    for _ in range(2):
+        log.log("the master", "setParam", answer, ("/robot", "/t\u00fcr", 1))
+    [line] = caplog.messages
+    assert "the master refuses setParam: " in line
+    assert "for example /tur: " in line
+
+
+async def test_what_the_sidecar_itself_refuses_is_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    log = RefusalLog()
+    own = [-1, "rossec: a program with the identity of /record calls itself /record_17", 0]
+    for _ in range(2):
+        log.log_own("/record", "registerSubscriber", own)
+    [line] = caplog.messages
+    assert line.startswith("the sidecar of /record refuses registerSubscriber: a program with")
+    log.log("the master", "getPid", [-1, "rossec: too many", 0])
+    log.log_own("/record", "getPid", [-1, "rossec: too many", 0])
+    assert len(caplog.messages) == 2, "the master's was said already"
+    log.log_own("/rviz", "registerPublisher", [-1, NO_GOAL, 0])
+    assert len(caplog.messages) == 2, "what is missing is said otherwise"
+
+
+async def test_a_graph_of_which_nothing_is_shown_is_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    log = RefusalLog()
+    log.log_own("/robot", "getSystemState", [1, "", [[["/a", ["/n"]]], [], []]])
+    assert caplog.messages == []
+    for _ in range(2):
+        log.log_own("/robot", "getSystemState", [1, "", [[], [], []]])
+        log.log_own("/robot", "getTopicTypes", [1, "", []])
+    [line] = caplog.messages
+    assert line.endswith(
+        "nothing that /robot may see; all of it needs: rossec grant sign /robot --graph"
+    )

@@ -31,7 +31,8 @@ async def test_a_refused_program_gets_the_reason(pair: SidecarPair) -> None:
     async with Program("/stranger", pair.listener_sidecar) as unknown:
         answer = await unknown.ask(unknown.master_uri, "getPid")
         assert isinstance(answer, list)
-        assert "has no identity here (enroll it: rossec node request /stranger" in answer[1]
+        assert "/stranger has no identity here (did you mean /listener? here are: " in answer[1]
+        assert "for a new node: rossec node request /stranger; or use --as" in answer[1]
         site.enroll("/stranger")
         await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
         uris = await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
@@ -50,7 +51,9 @@ async def test_a_refused_program_gets_the_reason(pair: SidecarPair) -> None:
 async def test_an_anonymous_program_gets_a_hint_to_enroll(pair: SidecarPair) -> None:
     async with Program("/rosparam-4711", pair.listener_sidecar) as tool:
         answer = await tool.ask(tool.master_uri, "getPid")
-        assert "rossec node request /rosparam --anonymous, or use --as" in str(answer)
+        assert "for a new node: rossec node request /rosparam --anonymous; or use --as" in str(
+            answer
+        )
 
 
 async def test_unreadable_files_are_reported(
@@ -164,6 +167,70 @@ async def test_a_parameter_search_starts_in_the_callers_namespace(pair: SidecarP
         await tool.close()
 
 
+async def test_a_namespace_that_searches_is_the_program_in_it(pair: SidecarPair) -> None:
+    """roscpp's `NodeHandle::searchParam` sends its namespace, `/` or `/arm`, as the caller_id."""
+    for name in ("/arm/driver", "/leg/driver"):
+        pair.site.publish(name, f"{name}/state")
+        pair.site.grant(name, Right.PARAM_GET | Right.PARAM_SET, f"/robot/{name[1:4]}")
+        pair.site.grant(name, Right.PARAM_GET | Right.PARAM_SET, f"{name[:4]}/speed")
+    async with (
+        sidecar(pair.site) as running,
+        Program("/arm/driver", running) as arm,
+        Program("/leg/driver", running) as leg,
+        Program("/arm", running) as space,
+        Program("/", running) as root,
+    ):
+        await arm.register("registerPublisher", "/arm/driver/state", "std_msgs/String")
+        assert (await arm.ask(running.uri, "setParam", "/arm/speed", 1)) == [
+            1, "parameter /arm/speed set", 0,
+        ]  # fmt: skip
+        assert (await arm.ask(running.uri, "setParam", "/robot/arm", 1)) == [
+            1, "parameter /robot/arm set", 0,
+        ]  # fmt: skip
+        assert (await space.ask(running.uri, "searchParam", "speed"))[2:] == ["/arm/speed"]  # type: ignore[index]
+        found = await root.ask(running.uri, "searchParam", "robot/arm")
+        assert found == [1, "Found [/robot/arm]", "/robot/arm"]
+        await leg.register("registerPublisher", "/leg/driver/state", "std_msgs/String")
+        # Two nodes below `/` in one process: the first of them, which `/proc` names.
+        assert (await root.ask(running.uri, "searchParam", "robot/arm"))[0] == 1  # type: ignore[index]
+        assert (await space.ask(running.uri, "searchParam", "speed"))[2:] == ["/arm/speed"]  # type: ignore[index]
+        # Only the search has such a caller_id; and nobody searches from where no node is.
+        assert (await space.ask(running.uri, "getParam", "/arm/speed"))[0] == -1  # type: ignore[index]
+        nobody = Program("/tail", running)
+        answer = await nobody.ask(running.uri, "searchParam", "speed")
+        assert "/tail has no identity here" in str(answer)
+        await nobody.close()
+
+
+async def test_of_several_nodes_in_a_namespace_the_calling_process_searches(
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair.site.grant("/listener", Right.PARAM_GET | Right.PARAM_SET, "/speed")
+    async with (
+        sidecar(pair.site) as running,
+        Program("/talker", running) as talker,
+        Program("/listener", running) as listener,
+        Program("/", running) as root,
+    ):
+        await talker.register("registerPublisher", "/word", "std_msgs/String")
+        await listener.register("registerSubscriber", "/word", "std_msgs/String")
+        await listener.ask(running.uri, "setParam", "/speed", 1)
+
+        async def is_listener(_callers: Callers, _sock: socket.socket, port: int) -> bool:
+            return port == listener.slave.port
+
+        monkeypatch.setattr(Callers, "is_program_at", is_listener)
+        assert await root.ask(running.uri, "searchParam", "speed") == [
+            1, "Found [/speed]", "/speed",
+        ]  # fmt: skip
+
+        async def is_talker(_callers: Callers, _sock: socket.socket, port: int) -> bool:
+            return port == talker.slave.port
+
+        monkeypatch.setattr(Callers, "is_program_at", is_talker)
+        assert "Cannot find" in str(await root.ask(running.uri, "searchParam", "speed"))
+
+
 async def test_a_taken_port_is_reported_with_a_hint(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     settings = read((), site.environ, default_name="/sidecar")
@@ -201,3 +268,71 @@ async def test_the_number_of_identities_is_bounded(
         assert isinstance(answer, list)
         assert (answer[0], answer[1][:43]) == (-1, "rossec: too many identities in one sidecar ")
         await program.close()
+
+
+async def asked(pair: SidecarPair, body: bytes) -> object:
+    """What a foreign client gets for a body of its own; an answer must come."""
+    reader, writer = await asyncio.open_connection(*parse_uri(pair.talker_sidecar.uri))
+    writer.write(b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
+    async with asyncio.timeout(30):
+        head = await reader.readuntil(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 200 ")
+        length = re.search(rb"Content-length: (\d+)", head)
+        assert length is not None
+        answer = await reader.readexactly(int(length[1]))
+    writer.close()
+    return xmlrpc.load_response(answer)
+
+
+@pytest.mark.parametrize(
+    "value", ["<i8>5000000000</i8>", "<nil/>", "<array><data><value><nil/></value></data></array>"]
+)
+async def test_what_cannot_be_carried_is_answered_with_a_fault(
+    pair: SidecarPair, value: str
+) -> None:
+    """Without an answer roscpp calls again for ever."""
+    pair.site.grant("/talker", Right.PARAM_SET, "/talker/**")
+    values = "".join(
+        f"<param><value>{each}</value></param>"
+        for each in ("<string>/talker</string>", "<string>/talker/x</string>", value)
+    )
+    body = f"<methodCall><methodName>setParam</methodName><params>{values}</params></methodCall>"
+    with pytest.raises(Fault, match="a value that XML-RPC cannot carry"):
+        await asked(pair, body.encode())
+
+
+async def test_an_i8_of_32_bits_is_an_integer(pair: SidecarPair) -> None:
+    body = xmlrpc.dump_call("hasParam", ("/talker", "/x")).replace(
+        b"<string>/x</string>", b"<i8>7</i8>"
+    )
+    answer = await asked(pair, body)
+    assert isinstance(answer, list)
+    assert answer[0] == -1
+
+
+async def test_a_call_that_is_too_long_is_answered_with_a_fault(pair: SidecarPair) -> None:
+    body = xmlrpc.dump_call("setParam", ("/talker", "/x", "x" * xmlrpc.BODY_LIMIT))
+    with pytest.raises(Fault, match="where at most 4194304 are allowed"):
+        await asked(pair, body)
+
+
+async def test_a_long_call_without_a_grant_is_answered_with_a_fault(pair: SidecarPair) -> None:
+    """At once by the master, or for the length at which it ends the connection."""
+    pair.site.enroll("/bare")
+    for size in (100_000, 1_500_000):
+        body = xmlrpc.dump_call("setParam", ("/bare", "/x", "x" * size))
+        with pytest.raises(Fault, match=r"without a grant|shown no grant"):
+            await asked(pair, body)
+
+
+async def test_as_many_parameters_are_read_as_stock_gives(pair: SidecarPair) -> None:
+    pair.site.grant("/talker", Right.PARAM_SET | Right.PARAM_GET, "/talker/**")
+    async with Program("/talker", pair.talker_sidecar) as program:
+        tree = {f"namespace{number}": {"leaf": "x" * 60, "other": number} for number in range(9000)}
+        assert len(xmlrpc.dump_call("setParam", ("/talker", "/talker/tree", tree))) > 1_500_000
+        answer = await program.ask(program.master_uri, "setParam", "/talker/tree", tree)
+        assert isinstance(answer, list)
+        assert answer[0] == 1, answer
+        answer = await program.ask(program.master_uri, "getParam", "/talker/tree")
+        assert isinstance(answer, list)
+        assert answer[2] == tree

@@ -130,3 +130,13 @@ async def test_the_location_cache_is_bounded(
         for each in (end, other, end):
             assert await owners.holds(peeruid.holder_of(each).inode)
     assert len(searches) == 3
+
+
+async def test_the_process_that_holds_a_socket(owners: SocketOwners) -> None:
+    with programs(2) as several:
+        ends = [several.connection(which) for which in range(2)]
+        found = [await owners.process_of(peeruid.holder_of(end).inode) for end in ends]
+        assert [each and each.pid for each in found] == [each.pid for each in several.running]
+        assert await owners.process_of(0) is None
+        for end in ends:
+            end.close()

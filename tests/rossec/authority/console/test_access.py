@@ -197,6 +197,18 @@ def test_two_first_phones_of_two_pages_do_not_both_come_in(access: Access) -> No
         ask(access, "add-passkey", asked[1].id, codes[1], "other", *answer)
 
 
+def test_a_proposal_whose_digits_differ_is_refused(access: Access) -> None:
+    link = ask(access, "phone-link")
+    assert isinstance(link, str)
+    proposal = from_value(Proposal, add(access, Passkey(), "Ben's", link, "propose-passkey"))
+    ask(access, "end-proposal", proposal.id)
+    assert ask(access, "proposals") == []
+    with pytest.raises(PasskeyUnknown):
+        access.proposals.get(proposal.id)
+    with pytest.raises(PasskeyUnknown):
+        ask(access, "end-proposal", proposal.id)
+
+
 def test_a_phone_there_is_proposes_and_adds_nothing(site: ConsoleWork, access: Access) -> None:
     link = ask(access, "phone-link")
     assert isinstance(link, str)

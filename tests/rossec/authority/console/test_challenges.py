@@ -1,10 +1,12 @@
-"""Challenges: taken once, for their purpose, in time; a flood ends no challenge of the other."""
+"""Challenges: used once, for their purpose, in time; a flood ends none."""
+
+from functools import partial
 
 import pytest
 
 from ca.approvals.challenges import Challenge, Purpose
 from ca.errors import OtherChallenge
-from rossec.authority.console.challenges import LIFETIME, MAX_CHALLENGES, Challenges
+from rossec.authority.console.challenges import LIFETIME, MAX_USED, Challenges
 
 NOW = 1_800_000_000
 
@@ -13,15 +15,20 @@ def make(challenges: Challenges, purpose: Purpose) -> Challenge:
     return challenges.make(purpose, "home", "http://localhost", "localhost", NOW)
 
 
-def test_a_challenge_is_taken_once_and_for_its_purpose() -> None:
+def test_a_challenge_is_used_once_and_for_its_purpose() -> None:
     challenges = Challenges()
     challenge = make(challenges, Purpose.LOGIN)
     with pytest.raises(OtherChallenge):
-        challenges.take(Purpose.PASSKEY, challenge.id)
-    assert challenges.take(Purpose.LOGIN, challenge.id) == challenge
-    assert (challenge.until, len(challenge.id)) == (NOW + LIFETIME, 16)
-    with pytest.raises(OtherChallenge, match="answered before"):
-        challenges.take(Purpose.LOGIN, challenge.id)
+        challenges.open(Purpose.PASSKEY, challenge.id)
+    assert challenges.open(Purpose.LOGIN, challenge.id) == challenge
+    assert challenge.until == NOW + LIFETIME
+    challenges.use(challenge)
+    for again in (
+        lambda: challenges.open(Purpose.LOGIN, challenge.id),
+        partial(challenges.use, challenge),
+    ):
+        with pytest.raises(OtherChallenge, match="answered before"):
+            again()
 
 
 def test_a_challenge_ends() -> None:
@@ -30,14 +37,44 @@ def test_a_challenge_ends() -> None:
     challenge = make(challenges, Purpose.LOGIN)
     time[0] += LIFETIME
     with pytest.raises(OtherChallenge, match="took too long"):
-        challenges.take(Purpose.LOGIN, challenge.id)
+        challenges.open(Purpose.LOGIN, challenge.id)
 
 
-def test_challenges_are_bounded_for_each_purpose() -> None:
-    challenges = Challenges()
-    kept = make(challenges, Purpose.PASSKEY)
-    made = [make(challenges, Purpose.LOGIN) for _ in range(MAX_CHALLENGES + 1)]
-    assert challenges.take(Purpose.PASSKEY, kept.id)
-    assert challenges.take(Purpose.LOGIN, made[1].id)
+@pytest.mark.parametrize("number", [b"", bytes(16), bytes(200), b"\xff" * 64])
+def test_an_id_from_elsewhere_is_none(number: bytes) -> None:
     with pytest.raises(OtherChallenge):
-        challenges.take(Purpose.LOGIN, made[0].id)
+        Challenges().open(Purpose.LOGIN, number)
+
+
+def test_every_octet_of_an_id_counts() -> None:
+    challenges = Challenges()
+    number = make(challenges, Purpose.LOGIN).id
+    for place in range(len(number)):
+        changed = bytes(octet ^ (at == place) for at, octet in enumerate(number))
+        with pytest.raises(OtherChallenge):
+            challenges.open(Purpose.LOGIN, changed)
+    with pytest.raises(OtherChallenge):
+        Challenges().open(Purpose.LOGIN, number)  # of another process
+
+
+@pytest.mark.attack("login-flood")
+def test_those_who_ask_for_challenges_end_none() -> None:
+    challenges = Challenges()
+    first = make(challenges, Purpose.LOGIN)
+    for _ in range(10_000):
+        make(challenges, Purpose.LOGIN)
+    assert challenges.open(Purpose.LOGIN, first.id) == first
+    assert len(challenges) == 0, "nothing is kept of what nobody answered"
+
+
+def test_what_was_used_is_remembered_until_its_end_and_no_more_than_that() -> None:
+    time = [0.0]
+    challenges = Challenges(lambda: time[0])
+    made = [make(challenges, Purpose.LOGIN) for _ in range(MAX_USED + 1)]
+    for each in made[:-1]:
+        challenges.use(each)
+    with pytest.raises(OtherChallenge):
+        challenges.use(made[-1])
+    time[0] += LIFETIME
+    challenges.use(make(challenges, Purpose.LOGIN))
+    assert len(challenges) == 1

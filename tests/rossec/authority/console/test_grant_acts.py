@@ -5,21 +5,32 @@ from pathlib import Path
 
 import pytest
 
-from ca.encoding import Value, encode
+from ca.approvals.statement import Kind
+from ca.encoding import Value, decode, encode
 from ca.errors import StoreError
-from grants import document
+from grants import claims, document
 from grants.document import GRANT
+from grants.model import ID_SIZE
 from rossec.authority.console.grant_acts import Answer
+from rossec.authority.console.questions import Questions
+from rossec.authority.console.reading import Reading
+from rossec.authority.console.records import many
+from rossec.authority.console.views import ApprovalView, GrantQuestion
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
-from tests.support.consoleacts import POLICY, Acts
+from tests.support.consoleacts import DAY, POLICY, Acts
 
 SHA = bytes(32)
+TWO = POLICY.replace("prompt: {subscribe: [/pose]}", "prompt: {subscribe: [/pose, /odom]}")
 
 
 @pytest.fixture
 def acts(tmp_path: Path) -> Acts:
     return Acts(tmp_path / "home")
+
+
+def questions_of(acts: Acts) -> tuple[GrantQuestion, ...]:
+    return many(GrantQuestion, Questions(acts.work).questions())
 
 
 def signed(acts: Acts) -> list[bytes]:
@@ -33,7 +44,9 @@ def test_grants_are_signed_as_they_were_shown(acts: Acts) -> None:
     shown = Answer.from_bytes(prepared.payload)
     acts.pass_time(200)
     outcome = acts.touch(prepared)
-    assert (outcome.state, outcome.result) == ("done", "/map has what it asked for")
+    assert (outcome.state, outcome.result) == (
+        "done", "/map may subscribe /pose, until 2027-01-15 09:00:00 UTC",
+    )  # fmt: skip
     (data,) = signed(acts)
     assert GRANT.peek_body(data) == shown.grants[0][0]
     grant = document.peek(data)
@@ -50,6 +63,61 @@ def test_a_coarser_answer_restricts_the_grant(acts: Acts) -> None:
     (permission,) = document.peek(data).permissions
     assert permission.restriction is not None
     assert permission.restriction.filters
+    views = many(ApprovalView, Reading(acts.work, acts.access.last_used).approvals(9))
+    (view,) = [each for each in views if each.kind == Kind.GRANT]
+    for said in (view.sentence, view.result):
+        assert said.startswith("/map may subscribe /pose (not all of it), until 20")
+
+
+def test_what_was_given_is_told_by_its_claims(acts: Acts) -> None:
+    outcome = acts.approve("grant", acts.ask("/map"), "coarse-position", 3600)
+    match decode(outcome.data):
+        case [bytes(body)]:
+            found = claims.read(body, bytes(ID_SIZE))
+        case _:
+            raise AssertionError(outcome.data)
+    assert (found.subject, found.expires) == ("/map", acts.now + 3600)
+    assert found.permissions[0].restriction is not None
+
+
+def test_a_time_that_the_policy_does_not_allow_is_refused_and_not_shortened(acts: Acts) -> None:
+    question = acts.ask("/map")
+    with pytest.raises(KeyServiceRefused, match="allows this for 7d at most"):
+        acts.prepare("grant", question, "", 30 * DAY)
+    assert acts.approve("grant", question, "", 7 * DAY).state == "done"
+
+
+def test_each_right_of_a_request_is_approved_by_itself(acts: Acts) -> None:
+    (acts.home.path / "policy.yaml").write_text(TWO)
+    request = acts.ask("/map", "/pose", "/odom")
+    pose, odom = sorted(questions_of(acts), key=lambda each: each.rights[0].pattern, reverse=True)
+    assert request not in (pose.id, odom.id)
+    assert {pose.request, odom.request} == {request}
+    acts.lock()
+    waits = acts.approve("grant", pose.id, "", 0)
+    assert [each.id for each in questions_of(acts)] == [odom.id]
+    acts.removals.deny_question(odom.id, "no")
+    acts.unlock()
+    acts.approving.carry_out_waiting()
+    assert acts.outcome(waits.id).state == "done", "denying one right takes back no other"
+    (data,) = signed(acts)
+    assert [each.pattern for each in document.peek(data).permissions] == ["/pose"]
+    with acts.store() as store:
+        told = {(each.stored.requested.pattern, each.answer)
+                for each in GrantRequestStore(store.database).answers()}  # fmt: skip
+    assert told == {("/pose", "granted"), ("/odom", "denied")}
+
+
+def test_denying_a_request_takes_back_what_was_approved_of_it(acts: Acts) -> None:
+    (acts.home.path / "policy.yaml").write_text(TWO)
+    request = acts.ask("/map", "/pose", "/odom")
+    acts.lock()
+    waits = acts.approve("grant", questions_of(acts)[0].id, "", 0)
+    acts.removals.deny_question(request, "no")
+    acts.unlock()
+    acts.approving.carry_out_waiting()
+    assert acts.outcome(waits.id).state == "failed"
+    assert not signed(acts)
 
 
 def test_a_question_is_answered_once(acts: Acts) -> None:

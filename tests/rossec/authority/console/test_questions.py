@@ -12,7 +12,8 @@ from grants.request import RequestedRight
 from rossec.authority.approvals import ApprovalQueue
 from rossec.authority.console.questions import MAX_SECONDS, Questions, changed_by, pending_of
 from rossec.authority.console.records import many
-from rossec.authority.console.views import AskedRight, GrantQuestion
+from rossec.authority.console.removals import Removals
+from rossec.authority.console.views import AskedRight, GrantQuestion, QuestionAnswer
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consolework import NOW, ConsoleWork, ask
@@ -49,7 +50,8 @@ def test_a_question_is_what_waits_for_a_person(site: ConsoleWork, questions: Que
     node = site.enroll("/heating")
     number = site.ask_for(node, POSE, TEMPERATURE, DOOR, why="to be <b>warm</b>")
     (question,) = many(GrantQuestion, ask(questions, "questions"))
-    assert (question.id, question.node, question.why) == (number, "/heating", "to be <b>warm</b>")
+    assert (question.request, question.node) == (number, "/heating")
+    assert question.why == "to be <b>warm</b>"
     assert question.key == site.home.store().valid_certificate("/heating", NOW).thumbprint
     assert (question.at, question.expires, question.lifetime) == (NOW, NOW + 60, 3600)
     (right,) = question.rights
@@ -84,10 +86,29 @@ def test_considering_shows_what_would_be_granted(site: ConsoleWork, questions: Q
 
 def test_only_what_is_subscribed_can_be_coarse(site: ConsoleWork, questions: Questions) -> None:
     number = site.ask_for(site.enroll("/heating"), POSE, LIFT)
-    (question,) = many(GrantQuestion, ask(questions, "questions"))
-    assert (len(question.rights), question.coarse) == (2, ())
-    with pytest.raises(HintedError):
-        ask(questions, "consider", number, "room", 0)
+    found = {
+        each.rights[0].pattern: each for each in many(GrantQuestion, ask(questions, "questions"))
+    }
+    assert found["/lift"].coarse == ()
+    assert "room" in found["/pose"].coarse, "what else it asks for is a question of its own"
+    assert {each.request for each in found.values()} == {number}
+    (right,) = many(AskedRight, ask(questions, "consider", found["/pose"].id, "room", 0))
+    assert right.pattern == "/pose"
+    for question in (number, found["/lift"].id):
+        with pytest.raises(HintedError):
+            ask(questions, "consider", question, "room", 0)
+
+
+def test_how_a_question_was_answered_is_told(site: ConsoleWork, questions: Questions) -> None:
+    number = site.ask_for(site.enroll("/heating"), POSE)
+    ask(questions, "questions")
+    assert ask(questions, "question-answers", number) == []
+    Removals(site.work, lambda: None).deny_question(number, "not you")
+    (answer,) = many(QuestionAnswer, ask(questions, "question-answers", number))
+    assert answer == QuestionAnswer(
+        "/heating", int(Right.SUBSCRIBE), "/pose", "denied", "not you", NOW
+    )
+    assert ask(questions, "question-answers", bytes(16)) == []
 
 
 def test_questions_of_several_nodes_are_apart(site: ConsoleWork, questions: Questions) -> None:

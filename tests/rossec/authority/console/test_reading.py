@@ -1,6 +1,7 @@
 """What the console shows of the record."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -177,3 +178,21 @@ def test_an_answer_is_bounded_and_says_so(
 def test_an_invitation_that_was_approved_is_in_words() -> None:
     statement = approving.state(Invitation("/lamp/*", 3, NOW + 60, wildcard=False))
     assert sentence(statement, b"") == "join code for 3 of /lamp/*"
+
+
+class _View(NamedTuple):
+    node: str
+    text: str
+
+
+@pytest.mark.attack("looker-floods")
+def test_what_one_node_has_pushes_nothing_of_another_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = [_View("/many", f"{number:040}") for number in range(330)]
+    views += [_View("/one", "x"), _View("/one", "y")]
+    monkeypatch.setattr(module, "ROOM", 1000)
+    shown = bounded("grants", views, lambda view: view.node)
+    assert shown[-2:] == [["/one", "x"], ["/one", "y"]]
+    assert shown[0] == ["/many", f"{0:040}"]
+    assert 10 < len(shown) < 30
+    chosen = module.shared(views, lambda view: view.node, 10)
+    assert [view.node for view in chosen] == ["/many"] * 8 + ["/one"] * 2

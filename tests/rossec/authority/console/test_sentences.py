@@ -7,6 +7,7 @@ from ca.encoding import encode
 from grants.claims import from_draft
 from grants.document import peek
 from rossec.authority.console.sentences import sentence
+from rossec.clock import format_time
 from tests.support.approving import WHATS, state
 from tests.support.consoleservice import FakeHome
 
@@ -23,9 +24,11 @@ def test_a_sentence_about_a_grant_names_its_node() -> None:
     grant = peek(FakeHome().grants[1].data)
     payload = encode([b"", [], [[encode(from_draft(grant, grant.issuer)), ""]]])
     asked = state(Grant(b"r" * 16, b"d" * 32))
-    assert sentence(asked, payload) == "what /doctor asked for"
+    assert sentence(asked, payload) == (
+        f"/doctor may subscribe /robot/pose, until {format_time(grant.cap)}"
+    )
     for malformed in (b"", b"\xff", encode([]), encode([b"", [], [[b"x", ""]]])):
-        assert sentence(asked, malformed) == "what a node asked for"
+        assert sentence(asked, malformed) == "a right of a node"
 
 
 def test_a_sentence_has_no_control_characters() -> None:

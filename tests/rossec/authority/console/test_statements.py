@@ -4,12 +4,13 @@ import pytest
 
 from ca.approvals.statement import Enroll, Kind, RevokeMaster, Statement
 from ca.errors import ApprovalOutdated
+from rossec.authority.console import owners
 from rossec.authority.console.statements import (
     MAX_OF_KIND,
-    MAX_STATEMENTS,
     PreparedStatement,
     Statements,
 )
+from rossec.errors import KeyServiceRefused
 from tests.support.approving import NOW, WHATS, state
 
 
@@ -27,9 +28,11 @@ def statements(time: Time) -> Statements:
     return Statements(lambda: time.elapsed)
 
 
-def add(statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL) -> Statement:
+def add(
+    statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL, owner: str = ""
+) -> Statement:
     statement = state(WHATS[kind], id=number.to_bytes(16))
-    statements.add(PreparedStatement(statement, b"payload", ("arguments",)))
+    statements.add(PreparedStatement(statement, b"payload", ("arguments",)), owner)
     return statement
 
 
@@ -67,18 +70,14 @@ def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) 
     assert isinstance(statements.take(other.id, NOW).statement.what, RevokeMaster)
 
 
-def test_there_are_few_in_all(statements: Statements) -> None:
-    kinds = [kind for kind in Kind if kind is not Kind.FOREIGN_DOMAIN]
-    made = [
-        add(statements, 100 * place + number, kind)
-        for place, kind in enumerate(kinds)
-        for number in range(MAX_OF_KIND)
-    ]
-    left = 0
-    for each in made:
-        try:
-            statements.take(each.id, NOW)
-            left += 1
-        except ApprovalOutdated:
-            continue
-    assert left == MAX_STATEMENTS
+@pytest.mark.attack("looker-floods")
+def test_whoever_only_looks_ends_nothing_of_a_phone(statements: Statements) -> None:
+    phone, looker = owners.of_phone("Anna's"), owners.of_looker(b"1")
+    first = add(statements, 1, owner=phone)
+    for number in range(2, 200):
+        add(statements, number, owner=looker)
+    assert statements.take(first.id, NOW)
+    full = [add(statements, 1000 + number, owner=phone) for number in range(MAX_OF_KIND)]
+    with pytest.raises(KeyServiceRefused):
+        add(statements, 2000, owner=looker)
+    assert all(statements.take(each.id, NOW) for each in full)

@@ -7,6 +7,7 @@ import pytest
 from ca.certificates import from_pem
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.cli.ca import identities
+from rossec.home import NodeHome
 from tests.support.commands import Shell, refused
 
 NOBODY = ("--master", "http://127.0.0.1:1")
@@ -55,9 +56,59 @@ def test_an_identity_is_renewed_by_name(
     shell.enroll("/robot1/camera")
     said = shell.unlocked("ca", "renew", "/robot1/camera", "--for", "10d")
     assert said.out.startswith("renewed /robot1/camera: robot1.camera.pem\n")
-    assert "next, on its machine: rossec node install robot1.camera.pem" in said.out
+    assert f"installed in {shell.node('/robot1/camera')}" in said.out
     assert len(from_pem((tmp_path / "robot1.camera.pem").read_bytes())) == 2
+    away = shell.node("/robot1/camera").rename(tmp_path / "away")  # the node of another machine
+    said = shell.unlocked("ca", "renew", "/robot1/camera")
+    assert "next, on its machine: rossec node install robot1.camera.pem" in said.out
+    away.rename(shell.node("/robot1/camera"))
     assert shell("node", "install", "robot1.camera.pem", "--yes").code == 0
+
+
+def test_one_that_cannot_be_installed_here_is_still_written(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shell.enroll("/robot")
+    shell.enroll("/other")
+    key = shell.node("/robot") / "node.key"
+    key.write_bytes((shell.node("/other") / "node.key").read_bytes())
+    said = shell.unlocked("ca", "renew", "/robot")
+    assert "not installed in" in said.err
+    assert "next, on its machine: rossec node install robot.pem" in said.out
+
+
+def test_an_identity_that_is_over_comes_back_with_its_key(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("/robot", "/stolen"):
+        shell.enroll(name)
+    shell.unlocked("ca", "revoke", "/stolen", *NOBODY)
+    before = NodeHome.of(shell.root, "/robot").identity(int(time.time()))
+    soon = before.not_after - 86400
+    monkeypatch.setattr(identities, "now", lambda: soon)
+    said = shell("ca", "list")
+    assert "not renewed yet, with less than a third of their time left: /robot" in said.err
+    rows = {row["name"]: row["ends_soon"] for row in json.loads(shell("ca", "list", "--json").out)}
+    assert rows == {"/ca": False, "/robot": True}
+    late = before.not_after + 86400
+    for module in ("rossec.cli.ca.identities", "rossec.cli.shared.service"):
+        monkeypatch.setattr(f"{module}.now", lambda: late)
+    said = shell("ca", "list")
+    assert "/robot" not in said.out
+    assert "over: /robot (with key and grants back by: rossec ca renew --expired NAME)" in said.err
+    assert "/stolen" not in said.err
+    refused(
+        shell.unlocked("ca", "renew", "/robot"),
+        "the identity of /robot ended on 20", "rossec ca renew --expired /robot",
+    )  # fmt: skip
+    assert shell.unlocked("ca", "renew", "--expired", "/robot").code == 0
+    after = NodeHome.of(shell.root, "/robot").identity(late)
+    assert after.thumbprint == before.thumbprint
+    said = shell.unlocked("ca", "renew", "--expired", "/stolen")
+    refused(said, "the identity of /stolen is revoked")
+    refused(shell.unlocked("ca", "renew", "--expired", "/nobody"), "has no valid identity here")
 
 
 def test_the_authoritys_own_node_is_renewed_in_place(

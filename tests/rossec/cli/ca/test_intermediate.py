@@ -81,7 +81,9 @@ def test_signing_shows_what_the_intermediate_may_do(shell: Shell, host: Shell) -
 
 def test_a_pending_request_is_not_overwritten(shell: Shell, host: Shell) -> None:
     request = ("ca", "intermediate", "request", "home")
-    refused(shell.unlocked(*request), "there is an authority in", "ROSSEC_HOME of its own")
+    refused(
+        shell.unlocked(*request), "there is an authority in", "on another host, there: ROSSEC_HOME="
+    )
     assert host.unlocked(*request).code == 0
     refused(host("ca", "list"), "there is no authority")
     refused(host.unlocked(*request), "exists and is not overwritten")
@@ -116,3 +118,16 @@ def test_a_host_signs_no_grants(shell: Shell, host: Shell) -> None:
     said = host.unlocked("grant", "sign", "/robot", "--subscribe", "/a", "--for", "1d")
     refused(said, "an intermediate cannot sign grants", "do it at the root")
     assert AuthorityHome.at(host.root).store().grants() == []
+
+
+def test_the_root_says_what_its_record_does_not_know(shell: Shell, host: Shell) -> None:
+    """A name may have been certified for another key below an intermediate."""
+    shell.enroll("/doctor")
+    assert "may have certified" not in shell.unlocked("ca", "revoke", "/doctor", *NOBODY).err
+    shell.enroll("/nurse")
+    name = installed(shell, host)
+    said = shell.unlocked("ca", "revoke", "/nurse", *NOBODY)
+    assert f"{name} may have certified other keys for /nurse" in said.err
+    assert "rossec ca import" in said.err
+    said = host("ca", "invite", "/fleet/*", "--address", "127.0.0.1:9")
+    assert "each waits for a person" in said.err

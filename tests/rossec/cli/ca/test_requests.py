@@ -101,3 +101,20 @@ def test_a_request_is_approved_for_anonymous_nodes(shell: Shell) -> None:
     request_id = asked(shell, "/rviz")
     said = shell.unlocked("ca", "approve", request_id, "--anonymous")
     assert "under every name that begins with /rviz_" in said.out
+
+
+def test_every_digit_of_a_beginning_counts(shell: Shell) -> None:
+    """What is no beginning of an id approves nothing, also where only the last digit differs."""
+    asked(shell)
+    store = AuthorityHome.at(shell.root).store()
+    (row,), all_ids = store.requests.open(), [each.digest.hex() for each in store.requests.all()]
+    request_id = row.digest.hex()
+    for size in (1, 2, 3, 4, 5, 63, 64):
+        tried = (request_id[: size - 1] + digit for digit in "0123456789abcdef")
+        wrong = next(each for each in tried if not any(id_.startswith(each) for id_ in all_ids))
+        for command in ("approve", "deny"):
+            refused(shell("ca", command, wrong), f"0 requests begin with {wrong!r}")
+    for longer in (f"{request_id}0", f"{request_id}00", f" {request_id}"):
+        assert shell("ca", "deny", longer).code == 1
+    assert [each.state for each in store.requests.open()] == ["pending"]
+    assert shell.unlocked("ca", "approve", request_id[:11].upper()).code == 0

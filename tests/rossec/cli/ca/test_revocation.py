@@ -5,6 +5,7 @@ import pytest
 
 from rossec import clock
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
+from rossec.authority.service import AuthorityService
 from rossec.home import NodeHome
 from rossec.master.server.start import master_of
 from tests.rossec.cli.ca.record import key_of, listed
@@ -30,7 +31,7 @@ def test_an_identity_can_be_revoked(shell: Shell) -> None:
 
 def test_an_unknown_or_invalid_name_is_not_revoked(shell: Shell) -> None:
     refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no valid identity")
-    refused(shell.unlocked("ca", "revoke", "robot"), "not an absolute ROS name", "/robot1/camera")
+    refused(shell.unlocked("ca", "revoke", "robot"), "not an absolute ROS name", "/robot")
     refused(shell.unlocked("ca", "revoke", "/ca"), "the authority's own node", "create a new one")
     assert listed(shell) == frozenset()
 
@@ -90,3 +91,40 @@ async def test_a_master_takes_the_newest_list(
         assert (said.code, said.out) == (0, "the master has the newest list\n")
     finally:
         await server.close()
+
+
+def test_what_a_list_from_before_a_restore_revokes_is_taken_over(shell: Shell) -> None:
+    shell.enroll("/robot")
+    assert shell.unlocked(*REVOKE).code == 3
+    home = AuthorityHome.at(shell.root)
+    (shell.root / "held.cbor").write_bytes(home.revocation_list())
+    key = key_of(shell, "/robot")
+    refresh = ("ca", "refresh", "--list", str(shell.root / "held.cbor"), *REVOKE[-2:])
+    said = shell.unlocked(*refresh)
+    assert f"0 revocations were taken over from {shell.root / 'held.cbor'}\n" in said.out
+    assert listed(shell) == {key}
+
+
+def test_several_are_revoked_and_one_that_cannot_be_stops_none(shell: Shell) -> None:
+    for name in ("/robot", "/lamp"):
+        shell.enroll(name)
+    said = shell.unlocked("ca", "revoke", "/robot", "/nobody", "/lamp", *REVOKE[-2:])
+    assert "revoked /robot, 1 key" in said.out
+    assert "revoked /lamp, 1 key" in said.out
+    assert "/nobody has no valid identity" in said.err
+    assert listed(shell) == {key_of(shell, "/robot"), key_of(shell, "/lamp")}
+    pem = ("--certificate", str(shell.node("/robot") / "node.pem"))
+    assert shell.unlocked("ca", "revoke", "/robot", "/lamp", *pem).code == 2
+    refused(
+        shell.unlocked("ca", "revoke", "/robot", *pem), "/robot is a node of this domain", "LABEL:"
+    )
+
+
+def test_keys_that_an_intermediate_may_have_certified_are_spoken_of(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shell.enroll("/robot")
+    monkeypatch.setattr(AuthorityService, "intermediates", lambda _: ["intermediate:0123"])
+    said = shell.unlocked(*REVOKE)
+    assert "intermediate:0123 may have certified other keys for /robot" in said.err
+    assert "or revoke intermediate:0123" in said.err

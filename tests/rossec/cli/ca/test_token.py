@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
+from rossec.authority.token_modules import FILE
 from tests.support.commands import Shell, refused
-from tests.support.token import PIN, softhsm
+from tests.support.token import MODULE, PIN, softhsm
 
 NOBODY = ("--master", "http://127.0.0.1:1")
 URI = "pkcs11:token=home;object=authority"
@@ -29,7 +30,14 @@ def test_the_whole_life_of_an_authority(token: Shell, tmp_path: Path) -> None:
     assert token("ca", "log", "verify").code == 0
     backup = str(tmp_path / "backup")
     assert token.unlocked("ca", "backup", backup).code == 0
-    assert token.unlocked("ca", "restore", backup, "--over", "home").code == 0
+    assert token.unlocked("ca", "restore", backup, "--without-list", "--over", "home").code == 0
+    assert (token.root / FILE).read_text() == f"{MODULE}\n"
+    elsewhere = Shell(tmp_path / "elsewhere", token._capsys)
+    elsewhere.secret.write_text(PIN + "\n")
+    anew = ("ca", "restore", backup, "--without-list")
+    refused(elsewhere.unlocked(*anew), "as it says", "--pkcs11-module")
+    assert elsewhere.unlocked(*anew, "--pkcs11-module", MODULE).code == 0
+    assert elsewhere.unlocked("ca", "refresh", *NOBODY).code == 3
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("ca.keys.hsm.TokenSigner.open", None)  # nothing but `init` makes keys
         refused(token.unlocked("ca", "init", "home", "--key", URI), "there is an authority")
@@ -40,3 +48,16 @@ def test_an_invalid_key_uri_is_refused(token: Shell) -> None:
     init = ("ca", "init", "home", "--key", "pkcs11:token=none;object=x")
     refused(token.unlocked(*init), "there is no token none")
     assert not (token.root / "ca").exists()
+
+
+def test_a_home_of_an_older_version_goes_on(token: Shell) -> None:
+    """It recorded no module: it was made here, and not restored."""
+    assert token.unlocked("ca", "init", "old", "--key", f"{URI}-old").code == 0
+    (token.root / FILE).unlink()
+    assert token.unlocked("ca", "refresh", *NOBODY).code == 3
+    assert (token.root / FILE).read_text() == f"{MODULE}\n"
+
+
+def test_a_module_is_named_from_the_root(token: Shell) -> None:
+    init = ("ca", "init", "home", "--key", f"{URI}-x?module-path=./libsofthsm2.so")
+    refused(token.unlocked(*init), "not the absolute path of a PKCS#11 module")

@@ -10,6 +10,7 @@ import pytest
 
 from rossec.cli.console import show_demo
 from rossec.demo.environment import DemoEnvironment, DemoFailed
+from rossec.demo.trying import WaitingNode
 from tests.support.commands import Shell, refused
 
 
@@ -29,6 +30,11 @@ def play(monkeypatch: pytest.MonkeyPatch, ends: bool) -> list[Path]:
         os.kill(os.getpid(), signal.SIGINT)
         await asyncio.Event().wait()
 
+    async def show_code(demo: DemoEnvironment) -> WaitingNode:
+        other = DemoEnvironment(demo.root / "fridge", demo.printer, {}, demo.run)
+        return WaitingNode("ROSSEC:CODE", other)
+
+    monkeypatch.setattr(show_demo, "show_code", show_code)
     monkeypatch.setattr(show_demo, "begin_story", begin_story)
     monkeypatch.setattr(DemoEnvironment, "until_one_ends", until_one_ends)
     return roots
@@ -43,6 +49,9 @@ def test_it_prints_the_link_and_ends_with_ctrl_c(
     assert "    http://localhost:7499/login#code\n" in said.out
     assert f"ROSSEC_HOME={roots[0]} rossec console phone" in said.out
     assert "leaves nothing" in said.out
+    below = said.out.partition("http://localhost:7499/login#code")[2]
+    assert "ROSSEC:CODE" in below
+    assert f"ROSSEC_HOME={roots[0] / 'fridge'} rossec node confirm /fridge" in below
     assert not roots[0].exists()
 
 

@@ -136,3 +136,37 @@ def test_a_grant_for_another_domain_is_listed_by_its_label(
     assert said.code == 0, said.err
     listed = visit.shell("grant", "list", "--master", "http://127.0.0.1:1").out
     assert "  hospital:/rounds/robot3  subscribe /pose  " in listed
+
+
+async def test_a_master_in_another_home_gets_the_list_with_the_first_grant(robot: Shell) -> None:
+    """It has received none, and refuses every grant without one."""
+    robot.enroll("/master")
+    shutil.move(robot.node("/robot"), robot.root / "elsewhere")
+    home = NodeHome.of(robot.root, "/master")
+    master = master_of(home, host="127.0.0.1", port=0, newest=None, now=int(time.time()))
+    await master.start()
+    try:
+        sign = ("grant", "sign", "/robot", "--publish", "/p", "--master", master.uri)
+        said = await asyncio.to_thread(robot.unlocked, *sign)
+        assert (said.code, said.err) == (0, "")
+        assert said.out.endswith("the master has the grant, and gives it to the node\n")
+    finally:
+        await master.close()
+
+
+async def test_a_grant_that_the_master_refuses_is_no_success(
+    robot: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.rights.deposits.MAX_HELD", 0)
+    shutil.move(robot.node("/robot"), robot.root / "elsewhere")
+    async with running_master(robot) as master:
+        sign = ("grant", "sign", "/robot", "--publish", "/p", "--json", "--master", master.uri)
+        said = await asyncio.to_thread(robot.unlocked, *sign)
+        assert said.code == 3
+        found = json.loads(said.out)
+        assert [each["node"] for each in found["refused"]] == ["/robot"]
+        assert found["error"] == "1 grant is signed, but not delivered"
+        said = await asyncio.to_thread(robot, "grant", "deliver", "--master", master.uri)
+        assert said.code == 3
+        assert said.err.startswith("rossec: the master refuses the grant ")
+        assert "rossec: hint: afterwards deliver it with: rossec grant deliver" in said.err

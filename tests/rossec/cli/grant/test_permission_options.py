@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from ca.errors import PatternRefused
 from grants.errors import FilterRefused
+from grants.filters.presets import PRESETS
 from grants.model import Permission, Restriction, Right, filter_rules
 from rossec.cli.grant.permission_options import (
     for_node,
@@ -44,7 +45,7 @@ def test_options() -> None:
 
 def test_a_preset_and_more_hold_together() -> None:
     made = restrictions(POSE, rules((), (), ()), ("now.getHours() >= 8",), None, "coarse-position")
-    assert [item.rate for item in made] == [1 / 30, None]
+    assert [item.rate for item in made] == [None, None]
     wanted = {Right.PUBLISH: ("/out",), Right.SUBSCRIBE: ("/pose", "/other"), Right.CALL: ("/go",)}
     granted = permissions(wanted, graph=True, restricted=made)
     assert [item.restriction for item in granted] == [None, *made, *made, *made, None]
@@ -125,3 +126,37 @@ def test_own_names_are_those_of_the_node() -> None:
             own_pattern(text, "/robot", tail=False)
     with pytest.raises(PatternRefused, match="no name of /remote/lab/robot"):
         own_pattern("{node}/a", "/remote/lab/robot", tail=False)
+
+
+@pytest.mark.attack("two-spellings")
+@pytest.mark.parametrize(
+    ("clear", "rounds", "clamps"),
+    [
+        (("x",), ("x=2",), ()),
+        (("x",), (), ("x=0:1",)),
+        ((), ("x=2", "x=0.001"), ()),
+        ((), ("x=2",), ("x=0:1",)),
+    ],
+)
+def test_of_two_filters_for_one_field_none_is_lost(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> None:
+    with pytest.raises(ConfigurationError, match="x: 2 filters for one field"):
+        rules(clear, rounds, clamps)
+
+
+@pytest.mark.attack("two-spellings")
+@pytest.mark.parametrize(
+    "said",
+    [("--rate", "1", "--rate", "50"), ("--preset", "coarse-position", "--preset", [*PRESETS][-1]),
+     ("--type", POSE, "--type", "std_msgs/String")],
+)  # fmt: skip
+def test_a_restriction_is_not_replaced_by_a_second_one(said: tuple[str, ...]) -> None:
+    @click.command()
+    @wishes
+    def command(**_: Any) -> None:
+        raise AssertionError("not called")
+
+    done = CliRunner().invoke(command, said)
+    assert done.exit_code == 2
+    assert "given more than once" in done.output

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.commands import Shell, refused
+from tests.support.refusingmaster import refuse_grants
 
 POLICY = """rossec: 1
 robot: r
@@ -46,17 +47,41 @@ def test_a_request_the_policy_allows_is_signed(site: Shell, tmp_path: Path) -> N
     assert " for /heating until " in first
     assert "  may subscribe /robot/pose" in rest
     assert "    pose.position: round step 2.0" in rest
-    assert rest[-1] == "2 allowed, 0 for you, 1 denied: see `rossec grant pending`"
+    assert rest[-3:] == [
+        "denied /heating call /door: by rule no",
+        "  what would change it: rossec explain /heating call /door",
+        "2 allowed, 0 for you, 1 denied",
+    ]
     assert len(list((site.node("/heating") / "grants").iterdir())) == 1
     assert len(list((tmp_path / "out").iterdir())) == 1
     assert site("grant", "pending").out == "no open requests\n"
+
+
+def test_a_denial_by_default_is_said_with_what_would_change_it(site: Shell) -> None:
+    (site.root / "ca" / "policy.yaml").write_text("rossec: 1\nrobot: r\nrules: []\n")
+    ask(site, "--publish", "/nobody/said")
+    said = site.unlocked("grant", "decide", "--json")
+    (denial,) = json.loads(said.out)["denials"]
+    assert denial["reason"].startswith("no rule gives it, and where none does the policy denies")
+    assert "denied /heating publish /nobody/said: no rule gives it" in said.err
+    assert "rossec explain /heating publish /nobody/said" in said.err
+
+
+def test_who_asks_where_there_is_no_policy_is_told_who_can_answer(shell: Shell) -> None:
+    shell.enroll("/lamp")
+    said = shell("grant", "request", "/lamp", "--publish", "/lamp/on", "--why", "it shines")
+    assert said.code == 0
+    assert "there is no policy that decides it: rossec grant sign /lamp --publish /lamp/on" in (
+        said.err
+    )
+    assert "rossec policy init" in said.err
 
 
 def test_a_request_is_sent_as_a_file(site: Shell, tmp_path: Path) -> None:
     out = tmp_path / "heat.request"
     ask(site, "--publish", "/heat", "--out", str(out))
     said = site.unlocked("grant", "decide", str(out))
-    assert "1 allowed, 0 for you: see" in said.out
+    assert "1 allowed, 0 for you\n" in said.out
     refused(site.unlocked("grant", "decide", str(out)), "already recorded or answered", "pending")
 
 
@@ -97,7 +122,7 @@ def test_an_approved_request_is_signed_with_a_preset(site: Shell) -> None:
     number = ask(site, "--subscribe", "/robot/pose")
     said = site.unlocked("grant", "approve", number, "--approximate", "coarse-position")
     assert "    pose.position: round hysteresis 2.0 step 4.0" in said.out
-    assert "    at most one message every 30 s" in said.out
+    assert "    one message at the start of each 30 s" in said.out
 
 
 def test_a_filter_that_is_not_there(site: Shell) -> None:
@@ -149,3 +174,21 @@ def test_an_invalid_file_in_the_inbox_is_reported_and_dropped(site: Shell) -> No
     (site.root / "ca" / "inbox" / "x.request").write_bytes(b"?")
     said = site("grant", "pending")
     assert said.err.startswith("rossec: a request was dropped: x.request: not a request")
+
+
+@pytest.mark.parametrize("wish", [("--publish", "/heat"), ("--call", "/lift")])
+def test_an_answer_that_the_master_refuses_is_no_success(
+    site: Shell, wish: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The policy allows the one, a person the other."""
+    number = ask(site, *wish)
+    site.node("/heating").rename(site.root / "elsewhere")
+    refuse_grants(monkeypatch)
+    said = site.unlocked("grant", "decide")
+    if wish[1] == "/lift":
+        assert said.code == 0
+        said = site.unlocked("grant", "approve", number[:8])
+    assert said.code == 3
+    assert "of /heating: no room\n" in said.err
+    assert "rossec: error: 1 grant is signed, but not delivered" in said.err
+    assert "rossec grant deliver" in said.err.splitlines()[-1]

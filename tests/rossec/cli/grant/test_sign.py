@@ -112,7 +112,7 @@ def test_an_unusable_file_lifetime_or_name_is_found_before_signing(
     said = robot.unlocked(*sign, "--for", "3651d")
     refused(said, "at most 3650d are allowed", "grant sign --help", code=2)
     said = robot.unlocked("grant", "sign", "robot", "--publish", "/p")
-    refused(said, "'robot' is not an absolute ROS name", "write it as /robot1/camera")
+    refused(said, "'robot' is not an absolute ROS name", "for example /robot:")
     assert robot("grant", "list").out == ""
     assert taken.read_text() == "mine"
 
@@ -122,3 +122,8 @@ def test_each_preset_says_what_it_hides_and_discloses(robot: Shell) -> None:
     assert lines[::3] == list(PRESETS)
     assert all(line.startswith("  hides ") for line in lines[1::3])
     assert all(line.startswith("  still discloses ") for line in lines[2::3])
+
+
+def test_a_mistyped_node_is_answered_with_the_near_one(robot: Shell) -> None:
+    said = robot.unlocked("grant", "sign", "/robt", "--publish", "/p")
+    refused(said, "/robt has no valid identity here", "did you mean /robot? else first enroll it")

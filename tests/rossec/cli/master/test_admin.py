@@ -16,8 +16,18 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
 
 
 def test_without_a_running_master_there_is_no_answer(shell: Shell) -> None:
+    shell.node("/master").mkdir(parents=True)
     for verb in ("status", "stop"):
-        refused(shell("master", verb), "the master does not answer", "--admin")
+        said = shell("master", verb)
+        refused(said, "the master does not answer", "--admin")
+        assert "Errno" not in said.err
+
+
+def test_where_no_master_is_the_home_is_doubted(shell: Shell) -> None:
+    shell.node("/other").mkdir(parents=True)
+    (shell.node("/other") / "node.key").touch()
+    for verb in ("status", "stop"):
+        refused(shell("master", verb), "there is no /master in ", "here are: /other")
 
 
 async def test_the_running_master_is_asked_at_its_socket(shell: Shell) -> None:

@@ -103,4 +103,4 @@ def test_the_root_renews_no_identities_for_a_master(shell: Shell) -> None:
     assert shell.unlocked("ca", "init", "home").code == 0
     shell.enroll("/master")
     said = shell.unlocked("master", "--renew-identities", "--port", "0")
-    refused(said, "holds the root, which signs no renewals for a master", "make an intermediate")
+    refused(said, "holds the root, whose service renews identities", "leave it out, and run")

@@ -87,7 +87,7 @@ async def test_a_node_in_order_and_its_faults(
         assert "rossec node request /third" in said
         code, said = await doctor("/robot", ROS_MASTER_URI="http://127.0.0.1:1")
         assert code == 1
-        assert "1 of 4 checks failed" in said
+        assert "1 of 5 checks failed" in said
         code, said = await doctor("/robot", ROSSEC_POST_QUANTUM="often")
         assert code == 1
         assert "ROSSEC_POST_QUANTUM is 'often'" in said
@@ -109,7 +109,8 @@ async def test_an_identity_that_expires_soon_is_reported(
     (site.root / "rossec.toml").write_text('[rospy]\nallow_plain = ["/f"]\n')
     assert run(["doctor", "/robot", "--offline"], {"ROSSEC_HOME": str(site.root)}) == 1
     said = "".join(capsys.readouterr())
-    assert "the identity ends soon" in said
+    assert "the identity ends soon, in 3m" in said
+    assert "rossec ca renew /robot, then here: rossec node install FILE" in said
     assert "PLAIN   /f" in said
 
 
@@ -224,7 +225,7 @@ def test_every_node_of_this_machine_is_checked(shell: Shell) -> None:
     assert sum("/robot of home until" in line for line in lines) == 1
     assert "not ok  /arm/left: no grants: it may do nothing" in lines
     assert "not ok  /robot: no grants: it may do nothing" in lines
-    assert "of 6 checks failed" in said.err
+    assert "of 8 checks failed" in said.err
 
 
 def test_what_several_nodes_have_in_common_is_said_once(shell: Shell) -> None:
@@ -241,7 +242,7 @@ def test_what_several_nodes_have_in_common_is_said_once(shell: Shell) -> None:
 
 
 def test_a_machine_without_nodes(empty: Shell) -> None:
-    refused(empty("doctor"), "there is no node in", "rossec node request NAME")
+    refused(empty("doctor"), "there is no node in", "rossec node request /NAME")
 
 
 async def test_a_grant_that_only_the_master_knows_to_be_revoked(

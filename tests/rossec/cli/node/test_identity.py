@@ -16,7 +16,7 @@ def test_a_request_names_the_next_command(shell: Shell) -> None:
         f"next, at the authority: rossec ca sign {shell.node('/robot')}/node.csr"
     )
     refused(shell("node", "request", "/robot"), "has a key already", "node.csr")
-    refused(shell("node", "request", "robot"), "not an absolute ROS name", "/robot1/camera")
+    refused(shell("node", "request", "robot"), "not an absolute ROS name", "for example /robot:")
 
 
 def test_a_request_for_the_name_that_rules_give(shell: Shell, tmp_path: Path) -> None:

@@ -1,14 +1,15 @@
 import io
 import stat
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-import click
 import pytest
 
 from ca.enrollment import invitation
 from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
 from ca.errors import CertificateExpired
+from rossec.cli.node import join as module
 from rossec.home import NodeHome
 from rossec.naming import shipped
 from tests.support.commands import PASSPHRASE, Shell, refused
@@ -36,6 +37,12 @@ class Pasted:
     def __call__(self, data: str | bytes) -> None:
         raw = data.encode() if isinstance(data, str) else data
         self._monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(raw)))
+
+
+def test_a_wrong_name_is_said_before_the_code_is_asked_for(shell: Shell, pasted: Pasted) -> None:
+    pasted("no code")
+    refused(shell("node", "join", "--name", "talker-1"), "not an absolute ROS name", "/talker_1")
+    assert sys.stdin.read() == "no code"
 
 
 def test_a_node_joins_with_one_command(shell: Shell, pasted: Pasted) -> None:
@@ -192,32 +199,27 @@ def test_no_code(shell: Shell, pasted: Pasted, data: bytes) -> None:
 def test_a_terminal_is_asked_and_shows_nothing(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[dict[str, object]] = []
+    """Line by line until the code is whole: a mail has broken its line."""
+    asked: list[str] = []
 
-    def prompt(text: str, **options: object) -> str:
-        asked.append({"text": text, **options})
-        return line
+    def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
+        asked.append(question)
+        broken = [f"{line[at : at + 40]}\n" for at in range(0, len(line), 40)]
+        taken = ["".join(broken[: end + 1]) for end in range(len(broken))]
+        assert [is_whole(each) for each in taken] == [False] * (len(broken) - 1) + [True]
+        return taken[-1]
 
     with JoinPort(shell.root, PASSPHRASE) as port:
-        line = invited(shell, port, "/robot")
+        line = invited(shell, port, "/robot").strip()
         monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-        monkeypatch.setattr("click.prompt", prompt)
+        monkeypatch.setattr(module, "read_lines", read_lines)
         assert shell("node", "join").code == 0
-    assert asked == [
-        {
-            "text": "the line of `rossec ca invite` (it is not shown)",
-            "hide_input": True,
-            "err": True,
-        }
-    ]
+    assert asked == ["the line of `rossec ca invite` (it is not shown)"]
 
 
 def test_nothing_is_typed(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    def prompt(*_: object, **__: object) -> str:
-        raise click.Abort
-
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr("click.prompt", prompt)
+    monkeypatch.setattr(module, "read_lines", lambda *_: "\n")
     refused(shell("node", "join"), "no code was given", "--file")
 
 

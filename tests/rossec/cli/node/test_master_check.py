@@ -48,13 +48,18 @@ def test_what_is_said_is_a_lower_bound(
         assert isinstance(found, HintedError)
 
 
+async def revoke_at_master(site: Site, name: str) -> None:
+    """Revoke the identity of a node; the master has the list then."""
+    own = credentials(site, "/carrier")
+    assert site.master is not None
+    data = site.revoke(site.identity(name).thumbprint)
+    await call(site.master.uri, own, "rossec.updateRevocations", "/carrier", data)
+
+
 async def test_a_master_whose_own_identity_is_revoked(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         home = site.enroll("/robot")
-        own = credentials(site, "/carrier")
-        assert site.master is not None
-        data = site.revoke(site.identity("/master").thumbprint)
-        await call(site.master.uri, own, "rossec.updateRevocations", "/carrier", data)
+        await revoke_at_master(site, "/master")
         with pytest.raises(HintedError) as raised:
             async for _ in check_master(Environment(site.environ), home, ()):
                 pass
@@ -94,3 +99,21 @@ def test_no_time_is_taken_from_who_is_not_authenticated(tmp_path: Path) -> None:
 
     (refusal,) = asyncio.run(ask())
     assert refusal is not ConfigurationError
+
+
+async def test_a_node_that_is_revoked_is_told_by_which_list(tmp_path: Path) -> None:
+    async with Site(tmp_path / "site").running() as site:
+        home = site.enroll("/robot")
+        await revoke_at_master(site, "/robot")
+        with pytest.raises(ConfigurationError, match=r"by list \d+ of the authority"):
+            async for _ in check_master(Environment(site.environ), home, ()):
+                pass
+
+
+async def test_another_master_than_the_own_is_said(tmp_path: Path) -> None:
+    async with Site(tmp_path / "site").running() as site:
+        home = site.enroll("/robot")
+        environment = Environment({**site.environ, "ROSSEC_MASTER": "/master/kitchen"})
+        with pytest.raises(ConfigurationError, match="/master answers there, not /master/kitchen"):
+            async for _ in check_master(environment, home, ()):
+                pass

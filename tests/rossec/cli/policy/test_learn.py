@@ -31,14 +31,15 @@ def log(tmp_path: Path, *lines: str) -> str:
 def test_rules_are_learned_from_a_log(shell: Shell, file: Path, tmp_path: Path) -> None:
     lines = log(tmp_path, log_line(1, "/joy", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"))
     said = shell("policy", "learn", "--from-log", lines, "--policy", str(file))
+    total = file.read_text().count("- id: ") + file.read_text().count("{id: ")
     assert said.out.splitlines() == [
         "learned learned-joy: publish /cmd_vel",
-        f"1 rules in {file}; next: rossec policy review --from-log FILE",
+        f"1 new rule, {total} in {file}; next: rossec policy review --from-log FILE",
     ]
     assert "learned-joy" in file.read_text()
     out = tmp_path / "new.yaml"
     again = ("policy", "learn", "--from-log", lines, "--policy", str(file), "--out", str(out))
-    assert shell(*again).out.startswith("0 rules")
+    assert shell(*again).out.startswith("0 new rules, ")
     assert PolicyFile.read(out).policy.rules
 
 
@@ -146,7 +147,7 @@ def test_own_names_of_anonymous_nodes_are_learned_for_every_run(
 
     monkeypatch.setattr(module, "_observe_graph", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
-    assert said.out.startswith("learned learned-rviz: provide {node}/load\n1 rules")
+    assert said.out.startswith("learned learned-rviz: provide {node}/load\n1 new rule, ")
     learned = PolicyFile.read(file).policy.rules[-1]
     assert [clause.pattern for clause in learned.clauses] == ["{node}/load"]
 
@@ -159,7 +160,7 @@ def test_what_basics_give_is_left_to_basics(shell: Shell, file: Path, tmp_path: 
         log_line(3, "/joy", Right.PUBLISH, "/cmd_vel"),
     )
     said = shell("policy", "learn", "--from-log", lines, "--policy", str(file))
-    assert said.out.startswith("learned learned-joy: publish /cmd_vel\n1 rules")
+    assert said.out.startswith("learned learned-joy: publish /cmd_vel\n1 new rule, ")
     assert "add basics: true to the policy" in said.err
     new = tmp_path / "new.yaml"
     said = shell("policy", "learn", "--from-log", lines, "--policy", str(new))

@@ -11,6 +11,7 @@ from rossec.home import NodeHome
 from rossec.master.server.start import master_of
 from rossec.node import Node
 from tests.support.commands import Shell, refused
+from tests.support.refusingmaster import refuse_grants
 
 POSE = "geometry_msgs/PoseStamped"
 
@@ -101,6 +102,18 @@ async def test_a_running_connection_ends_at_once(site: Shell) -> None:
             await asyncio.to_thread(site, "grant", "request", "/viewer", "--subscribe", "/pose",
                                     "--why", "again")  # fmt: skip
             said = await asyncio.to_thread(site.unlocked, "grant", "decide")
-            assert said.out.startswith("0 allowed, 0 for you, 1 denied: see")
+            assert said.out.endswith("\n0 allowed, 0 for you, 1 denied\n")
     finally:
         await server.close()
+
+
+def test_what_the_master_refuses_is_said_after_the_revocation(
+    site: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--publish", "/out")
+    site.node("/viewer").rename(site.root / "elsewhere")
+    refuse_grants(monkeypatch)
+    said = site.unlocked("privacy", "opt-out", "/pose")
+    assert said.code == 3
+    assert "the master has the new list" in said.out
+    assert "1 grant is signed, but not delivered" in said.err

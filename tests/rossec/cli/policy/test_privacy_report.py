@@ -57,6 +57,20 @@ def test_the_page_is_the_report_of_the_console(site: Shell, tmp_path: Path) -> N
     assert "No receiver has access" in page.read_text()
 
 
+def test_the_page_has_titles_and_the_times_of_this_host(site: Shell, tmp_path: Path) -> None:
+    path = site.root / "ca" / "policy.yaml"
+    path.write_text(POLICY + "title: {/viewer: the tablet, /pose: where it is}\n")
+    assert site("policy", "check").code == 0
+    site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--for", "1d")
+    page = tmp_path / "privacy.html"
+    assert site("privacy", "--held", "--html", str(page)).code == 0
+    text = page.read_text()
+    assert '<b class="title"><bdi>the tablet</bdi></b> <bdi class="name">/viewer</bdi>' in text
+    assert "where it is" in text
+    assert "UTC" not in text
+    assert site("privacy", "--held").out.count("UTC") >= 1, "a terminal's are as in all commands"
+
+
 WITHOUT_JINJA = """
 import sys
 sys.modules["jinja2"] = None

@@ -141,9 +141,11 @@ async def test_watching_ends_with_the_identity(site: Site, monkeypatch: pytest.M
         await until(lambda: "publisher" in "".join(said))
         monkeypatch.setattr(module, "now", lambda: int(time.time()) + 2 * DAY)
         await site.restart_master()
-        with pytest.raises(ConfigurationError, match="of /desk has expired, and") as caught:
+        with pytest.raises(
+            ConfigurationError, match=r"the identity of /desk ended on .*, and it was not renewed"
+        ) as caught:
             await asyncio.wait_for(following, 20)
-    assert "rossec ca renew /desk" in caught.value.hint
+    assert "rossec ca renew --expired /desk" in caught.value.hint
 
 
 async def test_the_same_error_is_printed_once(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@ from pathlib import Path
 
 import pytest
 
-from rossec.channel.opening import WireProtocol
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import (
     calls_as,
@@ -16,7 +15,7 @@ from rossec.cli.shared.master import (
     with_master,
 )
 from rossec.errors import ChannelClosed, ConfigurationError, MasterNotFound
-from rossec.net.bounds import DIALLED
+from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import call, credentials
 from tests.support.discovered import FOUND, Searches
 from tests.support.site import Site
@@ -90,15 +89,22 @@ async def test_another_node_at_the_masters_address_is_refused(site: Site) -> Non
 
 
 async def test_how_long_a_call_may_be_is_up_to_the_master(tmp_path: Path) -> None:
-    site, length = Site(tmp_path / "site"), DIALLED[WireProtocol.HTTP].unit + 1
-    site.limits = replace(site.limits, body=2 * length)
+    site, length = Site(tmp_path / "site"), 2 * 1024 * 1024
     home = site.enroll("/looker")
-    async with site.running():
-        environment = Environment(site.environ)
-        async with master_as(environment, home, await find_master(environment, home)) as client:
-            answer = await client.call("setParam", home.name, "/p", bytes(length))
-            assert isinstance(answer, list)
-            assert answer[0] == -1, "refused for want of a grant, not for its length"
+    site.subscribe("/looker", "/pose")
+    for limits, said in ((site.limits, "needs the right"), (replace(site.limits, body=length), "")):
+        site.limits = limits
+        async with site.running():
+            environment = Environment(site.environ)
+            uri = await find_master(environment, home)
+            async with master_as(environment, home, uri) as client:
+                await client.ask("rossec.presentGrants", home.name, home.grants())
+                if said:
+                    answer = await client.call("setParam", home.name, "/p", bytes(length))
+                    assert said in str(answer), "refused for want of a grant, not for its length"
+                else:
+                    with pytest.raises(Fault):
+                        await client.call("setParam", home.name, "/p", bytes(length))
 
 
 async def test_grants_are_presented_before_a_call(site: Site) -> None:

@@ -7,8 +7,10 @@ import pytest
 
 from rossec import clock
 from rossec.cli.shared import message_text
+from rossec.cli.shared.message_output import flat, plain, render
+from rossec.cli.shared.message_text import fill, parse_arguments, parse_message
 from rossec.errors import ConfigurationError
-from rossec.participant.message_types import message_type
+from rossec.participant.message_types import message_type, register_type
 from tests.support.commands import Shell, refused
 
 STRING = "std_msgs/String"
@@ -86,7 +88,7 @@ def test_documents_are_separated_as_echo_separates_them() -> None:
     ("type_name", "content", "error", "hint"),
     [
         (STRING, {"data": 5}, "data is text, not a whole number", "put text that looks like"),
-        (STRING, ["a", "b"], "2 values for 1 fields", "give all of data in this order"),
+        (STRING, ["a", "b"], "2 values for 1 field$", "give all of data in this order"),
         ("nav_msgs/Path", {"poses": {}}, "poses is a list, not a mapping", "write"),
         (
             "nav_msgs/Path",
@@ -131,3 +133,50 @@ def test_invalid_yaml_is_refused(empty: Shell) -> None:
     refused(
         empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse"
     )
+
+
+def test_fields_named_as_keywords_of_python_are_filled_shown_and_come_back() -> None:
+    register_type("keyword_msgs/Inner", "float64 class")
+    definition = "Inner from\nInner[] self\nstring None\nfloat32[2] is"
+    kind = register_type("keyword_msgs/Outer", definition)
+    message = kind.create()
+    given = {"from": {"class": 1.5}, "self": [{"class": 2.5}], "None": "x", "is": [1, 2]}
+    fill(message, given)
+    assert plain(kind.deserialize(kind.serialize(message))) == given
+    again = kind.create()
+    fill(again, parse_message(render(message)))
+    assert plain(again) == given
+    assert flat(message)["self[0].class"] == "2.5"
+
+
+@pytest.mark.parametrize(
+    ("content", "refusal"),
+    [([1], "1 value for 0 fields"), ({"a": [1]}, "no field 'a'")],
+)
+def test_a_message_without_fields_is_counted_in_words(content: object, refusal: str) -> None:
+    with pytest.raises(ConfigurationError, match=refusal) as raised:
+        fill(message_type("std_msgs/Empty").create(), content)
+    assert "in this order" not in raised.value.hint
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("topic", "pub", "/p", "geometry_msgs/PoseStamped"), "{header: {frame_id: map}}"),
+        (("service", "call", "/s"), "{data: true}"),
+        (("param", "set", "/p"), "[1, 2]"),
+    ],
+)
+def test_a_message_that_the_shell_made_words_of_is_given_back_in_quotes(
+    shell: Shell, command: tuple[str, ...], words: str
+) -> None:
+    said = shell(*command, *words.split(" "), "--as", "/robot")
+    refused(
+        said, f"the shell made {len(words.split())} words of the ", f"in single quotes: '{words}'"
+    )
+
+
+def test_several_values_of_one_message_are_no_mistake() -> None:
+    assert parse_arguments(["1", "{a: 2}", "[3, 4]"]) == [1, {"a": 2}, [3, 4]]
+    with pytest.raises(ConfigurationError, match="cannot parse"):
+        parse_arguments(["{a", "b"])

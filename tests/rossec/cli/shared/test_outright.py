@@ -1,8 +1,11 @@
 """A new identity gets at once what the policy gives its name, and only that."""
 
+import pytest
+
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
 from tests.support.commands import Shell
+from tests.support.refusingmaster import refuse_grants
 
 POLICY = """rossec: 1
 robot: r
@@ -73,3 +76,19 @@ def test_a_replaced_key_gets_its_own(shell: Shell) -> None:
     assert "the policy gives /robot: publish /odom, graph /**" in out
     assert len(AuthorityHome.at(shell.root).store().policy_grants()) == 4
     assert "nothing to do" in shell("policy", "apply").out
+
+
+def test_grants_that_the_master_refuses_are_a_note(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The identity is signed by then."""
+    write(shell, POLICY.replace('"/robot*"', "/robot"))
+    shell("node", "request", "/robot")
+    request = shell.root / "robot.csr"
+    (shell.node("/robot") / "node.csr").rename(request)
+    shell.node("/robot").rename(shell.root / "elsewhere")
+    refuse_grants(monkeypatch)
+    said = shell.unlocked("ca", "sign", str(request), "--yes")
+    assert said.code == 0
+    assert said.err.count("of /robot: no room\n") == 2
+    assert "rossec: afterwards deliver it with: rossec grant deliver\n" in said.err

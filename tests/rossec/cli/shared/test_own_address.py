@@ -6,9 +6,15 @@ from rossec.enrollment import address
 
 
 def test_as_ros_is_configured(capsys: pytest.CaptureFixture[str]) -> None:
-    assert own_address(Environment({"ROS_IP": "10.0.0.7"})) == "10.0.0.7"
-    assert own_address(Environment({"ROS_HOSTNAME": "robot.local"})) == "robot.local"
+    assert own_address(Environment({"ROS_IP": "127.0.0.1"})) == "127.0.0.1"
     assert capsys.readouterr().err == ""
+    assert own_address(Environment({"ROS_HOSTNAME": "robot.local"})) == "robot.local"
+
+
+def test_an_address_of_another_host_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    """Robots would be sent there, and find nobody."""
+    assert own_address(Environment({"ROS_IP": "192.0.2.7"})) == "192.0.2.7"
+    assert "ROS_IP is 192.0.2.7, which is no address of this host" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("others", [[], ["fd00::7"]])

@@ -1,3 +1,4 @@
+import io
 import os
 from pathlib import Path
 
@@ -72,6 +73,7 @@ def test_what_is_too_short_is_said_before_it_is_asked_twice(
         return next(typed)
 
     monkeypatch.setattr("getpass.getpass", getpass)
+    monkeypatch.setattr(passphrase, "can_hide", lambda: True)
     assert passphrase.choose(None, {}) == "typed by a person"
     assert [question.startswith("Repeat") for question in asked] == [False, False, True]
     assert "a passphrase of 5 characters protects nothing" in capsys.readouterr().err
@@ -82,8 +84,21 @@ def test_ctrl_c_at_the_prompt_is_raised(monkeypatch: pytest.MonkeyPatch) -> None
         raise KeyboardInterrupt
 
     monkeypatch.setattr("getpass.getpass", interrupted)
+    monkeypatch.setattr(passphrase, "can_hide", lambda: True)
     with pytest.raises(KeyboardInterrupt):
         passphrase.read(None, {})
+
+
+def test_without_a_terminal_a_line_of_the_input_is_read_without_a_word_of_python(
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    monkeypatch.setattr(passphrase, "can_hide", lambda: False)
+    monkeypatch.setattr("sys.stdin", io.StringIO("typed by a program\n"))
+    assert passphrase.read(None, {}) == "typed by a program"
+    assert "GetPassWarning" not in capfd.readouterr().err
+    assert len(recwarn) == 0
 
 
 def test_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,15 @@ from typing import Any
 import pytest
 
 from ca.enrollment import qr
-from ca.errors import CodeRefused, ConflictingOffer, EnrollmentExpired, HintedError, RequestSwapped
+from ca.errors import (
+    CodeRefused,
+    ConflictingOffer,
+    EnrollmentExpired,
+    EnrollmentOver,
+    HintedError,
+    RequestSwapped,
+)
+from rossec.authority.console import owners
 from rossec.console.enrollment import Destination, Enrollment, Known, Stage
 from rossec.console.enrollments import Enrollments
 from rossec.console.routing import MAX_FRAME
@@ -24,6 +32,7 @@ class Adding:
         core = compared(Robot("/fridge").enrollment(now=clock()), clock())
         self.begun: list[tuple[str, str]] = []
         self.rejected: list[str] = []
+        self.differing: list[str] = []
         self.refusal: HintedError | None = None
         service: Any = None
         where = Destination("192.168.1.7", 11317, "a screen")
@@ -35,7 +44,8 @@ class Adding:
             return Enrollments(None, "home", clock).get(number)  # type: ignore[arg-type]
         return self.found
 
-    def begin(self, text: str, address: str) -> str:
+    def begin(self, text: str, address: str, owner: str) -> str:
+        assert owner == owners.of_phone("Anna's phone")
         if self.refusal is not None:
             raise self.refusal
         self.begun.append((text, address))
@@ -43,6 +53,9 @@ class Adding:
 
     async def reject(self, number: str) -> None:
         self.rejected.append(number)
+
+    async def differ(self, number: str) -> None:
+        self.differing.append(number)
 
 
 def added(adding: Adding, **context: Any) -> Browser:
@@ -172,7 +185,31 @@ def test_the_digits_are_shown_in_two_groups_and_confirmed_at_the_node() -> None:
     text = added(adding).get(f"/add/{NUMBER}").text
     assert '<p class="digits">936 915</p>' in text
     assert "confirm <b>there</b>" in text
-    assert "<form" not in text
+    assert f'action="/add/{NUMBER}/differ"' in text
+    assert text.count("<form") == 1
+
+
+@pytest.mark.parametrize(
+    ("known", "error", "says"),
+    [
+        (Known.NEW, None, "is revoked: nothing accepts it"),
+        (Known.SAME_KEY, None, "keeps what it had"),
+        (Known.NEW, EnrollmentOver("the service is <away>", "try it"), "could not be ended"),
+    ],
+)
+def test_digits_that_differ_end_it_here(known: Known, error: HintedError | None, says: str) -> None:
+    adding = Adding()
+    adding.found.known, adding.found.error = known, error
+    adding.found.stage = Stage.DIFFERED
+    browser = added(adding)
+    answer = browser.post(f"/add/{NUMBER}/differ")
+    assert (answer.status_code, answer.headers["location"]) == (303, f"/add/{NUMBER}")
+    assert adding.differing == [NUMBER]
+    text = browser.get(f"/add/{NUMBER}").text
+    assert "Stopped: the digits differed" in text
+    assert says in text
+    assert "<away>" not in text
+    assert ("/revoke/node/fridge" in text) is (error is not None)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,12 @@
 import pytest
 
 from ca.approvals.statement import Kind
+from ca.encoding import encode
+from grants.claims import from_draft
+from grants.document import peek
 from rossec.authority.console.views import ApprovalView, Outcome
 from rossec.console.forms import to_base64url
+from rossec.console.words import day
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import Browser
 
@@ -56,6 +60,22 @@ def test_what_a_person_carries_to_a_host_is_shown() -> None:
 def test_nothing_else_that_was_made_is_shown_here(kind: Kind) -> None:
     text = approved("done", kind, b"ROSSEC-JOIN:X").get(PATH).text
     assert "ROSSEC-JOIN" not in text
+
+
+def test_what_was_given_is_told_and_until_when_not_what_was_asked() -> None:
+    coarse = peek(Browser().home.grants[2].data)
+    data = encode([encode(from_draft(coarse, coarse.issuer))])
+    browser = approved("done", Kind.GRANT, data, "some words")
+    (view,) = browser.home.approvals
+    browser.home.approvals = [view._replace(sentence="what /heating asked for")]
+    text = browser.get(PATH).text
+    assert "/heating" in text
+    assert "position to 0.5 m" in text
+    assert f"until {day(coarse.cap)}" in text
+    assert "asked for" not in text
+    for malformed in (b"\xff", encode(5), encode([b"x"]), encode([5])):
+        other = approved("done", Kind.GRANT, malformed, "some words")
+        assert "some words" in other.get(PATH).text
 
 
 def test_an_approval_of_another_number_is_not_there() -> None:

@@ -1,7 +1,11 @@
 """The page of a question."""
 
+import pytest
+
 from ca.errors import HintedError
-from rossec.authority.console.views import FactView
+from grants.claims import scope_of
+from grants.model import Permission, Right
+from rossec.authority.console.views import FactView, QuestionAnswer
 from rossec.console.forms import to_base64url
 from rossec.console.pages.ask import DENIED
 from rossec.console.settings import Settings
@@ -33,13 +37,36 @@ def test_the_reason_is_the_nodes_own_words() -> None:
 
 def test_each_way_to_answer_is_shown_in_words_and_pictures() -> None:
     text = Browser().log_in().get(PATH).text
-    assert "if you say yes" in text
-    assert "coarser" in text
+    assert text.count("All of it, as it asks") == 2
+    assert "Coarser" in text
     assert text.count("<svg") >= 3
     assert "(all of it)" in text
     assert "position to 0.5 m" in text
-    assert 'name="coarse" value="" checked' in text
-    assert 'name="coarse" value="room"' in text
+    assert 'name="coarse" value="coarse" checked' in text, "the narrowest"
+    assert text.index('name="coarse" value="room"') < text.index('name="coarse" value=""')
+    assert text.count(" checked") == 1
+    assert "It would only look" in text
+
+
+def test_a_command_looks_different_from_reading() -> None:
+    browser = Browser().log_in()
+    (question,) = browser.home.questions
+    drive = question.rights[0]._replace(
+        right=int(Right.PUBLISH), pattern="/cmd_vel", type="geometry_msgs/Twist",
+        permissions=scope_of([Permission("/cmd_vel", Right.PUBLISH)]),
+    )  # fmt: skip
+    other = question._replace(id=b"\4" * 16, rights=(drive,), coarse=())
+    browser.home.rights = (drive,)
+    browser.home.questions = [question, other]
+    text = browser.get(f"/ask/{to_base64url(other.id)}").text
+    assert 'class="acts"' in text
+    assert "It would act, not only look" in text
+    assert "drive: send commands to" in text
+    assert "there is no coarser form of it" in text
+    assert "It asked for 1 more thing at the same time" in text
+    assert 'class="acts"' not in browser.get(PATH).text
+    today = browser.get("/").text
+    assert today.count("It would act, not only look") == 1
 
 
 def test_the_durations_are_four_buttons_and_none_promises_too_much() -> None:
@@ -55,7 +82,30 @@ def test_denying_needs_only_the_session() -> None:
     answer = browser.post(f"{PATH}/deny")
     assert (answer.status_code, answer.headers["location"]) == (303, PATH)
     assert browser.asked("deny-question") == [(bytes([3]) * 16, DENIED)]
-    assert "This is answered" in browser.get(PATH).text
+    text = browser.get(PATH).text
+    assert ">Denied</h1>" in text
+    assert "may not see" in text
+    assert "denied at the console" in text
+
+
+@pytest.mark.parametrize(
+    ("answer", "heading"),
+    [
+        ("granted", "Approved"), ("no answer", "Denied: nobody answered in time"),
+        ("too many", "This is answered"),
+    ],
+)  # fmt: skip
+def test_how_it_was_answered_is_said(answer: str, heading: str) -> None:
+    browser = Browser().log_in()
+    (question,) = browser.home.questions
+    browser.home.questions = []
+    given = QuestionAnswer("/map", 2, "/robot/pose", answer, HOSTILE, browser.now)
+    browser.home.answers[question.id] = [given]
+    text = browser.get(PATH).text
+    assert f">{heading}</h1>" in text
+    assert "<script>alert" not in text
+    browser.home.refusals["question-answers"] = KeyServiceRefused("this service does not do that")
+    assert ">This is answered</h1>" in browser.get(PATH).text
 
 
 def test_a_filter_that_does_not_fit_is_not_offered() -> None:

@@ -24,13 +24,13 @@ def long_home() -> FakeHome:
 
 
 def nodes(text: str) -> list[str]:
-    return re.findall(r">(/node\d+)</bdi> <bdi>has a name", text)
+    return re.findall(r">(/node\d+)</bdi> <bdi>belongs", text)
 
 
 def test_record_and_denials_are_one_line_of_time() -> None:
     text = page().get("/log").text
     assert text.index("without being allowed to") < text.index("may no longer")
-    assert "has a name here now" in text
+    assert "belongs here now" in text
 
 
 def test_a_long_record_is_read_part_by_part_without_gap_or_repetition() -> None:

@@ -46,5 +46,5 @@ async def test_a_change_reaches_an_open_page_and_logging_out_ends_it(tmp_path: P
             running.home.number = 7
             await reader.readuntil(b"data: 7.0")
             await ask(running, "/logout", "POST", "", Cookie=cookie, Origin=running.origin)
-            assert b"data" not in await reader.readuntil(b"0\r\n\r\n")
+            assert b"data: 7" not in await reader.readuntil(b"\n0\r\n\r\n")
         writer.transport.abort()

@@ -15,7 +15,7 @@ def page(home: FakeHome | None = None) -> Browser:
 
 def test_a_node_shows_what_it_sees_and_was_allowed() -> None:
     text = page().get("/node/doctor").text
-    assert "Has a name here until" in text
+    assert "Its identity is valid until" in text
     assert "/robot/pose" in text
     assert "ended 30 minutes ago" in text
     assert "the visit is over" in text

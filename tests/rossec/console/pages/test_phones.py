@@ -49,6 +49,17 @@ def test_removing_another_phone_leads_back() -> None:
     assert "Removed" in browser.get("/phones").text
 
 
+def test_a_phone_whose_digits_differ_is_not_added() -> None:
+    browser = Browser().log_in("")
+    (proposal,) = browser.home.proposals
+    path = f"/phones/{to_base64url(proposal.id)}/differ"
+    assert f'action="{path}"' in browser.get("/phones").text
+    answer = browser.post(path)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/phones")
+    assert browser.asked("end-proposal") == [(proposal.id,)]
+    assert "wants to approve too" not in browser.get("/phones").text
+
+
 def test_a_screen_that_only_shows_offers_no_buttons() -> None:
     browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
     assert "/remove" not in browser.get("/phones").text

@@ -1,5 +1,7 @@
 """The first page."""
 
+import pytest
+
 from ca.encoding import encode
 from grants.model import Right
 from rossec.authority.console.views import (
@@ -8,6 +10,7 @@ from rossec.authority.console.views import (
     IdentityRequestView,
     Proposal,
 )
+from rossec.console.forms import to_base64url
 from rossec.console.pages.today import Counts, counts
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import NOW, FakeHome, as_service, demo
@@ -30,11 +33,11 @@ def test_nothing_waits_and_everything_is_shown() -> None:
     assert "position to 2 m, without direction, without the map&#39;s name" in text
     assert "Where is" in text
     assert "It depends who looks" in text
-    assert "12 squares in 240 messages" in text
+    assert "12 squares in this minute" in text
     assert "Made up." in text
     assert text.count("<svg") > 8
     assert "asked to see" in text
-    assert "1 other node has a name and sees no topic" in text
+    assert "1 other node sees no topic" in text
 
 
 def test_what_waits_comes_first_the_oldest_before_the_others() -> None:
@@ -83,6 +86,57 @@ def test_a_policy_that_has_changed_waits_for_an_answer() -> None:
     assert 'href="/policy"' in text
     made.home.refusals["policy"] = KeyServiceRefused("it cannot be read")
     assert "Nothing waits for you" in made.get("/").text
+
+
+def test_it_says_ending_until_every_node_has_heard() -> None:
+    """Also while the master does not answer: then nobody knows who has."""
+    made = page()
+    made.home.standing = made.home.standing._replace(nodes_with_list=2)
+    text = made.get("/").text
+    assert 'class="is-ending"' in text
+    assert "ended 30 minutes ago" in text
+    assert "Ending" in text
+    assert "Nobody else can" not in text
+    assert 'data-again="5"' in text
+    made.home.standing = made.home.standing._replace(nodes_with_list=3)
+    text = made.get("/").text
+    assert 'class="is-ended"' in text
+    assert "Nobody else can" in text
+    assert "data-again" not in text
+    away = page()
+    away.home.refusals["graph"] = KeyServiceRefused("no master answers")
+    assert 'class="is-ending"' in away.get("/").text
+    assert away.asked("standing") == [], "the page does not wait twice for a master that is away"
+    made.home.refusals["graph"] = KeyServiceRefused("no master answers")
+    assert 'class="is-ended"' in made.get("/").text, "it was heard before"
+    told = page()
+    told.get("/revoked/1/4?node=/doctor")
+    told.home.refusals["graph"] = KeyServiceRefused("no master answers")
+    assert 'class="is-ended"' in told.get("/").text, "the page of the three ticks said so"
+
+
+@pytest.mark.parametrize("path", ["/who", "/see/robot/camera", "/node/doctor", "/way", "/privacy"])
+def test_other_pages_say_ending_too(path: str) -> None:
+    made = page()
+    made.home.standing = made.home.standing._replace(nodes_with_list=2)
+    text = made.get(path).text
+    assert "every node has heard" in text or '<b class="ending">ending</b>' in text
+    assert 'data-again="5"' in text
+
+
+def test_a_grant_and_a_node_that_are_ending_say_so() -> None:
+    home = demo()
+    home.nodes[2] = home.nodes[2]._replace(revoked_at=NOW - 60, reason="sold")
+    made = page(home)
+    made.home.standing = made.home.standing._replace(is_at_master=False)
+    grant = made.get(f"/grant/{to_base64url(home.grants[2].id)}").text
+    assert "may do until every node has heard" in grant
+    assert "might" not in grant
+    assert "Being removed" in made.get("/node/heating").text
+    made.home.standing = made.home.standing._replace(is_at_master=True)
+    made.now += 1
+    assert "was allowed</h1>" in made.get(f"/grant/{to_base64url(home.grants[2].id)}").text
+    assert "Being removed" not in made.get("/node/heating").text
 
 
 def test_a_new_home_has_a_page() -> None:

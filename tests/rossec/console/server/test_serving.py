@@ -2,16 +2,23 @@
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator
+import ssl
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from rossec.console.server import places
 from rossec.console.server import serving as module
-from rossec.console.server.serving import MAX_HEAD, ConsoleServer
+from rossec.console.server.serving import MAX_HEAD, PLACE, ConsoleServer
+from rossec.console.tls.server_context import load, make_context
+from rossec.console.tls.store import key_pem
 from rossec.errors import PeerUserRefused
+from rossec.net.halfopen import HalfOpen
+from tests.support.console_tls import NOW, new_authority, new_key, pem
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
 
@@ -31,9 +38,11 @@ async def serving(app: ASGIApp = hello) -> AsyncIterator[int]:
             await server.close()
 
 
-async def ask(port: int, *pieces: bytes, pause: float = 0) -> bytes:
+async def ask(
+    port: int, *pieces: bytes, pause: float = 0, context: ssl.SSLContext | None = None
+) -> bytes:
     """Send the pieces; returns what comes until the end."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=context)
     try:
         for piece in pieces:
             writer.write(piece)
@@ -100,9 +109,9 @@ async def test_what_cannot_be_read_is_not_answered(data: bytes) -> None:
 async def test_connections_are_bounded_for_one_address_and_for_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for limit in ("MAX_FOR_ONE", "MAX_CONNECTIONS"):
+    for caps in (HalfOpen(per_address=2, total=9), HalfOpen(per_address=9, total=2)):
         with monkeypatch.context() as patch:
-            patch.setattr(module, limit, 2)
+            patch.setattr(places, "STRANGERS", caps)
             async with serving() as port:
                 first = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
                 await asyncio.sleep(0.05)
@@ -114,6 +123,82 @@ async def test_connections_are_bounded_for_one_address_and_for_all(
                 assert b"200 OK" in await ask(port, CLOSING)
 
 
+def server_context() -> ssl.SSLContext:
+    authority, key = new_authority(), new_key()
+    context = make_context()
+    leaf = authority.issue(key.public_key(), now=NOW, serial=9)
+    load(context, key_pem(key) + pem(leaf))
+    return context
+
+
+def client_context() -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
+
+
+def descriptors() -> int:
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+async def opened(port: int, address: str, count: int) -> list[asyncio.StreamWriter]:
+    where = (address, 0)
+    return [
+        (await asyncio.open_connection("127.0.0.1", port, local_addr=where))[1]
+        for _ in range(count)
+    ]
+
+
+@pytest.mark.attack("console-connections")
+@pytest.mark.parametrize("context", [None, server_context()], ids=["plain", "tls"])
+async def test_two_addresses_that_hold_all_places_keep_nobody_out(
+    context: ssl.SSLContext | None,
+) -> None:
+    """TLS that never begins is counted too: no more descriptors are held than there are places."""
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        port = sock.getsockname()[1]
+        server = ConsoleServer(hello, context)
+        await server.start([sock])
+        before = descriptors()
+        held = [*await opened(port, "127.0.0.2", 300), *await opened(port, "127.0.0.3", 300)]
+        await until(lambda: len(server.places) == 2 * places.STRANGERS.per_address)
+        ours = len(held)
+        assert descriptors() - before <= ours + len(server.places) + 8
+        more = [each for last in range(4, 20) for each in await opened(port, f"127.0.0.{last}", 40)]
+        await until(lambda: len(server.places) == places.STRANGERS.total)
+        assert b"200 OK" in await ask(port, CLOSING, context=client_context() if context else None)
+        for writer in held + more:
+            writer.transport.abort()
+        await server.close()
+        await until(lambda: len(server.places) == 0)
+
+
+@pytest.mark.attack("console-connections")
+async def test_strangers_end_no_connection_of_a_session() -> None:
+    async def known(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == "/known":
+            scope[PLACE].belongs_to("phone Anna")
+        await hello(scope, receive, send)
+
+    async with serving(known) as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(REQUEST.replace(b"GET /", b"GET /known"))
+        assert b"200 OK" in await reader.readuntil(b"127.0.0.1")
+        held = await opened(port, "127.0.0.1", places.STRANGERS.per_address + 9)
+        for last in range(2, 9):
+            held += await opened(port, f"127.0.0.{last}", 60)
+        writer.write(CLOSING)
+        assert b"200 OK" in await reader.read()
+        for each in [writer, *held]:
+            each.transport.abort()
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    async with asyncio.timeout(20):
+        while not holds():  # noqa: ASYNC110 - what it waits for tells nobody
+            await asyncio.sleep(0.01)
+
+
 async def test_other_users_of_the_host_take_no_place_from_its_owner(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -122,8 +207,8 @@ async def test_other_users_of_the_host_take_no_place_from_its_owner(
             raise PeerUserRefused("another user")
 
     monkeypatch.setattr(module, "check_peer", check)
-    monkeypatch.setattr(module, "MAX_CONNECTIONS", 2)
-    monkeypatch.setattr(module, "MAX_STRANGERS", 3)
+    monkeypatch.setattr(places, "STRANGERS", HalfOpen(per_address=2, total=2))
+    monkeypatch.setattr(places, "OTHER_USERS", HalfOpen(per_address=3, total=3))
     async with serving() as port:
         address = ("127.0.0.2", 0)
         many = [

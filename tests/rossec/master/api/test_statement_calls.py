@@ -136,11 +136,3 @@ def test_a_tree_and_its_proofs(api: MasterApi) -> None:
     assert ask(api, caller("/a"), update, "/a", b"for", b"ged")[0] == -1
     answer = ask(api, caller("/a"), "rossec.revocationProofs", "/a", [b"x", b"y"])
     assert answer[2] == [b"proof of x", b"proof of y"]
-
-
-def test_an_identity_is_renewed_or_the_reason_is_returned(api: MasterApi) -> None:
-    method = "rossec.renewIdentity"
-    assert ask(api, caller("/a"), method, "/a", b"x") == [1, "identity renewed", b"bundle of x"]
-    assert ask(api, caller("/a"), method, "/a", b"forged") == [
-        -1, "rossec: not signed by the old key", b"",
-    ]  # fmt: skip

@@ -59,7 +59,7 @@ def test_what_every_program_asks_for_is_one_cause_of_each_node() -> None:
     causes = DenialCauses()
     text = causes.text(0, denied(Right.PUBLISH, "/rosout"))
     assert text is not None
-    assert "basics: true in the policy would change it" in text
+    assert "basics: true in a policy would change it" in text
     assert causes.text(0, denied(Right.PARAM_GET, "/use_sim_time")) is None
     assert causes.text(0, denied(Right.PROVIDE, "/rviz_17/get_loggers")) is None
     assert causes.text(0, denied(Right.PUBLISH, "/rosout", node="/eve"))

@@ -15,7 +15,7 @@ from rossec.master.operation.metrics import MetricsExporter, on_loop
 
 STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
           "revocation_number": 7, "domains": 1, "domains_number": 6,
-          "foreign_connections": 8}  # fmt: skip
+          "foreign_connections": 8, "identity_expires": 10, "renewals_waiting": 11}  # fmt: skip
 
 
 def test_metrics_are_served_on_loopback() -> None:

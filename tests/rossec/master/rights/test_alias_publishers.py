@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from grants.model import Permission, Right
 from rossec.master.state.registry import Kind, PublishersChanged
 from tests.rossec.master.rights.serving import (
     ALIAS,
@@ -20,6 +21,14 @@ from tests.rossec.master.rights.serving import (
     Serving,
     T,
     node,
+)
+from tests.rossec.master.rights.slotted import (
+    DOOR,
+    IN_SLOTS,
+    SLOT,
+    URI,
+    SlottedMaster,
+    with_permissions,
 )
 
 BOTH = (SERVED_RIGHT, ORIGINS_RIGHT)
@@ -225,3 +234,39 @@ class Telling(RuleBasedStateMachine):
 
 
 TestTelling = Telling.TestCase
+
+
+def test_who_is_in_slots_is_told_at_the_beginning_of_the_next() -> None:
+    """The others at once; a slot that is new brings the next round of maintenance forward."""
+    master, sooner = SlottedMaster(), list[int]()
+    master.aliases.on_slot = lambda: sooner.append(SLOT)
+    assert master.aliases.next_slot(0) is None
+    for who in (master.watcher, master.witness):
+        assert master.subscribe(who, 5) == []
+    assert (master.aliases.next_slot(5), sooner) == (60, [SLOT])
+    master.publish(65)
+    master.maintain(119)
+    assert master.sent == {"/witness": [(65, [URI])]}
+    master.maintain(120)
+    assert master.sent["/watcher"] == [(120, [URI])]
+    assert (master.aliases.next_slot(120), sooner) == (180, [SLOT])
+
+
+def test_a_further_grant_is_in_force_at_once() -> None:
+    master = SlottedMaster()
+    master.subscribe(master.watcher, 5)
+    master.publish(65)
+    more = with_permissions("/watcher", IN_SLOTS, Permission(DOOR, Right.SUBSCRIBE))
+    master.statements.callers["/watcher"] = more
+    assert [each.publisher_uris for each in master.aliases.changes_for("/watcher", 66)] == [(URI,)]
+    master.end(70)
+    assert master.sent["/watcher"] == [(70, [])]
+
+
+def test_without_subscribers_no_slot_is_waited_for() -> None:
+    master = SlottedMaster()
+    master.subscribe(master.watcher, 5)
+    master.registry.remove_node("/watcher")
+    for now in (10, 20):
+        master.maintain(now)
+    assert master.aliases.next_slot(20) is None

@@ -91,6 +91,17 @@ def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
     assert ask(api, operator, "unregisterPublisher", "/victim", "/secret", VICTIM_API)[2] == 1
 
 
+def test_the_administrator_of_a_provider_may_look_its_service_up(api: MasterApi) -> None:
+    """`rosnode cleanup` does, to unregister it by its address."""
+    ask(api, caller("/victim", {"/arm": Right.PROVIDE}), "registerService", "/victim", "/arm",
+        "rosrpc://10.0.0.9:2", VICTIM_API)  # fmt: skip
+    admin = caller("/tool", {"/victim": Right.ADMIN})
+    assert ask(api, admin, "lookupService", "/tool", "/arm")[2] == "rosrpc://10.0.0.9:2"
+    assert ask(api, admin, "lookupService", "/tool", "/none")[0] == -1
+    other = caller("/tool", {"/victim2": Right.ADMIN, "/arm": Right.ADMIN})
+    assert ask(api, other, "lookupService", "/tool", "/arm")[0] == -1
+
+
 @pytest.mark.parametrize(
     ("method", "params"),
     [

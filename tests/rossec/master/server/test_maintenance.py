@@ -1,8 +1,11 @@
 """Rights that end while the master runs, over real connections."""
 
 import asyncio
+import os
 import socket
+import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +13,10 @@ import pytest
 from ca.revocation.state import digest, open_timestamp
 from rossec.clock import Clock
 from rossec.errors import AnswerRefused
-from tests.rossec.master.world import T, World, ends, until
+from rossec.master.server import parameter_file as module
+from rossec.master.server.parameter_file import ParameterFile
+from tests.rossec.master.server.test_server import another
+from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 
 
 async def test_a_revoked_node_receives_no_more_updates(world: World) -> None:
@@ -139,3 +145,34 @@ async def test_a_clock_set_back_is_logged_and_ends_nothing(
     issued = open_timestamp(stamp, world.master.identity.public_key).issued
     assert issued == int(shows) + 3600
     assert "restart the master" in caplog.text
+
+
+async def test_a_disk_that_hangs_delays_no_revocation(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Parameters are saved beside the rounds."""
+    hangs, go_on = threading.Event(), threading.Event()
+
+    def sync(_: int) -> None:
+        hangs.set()
+        assert go_on.wait(30)
+
+    file, member, victim = ParameterFile(tmp_path / "p"), *map(world.site.enroll, ("/a", "/b"))
+    async with another(world, parameter_file=file):
+        monkeypatch.setattr(module, "GROWN", 0)
+        monkeypatch.setattr(os, "fdatasync", sync)
+        client, cut = await world.call_as(member), await world.call_as(victim)
+        shown = [world.site.grant(member, EVERYTHING)]
+        await client.ask("rossec.presentGrants", "/a", shown)
+        await client.ask("setParam", "/a", "/rate", 5)
+        assert await asyncio.to_thread(hangs.wait, 30)
+        await client.ask("rossec.updateRevocations", "/a", world.site.revoke(victim))
+        await ends(cut.ask("getUri", "/b"))
+        await client.ask("setParam", "/a", "/rate", 6)
+        monkeypatch.setattr(file, "save", lambda: 1 / 0)
+        go_on.set()
+        await until(lambda: "parameters were not saved; it is tried again" in caplog.text)
+    again = ParameterFile(tmp_path / "p")
+    again.open()
+    assert again.parameters.get("/rate") == 6
+    again.close()

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from ca.errors import CertificateExpired, RenewalRefused
+from ca.renewal import open_renewal
 from rossec.authority.renewals import renew
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.master.rights.identity_renewals import RenewalAnswer
 from rossec.master.server.own_identity import OwnIdentity
 from tests.support.site import DAY, HOUR, Site
 
@@ -70,7 +72,7 @@ def test_a_warning_is_logged_every_hour_and_not_every_round(
 
 
 def test_the_identity_is_renewed_with_an_intermediate(world: World) -> None:
-    world.own.renew = partial(renew, world.site.authority)
+    world.own.renew = partial(answered, world)
     assert not world.check(NOW + 19 * DAY)
     assert world.check(NOW + 21 * DAY)
     assert world.home.identity(world.now).not_after > NOW + 50 * DAY
@@ -80,7 +82,7 @@ def test_the_identity_is_renewed_with_an_intermediate(world: World) -> None:
 def test_a_failed_renewal_is_tried_again(world: World, caplog: pytest.LogCaptureFixture) -> None:
     attempts = []
 
-    def fails(request: bytes, now: int) -> bytes:
+    def fails(request: bytes, now: int) -> RenewalAnswer:
         attempts.append(now)
         raise RenewalRefused("not today", "ask tomorrow")
 
@@ -89,9 +91,47 @@ def test_a_failed_renewal_is_tried_again(world: World, caplog: pytest.LogCapture
         world.check(NOW + 25 * DAY + second)
     assert attempts == [NOW + 25 * DAY, NOW + 25 * DAY + 600]
     assert "not today (ask tomorrow)" in caplog.text
-    world.own.renew = lambda *_: b"garbage"
+    world.own.renew = lambda *_: RenewalAnswer(b"garbage", "")
     world.check(NOW + 26 * DAY)
     assert world.shown == world.home.credentials().certificate
+
+
+def answered(world: World, request: bytes, now: int) -> RenewalAnswer:
+    return RenewalAnswer(renew(world.site.authority, request, now), "renewed")
+
+
+def test_the_authority_answers_later(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    """One request, again and again; a warning only if the answer does not come."""
+    asked = list[bytes]()
+
+    def later(request: bytes, now: int) -> RenewalAnswer:
+        asked.append(request)
+        return RenewalAnswer(b"", "the key is locked")
+
+    world.own.renew = later
+    begin = NOW + 25 * DAY
+    for second in range(0, 60, 10):
+        world.check(begin + second)
+    assert caplog.messages == []
+    for second in range(60, HOUR, 10):
+        world.check(begin + second)
+    [line] = caplog.messages
+    assert "after which no node connects: the key is locked (rossec ca renew /master" in line
+    opened = {
+        open_renewal(each, world.site.anchor, begin, lambda *_: None).csr for each in asked[:6]
+    }
+    assert len(opened) == 1, "the authority answers one request with one certificate"
+    world.own.renew = partial(answered, world)
+    assert world.check(begin + HOUR)
+
+
+def test_one_that_has_ended_is_not_asked_for(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    world.own.renew = partial(answered, world)
+    assert not world.check(NOW + 31 * DAY)
+    assert "it expired " in caplog.text
+    assert "rossec ca renew --expired /master, then rossec node install FILE here" in caplog.text
 
 
 def test_another_key_needs_a_restart(world: World, caplog: pytest.LogCaptureFixture) -> None:

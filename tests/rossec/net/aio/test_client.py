@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from rossec.errors import PeerUnreachable
+from rossec.errors import ForeignIdentity, PeerRefused, PeerUnreachable, PlainPeer
 from rossec.net.aio import client as module
 from rossec.net.aio import connect
 from tests.support.contexts import context
@@ -64,9 +64,23 @@ def test_where_the_peer_is_the_master_the_hint_says_how_to_start_it() -> None:
     [
         (TimeoutError(), "it does not answer"),
         (ConnectionRefusedError(111, "Connection refused"), "connection refused"),
+        (ConnectionRefusedError(111, "Connect call failed ('::1', 4)"), "connection refused"),
+        (socket.gaierror(-2, "Name or service not known"), "name or service not known"),
         (OSError("Multiple exceptions"), "Multiple exceptions"),
         (ValueError("bad port"), "bad port"),
     ],
 )
 def test_the_reason_is_for_people(error: Exception, reason: str) -> None:
     assert module._reason(error) == reason
+
+
+def test_what_should_be_the_master_and_is_not_is_said() -> None:
+    plain = module.as_master(PlainPeer("the peer is a plain HTTP server and says: 501", "x"))
+    assert isinstance(plain, PlainPeer)
+    assert "roscore perhaps: the peer is a plain HTTP server and says: 501" in str(plain)
+    foreign = module.as_master(ForeignIdentity("the peer's certificate is refused", "x"))
+    assert isinstance(foreign, ForeignIdentity)
+    assert "of another authority: " in str(foreign)
+    assert "ROS_MASTER_URI" in foreign.hint
+    other = PeerRefused("no", "hint")
+    assert module.as_master(other) is other

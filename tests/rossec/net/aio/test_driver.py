@@ -5,15 +5,16 @@ import itertools
 
 import pytest
 
+from rossec.channel.states import GrantsPresented, IdentityRenewed
 from rossec.errors import LimitExceeded
+from rossec.net.aio import connect, serve
 from rossec.net.aio import driver as driver_module
-from rossec.net.aio import serve
 from rossec.net.aio.server import SecureServer
 from rossec.net.aio.stream import SecureStream
 from rossec.progress import MIN_BYTES, STEP, WINDOW
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo
-from tests.support.wire import BOB, FakeIdentity
+from tests.support.wire import ALICE, BOB, FakeIdentity, renewed, renews
 
 WHOLE = bytes(4 * MIN_BYTES)
 
@@ -59,3 +60,30 @@ async def test_a_peer_that_is_not_read_does_not_time_out(monkeypatch: pytest.Mon
             driver._run_timers()
         assert driver.error is None
         stream.abort("done")
+
+
+async def test_what_the_peer_renews_is_told_in_order() -> None:
+    """Grants that come before anybody listens wait; a certificate is that of the peer at once."""
+    own = context(ALICE, renews=renews)
+    async with serve(echo, "127.0.0.1", 0, context(BOB, renews=renews)) as server:
+        stream = await connect("127.0.0.1", server.port, own)
+        await stream.send(b"x")
+        await stream.receive()
+        (driver,) = server._streams
+        first = driver.peer
+        own.open_streams.present(renewed(ALICE))
+        assert stream.present_grants(b"grants")
+        await stream.send(b"y")
+        assert await stream.receive() == b"y"
+        assert driver.peer.certificate == renewed(ALICE)[0] != first.certificate
+        heard: list[object] = []
+        driver.on_renewal(heard.append)
+        assert heard == [GrantsPresented(b"grants")]
+        own.open_streams.present(renewed(ALICE, 2))
+        await stream.send(b"z")
+        assert await stream.receive() == b"z"
+        assert [type(event) for event in heard[1:]] == [IdentityRenewed]
+        assert stream.takes_renewals
+        stream.abort("done")
+        assert not stream.present_grants(b"grants")
+        own.open_streams.present(renewed(ALICE, 3))

@@ -7,11 +7,13 @@ import pytest
 
 from rossec.errors import (
     AnswerRefused,
+    ChannelClosed,
     CompactRefused,
     HttpRefused,
     RossecError,
     XmlRpcRefused,
 )
+from rossec.net.bounds import UNSHOWN_UNIT
 from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
 from rossec.ros import xmlrpc
 from rossec.ros.callserver import CallServer
@@ -203,3 +205,55 @@ async def test_a_client_closes_on_a_unit_that_is_not_its_answer() -> None:
         assert client.closed
 
     await run()
+
+
+class Cut:
+    """A stream that ends when something is sent."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    async def send(self, _: bytes) -> None:
+        raise ChannelClosed("the peer ended the connection")
+
+    async def close(self) -> None:
+        self.closed = True
+
+
+async def test_a_call_that_is_too_long_is_not_sent_and_the_next_has_its_number() -> None:
+    near, far = stream_pair("/node", "/master")
+
+    async def run() -> None:
+        client = RpcClient(near)
+        assert await client.ask("echo", 1) == [1]
+        with pytest.raises(XmlRpcRefused, match="bytes, at most"):
+            await client.ask("echo", b"x" * (xmlrpc.BODY_LIMIT + 1))
+        assert await client.ask("echo", 2) == [2]
+        assert not client.closed
+
+    await serving(run(), far)
+
+
+@pytest.mark.parametrize(("size", "kind"), [(10, ChannelClosed), (UNSHOWN_UNIT, XmlRpcRefused)])
+async def test_a_long_call_that_ends_the_connection_says_what_may_be_wrong(
+    size: int, kind: type[Exception]
+) -> None:
+    stream = Cut()
+    client = RpcClient(stream)  # type: ignore[arg-type]
+    with pytest.raises(kind):
+        await client.call("echo", b"x" * size)
+    assert client.closed
+    assert stream.closed
+
+
+async def test_a_long_answer_is_read_in_steps() -> None:
+    near, far = stream_pair("/node", "/master")
+    long = ["x" * 1000] * 100
+
+    async def run() -> None:
+        client = RpcClient(near)
+        for _ in range(3):  # in XML-RPC, then in the compact form
+            assert await client.ask("echo", long) == [long]
+        assert client.is_compact
+
+    await serving(run(), far)

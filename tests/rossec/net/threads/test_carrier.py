@@ -11,6 +11,7 @@ import time
 import pytest
 
 from rossec.channel.records import ChannelLimits
+from rossec.channel.states import GrantsPresented, IdentityRenewed
 from rossec.errors import (
     ChannelError,
     HandshakeTimeout,
@@ -23,12 +24,24 @@ from rossec.net.threads import carrier
 from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
 from tests.support.secure_sockets import (
+    Secure,
     background,
     dial,
     make_listener,
     pair,
+    read,
 )
-from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, trust
+from tests.support.wire import (
+    ALICE,
+    BOB,
+    NOW,
+    STRANGER,
+    FakeIdentity,
+    bob,
+    renewed,
+    renews,
+    trust,
+)
 
 
 def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
@@ -175,3 +188,44 @@ def test_timers_run_once_in_a_second(
             monkeypatch.setattr("rossec.net.threads.carrier._now", lambda second=second: second)
             left.sendall(b"map")
         assert looks == [start, start + 1, start + 9]
+
+
+def test_what_the_peer_renews_reaches_who_only_sends() -> None:
+    """A publisher's threads never wait for its subscribers' bytes; the newest grants count."""
+    accepted: list[Secure] = []
+    with make_listener(renews=renews) as listener:
+
+        def accept() -> None:
+            sock, _ = listener.accept()
+            sock.do_handshake()
+            accepted.append(sock)
+
+        thread = background(accept)
+        own = context(ALICE, renews=renews)
+        left = dial(listener, own)
+        thread.join(30)
+        [right] = accepted
+        left.sendall(b"x")
+        assert read(right, 1) == b"x"
+        right.sendall(b"x")
+        assert read(left, 1) == b"x"
+        own.open_streams.present(renewed(ALICE))
+        for grants in (b"older", b"newest"):
+            assert left.present_grants(grants)
+        left.sendall(b"y")
+        assert read(right, 1) == b"y"
+        assert right.peer is not None
+        assert right.peer.certificate == renewed(ALICE)[0]
+        heard: list[object] = []
+        right.on_renewal(heard.append)
+        assert heard == [GrantsPresented(b"newest")]
+        own.open_streams.present(renewed(ALICE, 2))
+        for _ in range(100):
+            right.run_timers()
+            if len(heard) > 1:
+                break
+        assert isinstance(heard[1], IdentityRenewed)
+        assert left.takes_renewals
+        left.close()
+        assert not left.present_grants(b"grants")
+        right.close()

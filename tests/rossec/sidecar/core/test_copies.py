@@ -7,7 +7,7 @@ from grants.filters.codegen import Buffer
 from grants.guard import Guard
 from grants.memory import Memory
 from grants.model import Restriction, Right
-from rossec.sidecar.core.copies import CopyTracker, MessageGuard
+from rossec.sidecar.core.copies import CopyTracker, MessageGuard, ReplaceableGuard
 
 NOW = 1_800_000_000
 
@@ -39,7 +39,9 @@ def test_a_guard_without_memory_is_not_shared() -> None:
         assert found == (None, [])
     alone = make_guard(None)
     with CopyTracker().share(alone, NOW, latching=True) as found:
-        assert found == (alone, [])
+        guard, initial = found
+        assert isinstance(guard, ReplaceableGuard)
+        assert (guard.apply, initial) == (alone.apply, [])
 
 
 def test_a_copy_passes_once_on_each_connection_that_was_open() -> None:

@@ -276,6 +276,18 @@ def test_the_wishes_of_a_peer_are_taken_and_the_program_gets_none(
     assert WISHES.keys().isdisjoint(admitted.answer)
 
 
+def test_what_is_filtered_is_not_deflated(setup: AgentSetup) -> None:
+    rules = filter_rules({"data": {"truncate": {"length": 1}}})
+    setup.site.subscribe("/viewer", "/word", Restriction("std_msgs/String", (), rules))
+    setup.site.publish("/robot", "/word")
+    setup.agent = dataclasses.replace(setup.agent, access=setup.access("/robot"))
+    asked = REQUEST | proof(setup, "/viewer", Right.SUBSCRIBE, "/word") | WISHES
+    connect = ConnectProgram(TOPIC_ENDPOINT, REQUEST)
+    admitted = run_layer(admit(setup, asked), REQUEST_ANSWERED, (connect, arrived(setup, ANSWER)))
+    assert admitted.wishes == Wishes(5, newest=True)
+    assert "rossec_deflate" not in admitted.answer
+
+
 def test_a_malformed_wish_is_refused_before_the_program_is_asked(
     setup: AgentSetup, authorized: Fields
 ) -> None:

@@ -1,0 +1,219 @@
+"""What a restored record lacks, from lists that are newer: revocations, and domains trusted.
+
+A list says all that was revoked when it was signed, so it gives back what a backup has lost, on a
+restore or later. A list of domains is taken the other way round: trust that the newest list does
+not name may have been withdrawn, so it ends.
+"""
+
+import contextlib
+import shlex
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ca.certificates import TrustAnchor
+from ca.domains.lists import ForeignDomain, open_domains
+from ca.errors import BackupRefused, DomainsRefused, HintedError
+from ca.revocation.lists import MAX_LIST, RevocationList
+from ca.revocation.state import open_list, open_statement
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
+from rossec import files
+from rossec.authority.home import ENTRIES
+from rossec.authority.signing import SigningAuthority
+from rossec.home import REVOCATIONS, NodeHome
+from rossec.ros.names import MASTER
+
+RESTORED: Final = "restored from a backup"
+NEWER: Final = "from a list newer than the backup"
+
+
+@dataclass(frozen=True)
+class NewerLists:
+    """What is known to be newer than a record.
+
+    Args:
+        revoked: entries that are revoked.
+        domains: the foreign domains that are trusted.
+        epoch, domains_epoch: the last that lists are known to have.
+    """
+
+    revoked: frozenset[bytes] = frozenset()
+    domains: tuple[ForeignDomain, ...] = ()
+    epoch: int = 0
+    domains_epoch: int = 0
+
+
+def read_files(path: Path, entries: Path | None) -> tuple[bytes, bytes | None]:
+    """A list or tree, and its entries: in `entries`, else beside it under the name they have."""
+    beside = path.with_name(ENTRIES)
+    if entries is None and beside.exists():
+        entries = beside
+    listed = files.read(path, MAX_LIST)
+    return listed, None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE)
+
+
+def read_newer(
+    authority: SigningAuthority,
+    newest_list: bytes | None,
+    entries: bytes | None,
+    newest_domains: bytes | None,
+) -> NewerLists:
+    """What the lists say that the operator gave for a restore of `authority`.
+
+    Raises:
+        BackupRefused: the list is older than the backup, or a tree without its entries.
+        RevocationRefused, DomainsRefused: as `read_revoked` and `read_domains`.
+    """
+    anchor = authority.authority.anchor
+    revoked, epoch = read_revoked(newest_list, entries, anchor)
+    held = authority.store.newest_list()
+    if newest_list is not None and held is not None:
+        found = open_statement(newest_list, anchor.public_key)
+        if found.number < open_statement(held, anchor.public_key).number:
+            raise BackupRefused(
+                "the list is older than the backup: it says nothing of what was revoked since",
+                "give a newer one: the master has the newest",
+            )
+    domains, domains_epoch = read_domains(newest_domains, authority)
+    return NewerLists(revoked, domains, epoch, domains_epoch)
+
+
+def require_list(authority: SigningAuthority, home: Path, now: int) -> None:
+    """Return if no list is needed to restore `authority` into ROSSEC_HOME `home`.
+
+    Raises:
+        BackupRefused: it is a root; the hint says where a list is.
+    """
+    if not authority.authority.is_root:
+        return
+    here = newest_here(home, authority.authority.anchor)
+    if here is not None:
+        where = f"the newest here: --list {shlex.quote(str(here))}; the master may have a newer one"
+    else:
+        masters = [row.name for row in authority.store.identities.valid_masters(now)]
+        there = NodeHome.of(Path("ROSSEC_HOME"), min(masters, default=MASTER)).path
+        where = (
+            f"every node has one, the master the newest: scp 'HOST:{there}/revocations.*' ."
+            f" and --list {REVOCATIONS}"
+        )
+    raise BackupRefused(
+        "without a newer list, what was revoked after the backup would be valid again",
+        f"{where}; only if none is left: --without-list",
+    )
+
+
+def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
+    """The newest list of the authority that a node in ROSSEC_HOME `home` has; None: none has one.
+
+    A tree counts only with its entries beside it.
+    """
+    found = []
+    for path in sorted(home.glob(f"nodes/*/{REVOCATIONS}")):
+        with contextlib.suppress(HintedError, OSError):  # another authority's, or damaged
+            data = files.read(path, MAX_LIST)
+            statement = open_statement(data, anchor.public_key)
+            if not is_tree(data) or path.with_name(ENTRIES).exists():
+                found.append((statement.number, path))
+    return max(found)[1] if found else None
+
+
+def read_revoked(
+    data: bytes | None, entries: bytes | None, anchor: TrustAnchor
+) -> tuple[frozenset[bytes], int]:
+    """What a signed list or tree revokes, and its epoch; nothing without one.
+
+    Raises:
+        RevocationRefused: it is not the authority's, or `entries` are not those of the tree.
+        BackupRefused: a tree without its entries.
+    """
+    if data is None:
+        return frozenset(), 0
+    if not is_tree(data):
+        listed = open_list(data, anchor.public_key)
+        return listed.entries, listed.epoch
+    tree = open_tree(data, anchor.public_key)
+    if entries is None:
+        raise BackupRefused(
+            "the newest revocations are a tree, which does not contain its entries",
+            "give its entries with --entries: the master has them in revocations.entries",
+        )
+    listing = TreeEntries.read(entries)
+    listing.check(tree)
+    return listing.entries, tree.epoch
+
+
+def read_domains(
+    data: bytes | None, authority: SigningAuthority
+) -> tuple[tuple[ForeignDomain, ...], int]:
+    """The domains that a signed list names, and its epoch; none without one.
+
+    Raises:
+        DomainsRefused: it is not the authority's, or older than the record.
+    """
+    if data is None:
+        return (), 0
+    anchor = authority.authority.anchor
+    found, held = open_domains(data, anchor), authority.store.domains.newest_list()
+    if held and found.number < open_domains(held, anchor).number:
+        raise DomainsRefused("the list of domains is older than the backup", "give a newer one")
+    return found.domains, found.epoch
+
+
+def end_domains(authority: SigningAuthority, newest: Collection[ForeignDomain], now: int) -> int:
+    """Trust the domains of the newest list, with its terms; returns how many are trusted no more.
+
+    One may have been removed since the backup: without a list, none is trusted.
+    """
+    domains, wanted = authority.store.domains, {each.terms: each for each in newest}
+    ended = [row for row in domains.accepted() if row.terms not in wanted]
+    for row in ended:
+        domains.end(row.label, RESTORED, now)
+    held = {row.terms for row in domains.accepted()}
+    for terms, each in wanted.items():
+        if terms not in held:
+            domains.accept(each, now)
+    named = {each.domain for each in newest}
+    return sum(row.domain not in named for row in ended)
+
+
+def start_new_epoch(authority: SigningAuthority, newer: NewerLists, now: int) -> int:
+    """Revoke what is missing and sign lists of a new epoch; an intermediate has neither.
+
+    Returns how many revocations were missing.
+    """
+    if not authority.authority.is_root:
+        return 0
+    with authority.store.transaction():
+        missing = _revoke_missing(authority, newer.revoked, now)
+        authority.sign_list(now, new_epoch=True, above=newer.epoch)
+        if authority.store.domains.newest_list() or authority.store.domains.accepted():
+            authority.sign_domains(now, new_epoch=True, above=newer.domains_epoch)
+    return missing
+
+
+def take_over(
+    authority: SigningAuthority, data: bytes, entries: bytes | None, now: int
+) -> tuple[RevocationList, int]:
+    """Revoke what a list from before a restore revokes; returns the new list, and how many.
+
+    It is for a record that lacks revocations, and can be done at any time: it only takes away. If
+    the list has a later epoch than the record, the new list has one after that.
+
+    Raises:
+        RevocationRefused, BackupRefused: as `read_revoked`.
+        ConfigurationError: this is an intermediate.
+    """
+    revoked, epoch = read_revoked(data, entries, authority.authority.anchor)
+    with authority.store.transaction():
+        missing = _revoke_missing(authority, revoked, now)
+        held, _ = authority.store.next_number()
+        listed = authority.sign_list(now, new_epoch=epoch > held, above=epoch)
+    return listed, missing
+
+
+def _revoke_missing(authority: SigningAuthority, revoked: frozenset[bytes], now: int) -> int:
+    missing = revoked - authority.store.revoked_entries()
+    for entry in sorted(missing):
+        authority.store.revoke(entry, NEWER, now)
+    return len(missing)
