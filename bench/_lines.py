@@ -14,9 +14,9 @@ from collections.abc import Iterable, Sequence
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials, Verify
+from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import HEADER, Frame
-from rossec.channel.states import Authenticated, UnitReceived
 from rossec.ros import compact, xmlrpc
 from rossec.ros.callclient import CallClient
 

@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 from bench import _site
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, connect, serve

@@ -20,7 +20,7 @@ LEAST: Final = 80  # percent
 
 OTHERS: Final[dict[str, tuple[str, ...]]] = {
     # The base of Initiator and Responder, which alone are ever made.
-    "rossec/channel/edhoc/peer.py": (
+    "rossec/channel/edhoc/handshake.py": (
         "rossec/channel/edhoc/test_handshake.py",
         "rossec/channel/edhoc/test_own_dials.py",
     ),

@@ -1,24 +1,39 @@
-"""What happens before records flow: the preamble, then the handshake message by message.
+"""The state machine of a connection as one table, and the events it returns.
+
+`TABLE` says what a frame does in a state (a method of `Negotiation`, later of `Connection`) and
+which states may follow. A frame that is not in the table ends the connection. The diagram in
+docs/spec/channel.md is drawn from it.
+
+What happens before records flow: the preamble, then the handshake message by message.
 
 Each step takes what the peer sent and returns the next state and the reply; the connection applies
 both. `Preamble` is for the bytes before the first frame, `Negotiation` holds the
 rows of `states.TABLE` for the handshake.
+
+What is renewed while a connection is open: the certificates of both sides. Grants pass unread.
+
+A renewed certificate is verified as one in the handshake is, and must be of the same key and name:
+who holds the key was proven then. One that is refused changes nothing. Each costs signatures to
+verify, so a peer may present few, and its connection ends when it presents more.
 """
 
-from collections.abc import Collection
-from typing import Final, Generic, NamedTuple, cast
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Generic, NamedTuple, TypeAlias, cast
 
-from rossec.channel.buffers import ReceiveBuffer
-from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
+from ca.encoding import Value, decode
+from ca.errors import EncodingError, HintedError
+from rossec.channel.edhoc.credentials import X5CHAIN, PeerT, Renews, Verify, encode_id_cred, x5chain
+from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder, WrongSuite
 from rossec.channel.edhoc.messages import (
+    MAX_MESSAGE,
     UNKNOWN_CREDENTIAL,
     WRONG_SUITE,
     decode_error,
     encode_error,
     suites_item,
 )
-from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.opening import (
     MAX_OPENING,
     PlainCaller,
@@ -30,10 +45,173 @@ from rossec.channel.opening import (
     refusal,
 )
 from rossec.channel.records import ChannelLimits, Epochs, Frame, frame
-from rossec.channel.renewals import Renewals
-from rossec.channel.session import Session
-from rossec.channel.states import ConnectionState
-from rossec.errors import OwnCredentialUnknown, PeerRefused, PlainPeer
+from rossec.channel.session import ReceiveBuffer, Session
+from rossec.errors import (
+    HandshakeFailed,
+    IdentityRefused,
+    LimitExceeded,
+    OwnCredentialUnknown,
+    PeerRefused,
+    PlainPeer,
+)
+
+
+class ConnectionState(Enum):
+    """The state of a connection."""
+
+    OPENING = "opening"
+    DRAINING = "draining"
+    WAIT_1 = "wait for message_1"
+    WAIT_2 = "wait for message_2"
+    WAIT_3 = "wait for message_3"
+    WAIT_4 = "wait for message_4"
+    OPEN = "open"
+    CLOSING = "closing"
+    CLOSED = "closed"
+
+    __hash__ = object.__hash__  # members are unique; Enum's own hash is Python, for every look-up
+
+
+Row: TypeAlias = tuple[str, tuple[ConnectionState, ...]]
+
+TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
+    (ConnectionState.WAIT_1, Frame.HANDSHAKE): (
+        "on_message_1",
+        (ConnectionState.WAIT_3, ConnectionState.WAIT_1),
+    ),
+    (ConnectionState.WAIT_2, Frame.HANDSHAKE): ("on_message_2", (ConnectionState.WAIT_4,)),
+    (ConnectionState.WAIT_2, Frame.ERROR): ("on_error", (ConnectionState.WAIT_2,)),
+    (ConnectionState.WAIT_3, Frame.HANDSHAKE): ("on_message_3", (ConnectionState.OPEN,)),
+    (ConnectionState.WAIT_3, Frame.ERROR): ("on_error", ()),
+    (ConnectionState.WAIT_4, Frame.HANDSHAKE): ("on_message_4", (ConnectionState.OPEN,)),
+    (ConnectionState.WAIT_4, Frame.ERROR): ("on_error", ()),
+    (ConnectionState.OPEN, Frame.DATA): ("_on_data", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.DATA_END): ("_on_data_end", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.PADDED_END): ("_on_padded_end", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.REKEY): ("_on_rekey", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.CLOSE): ("_on_close", (ConnectionState.CLOSED,)),
+    (ConnectionState.OPEN, Frame.IDENTITY): ("_on_identity", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.GRANTS): ("_on_grants", (ConnectionState.OPEN,)),
+}
+"""Errors are unauthenticated, so they are not accepted once the handshake is done."""
+
+PREAMBLE: Final = frozenset({ConnectionState.OPENING, ConnectionState.DRAINING})
+UNAUTHENTICATED: Final = frozenset(
+    {ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3}
+)
+HANDSHAKING: Final = UNAUTHENTICATED | {ConnectionState.WAIT_4}
+FRAMED: Final = HANDSHAKING | {ConnectionState.OPEN}
+SENDING: Final = frozenset({ConnectionState.WAIT_4, ConnectionState.OPEN})
+ENDED: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
+
+
+@dataclass(frozen=True, slots=True)
+class Authenticated(Generic[PeerT]):
+    """The peer proved that it holds the certified key; from here on this side may send.
+
+    An initiator may still be refused until the responder's message_4 arrives.
+    """
+
+    identity: PeerT
+
+
+@dataclass(frozen=True, slots=True)
+class UnitReceived:
+    """A unit, whole and verified."""
+
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """The peer closed in order: it sends nothing more and reads nothing more."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityRenewed(Generic[PeerT]):
+    """The peer's certificate was renewed: from here on this is its identity."""
+
+    identity: PeerT
+
+
+@dataclass(frozen=True, slots=True)
+class RenewalRefused:
+    """A certificate that the peer presented is refused; the one before stays in force."""
+
+    reason: HintedError
+
+
+@dataclass(frozen=True, slots=True)
+class GrantsPresented:
+    """Grants the peer presents in place of those before; nothing in them was verified."""
+
+    data: bytes
+
+
+Renewal: TypeAlias = IdentityRenewed[PeerT] | RenewalRefused | GrantsPresented
+Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed | Renewal[PeerT]
+
+MOST_AT_ONCE: Final = 12
+SECONDS_EACH: Final = 2
+"""A peer may present so many at once, and then one in so many seconds."""
+
+
+class Renewals(Generic[PeerT]):
+    """Of one connection between sides that both take renewals.
+
+    Args:
+        verify: as in the handshake.
+        renews: whether an identity is another one renewed.
+        sent: the certificate that this side sent in the handshake.
+        now: when the connection opened.
+    """
+
+    __slots__ = ("_charged_at", "_left", "_renews", "_sent", "_verify")
+
+    def __init__(self, verify: Verify[PeerT], renews: Renews[PeerT], sent: bytes, now: int) -> None:
+        self._verify = verify
+        self._renews = renews
+        self._sent = sent
+        self._left = MOST_AT_ONCE * SECONDS_EACH
+        self._charged_at = now
+
+    def charge(self, now: int) -> None:
+        """Count what the peer presents.
+
+        Raises:
+            LimitExceeded: it presents too often.
+        """
+        passed = max(0, now - self._charged_at)
+        self._charged_at = now
+        self._left = min(MOST_AT_ONCE * SECONDS_EACH, self._left + passed) - SECONDS_EACH
+        if self._left < 0:
+            raise LimitExceeded("the peer presents certificates or grants too often")
+
+    def identity(self, data: bytes, held: PeerT, now: int) -> PeerT:
+        """The peer's identity by the certificates in `data`, an ID_CRED as in the handshake.
+
+        Raises:
+            HintedError: they are refused; `held` stays.
+        """
+        try:
+            value: Value = decode(data, limit=MAX_MESSAGE)
+        except EncodingError as error:
+            raise HandshakeFailed(f"an unreadable certificate: {error}") from None
+        renewed = self._verify(x5chain(value), now)
+        if not self._renews(renewed, held):
+            raise IdentityRefused(
+                "the certificate is another node's, not this one's renewed",
+                "a certificate with another key or name needs a new connection",
+            )
+        return renewed
+
+    def own(self, chain: Sequence[bytes]) -> bytes | None:
+        """What to send when `chain` is this side's; None: the peer has it already."""
+        if chain[0] == self._sent:
+            return None
+        self._sent = chain[0]
+        return encode_id_cred({X5CHAIN: chain[0] if len(chain) == 1 else list(chain)})
+
 
 _HINT_REFUSED: Final = "see the peer's log: it does not give reasons to an untrusted peer"
 _HINT_AGAIN: Final = "connect again: the whole certificate will be sent"

@@ -15,9 +15,8 @@ from typing import Final, TypeAlias
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 
-from rossec.channel.edhoc.keyschedule import EdhocExporter
 from rossec.channel.edhoc.messages import MAX_MESSAGE
-from rossec.channel.edhoc.suites import Suite
+from rossec.channel.edhoc.suites import EdhocExporter, Suite
 from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
 
 HEADER: Final = 4

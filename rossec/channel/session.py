@@ -1,11 +1,26 @@
-"""The open half of a connection: units to records and back, and when keys are renewed.
+"""The receive buffer: the socket writes into it, frames are parsed and decrypted from it in place.
+
+Bytes are moved only when an incomplete frame has reached the end of the buffer. It grows by what
+has arrived, not by what a header announces: to twice the size when it is full, and for a peer that
+is authenticated at once to eight times the bytes that are there. An idle connection has none: an
+empty buffer is freed, but not one for large frames while many of them arrive.
+
+The unit that is being received: records verified one by one, handed out as a whole.
+
+Nothing of it is handed out before its last record has verified, and it grows only as authenticated
+bytes arrive, up to a limit that is checked before a record is.
+
+The open half of a connection: units to records and back, and when keys are renewed.
 
 A direction renews its keys after so many records, bytes or seconds, and stops hard at twice that.
 The two directions are never more than one epoch apart: the receiver of REKEY follows at once, even
 if it has no data, so that a one-way flow can be renewed again.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
+from io import SEEK_END, BytesIO
+from sys import getrefcount
 from typing import Final
 
 from rossec.channel.records import (
@@ -19,10 +34,207 @@ from rossec.channel.records import (
     Frame,
     fragments,
     padded,
+    unpadded,
 )
-from rossec.channel.unit_assembly import UnitAssembly
 from rossec.errors import ConnectionTruncated, LimitExceeded
 from rossec.progress import Progress
+
+FIRST: Final = 256
+"""For the opening of a caller and its message_1: what one that says nothing more costs."""
+SMALL: Final = 2 * 1024
+"""Before authentication, and no more until it is full; most messages of a handshake fit."""
+OPEN: Final = 8 * 1024
+"""After it: several small records fit."""
+
+
+_GIVE_BACK: Final = 64 * 1024  # larger buffers are kept: allocating them again costs too much
+_EARNED: Final = 8  # bytes of room for each that arrived: from 8 KiB to the largest size in 2 steps
+_NOTHING: Final = bytearray()
+_NO_VIEW: Final = memoryview(_NOTHING)
+
+
+class ReceiveBuffer:
+    """A byte queue whose free tail is lent to the reader of the socket."""
+
+    __slots__ = ("_data", "_end", "_least", "_start", "_view")
+
+    def __init__(self, capacity: int = SMALL) -> None:
+        self._least = capacity
+        self._data = _NOTHING
+        self._view = _NO_VIEW
+        self._start = 0
+        self._end = 0
+
+    def __len__(self) -> int:
+        return self._end - self._start
+
+    @property
+    def capacity(self) -> int:
+        """How many bytes fit."""
+        return len(self._data)
+
+    def free(self) -> memoryview:
+        """Return the free tail, never empty; valid until the next call of any method."""
+        if self._data is _NOTHING:
+            self._data = bytearray(self._least)
+            self._view = memoryview(self._data)
+        elif self._end == len(self._data):
+            self._make_room(0 if self._start else 2 * len(self._data))
+        return self._view[self._end :]
+
+    def enlarge(self, size: int = OPEN) -> None:
+        """Read more at a time from now on, by default because the peer is authenticated."""
+        self._least = size
+
+    def filled(self, count: int) -> None:
+        """Note that `count` bytes were written at the start of the free tail."""
+        self._end += count
+
+    def unread(self) -> memoryview:
+        """Return the bytes not consumed yet."""
+        return self._view[self._start : self._end]
+
+    def consume(self, count: int) -> None:
+        """Drop `count` bytes from the front."""
+        self._start += count
+        if self._start < self._end:
+            return
+        self._start = self._end = 0
+        if count <= self._least and len(self._data) <= _GIVE_BACK:
+            self._data, self._view = _NOTHING, _NO_VIEW
+
+    def expect(self, count: int, grow_to: int) -> None:
+        """Move, or grow towards `grow_to`, as a frame of `count` bytes from the front has begun."""
+        if self._start + count <= len(self._data):
+            return
+        if count <= len(self._data):
+            self._make_room(0)
+            return
+        wanted, earned = max(count, grow_to), _EARNED * len(self)
+        self._make_room(wanted if earned >= wanted else min(earned, count - 1))
+
+    def clear(self) -> None:
+        """Give all memory back; views that were handed out keep what they show."""
+        self._data, self._view = _NOTHING, _NO_VIEW
+        self._start = self._end = 0
+
+    def _make_room(self, size: int) -> None:
+        """Move what is unread to the front, of a buffer of at least `size` bytes."""
+        unread, length = self.unread(), len(self)
+        if size > len(self._data):
+            self._data = bytearray(size)
+            self._view = memoryview(self._data)
+        self._view[:length] = unread
+        self._start, self._end = 0, length
+
+
+_ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
+_KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
+
+
+class UnitAssembly:
+    """The unit being received, handed out only when its last record has verified.
+
+    `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as
+    `bytes`, without a copy. It grows only as authenticated bytes arrive. Memory that the reader of
+    a unit has released is reused: new pages cost about as much as decrypting into them.
+    """
+
+    __slots__ = ("_buffer", "_handed_out", "_last", "_room", "length", "limit")
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self._buffer = BytesIO()
+        self._handed_out: deque[BytesIO] = deque(maxlen=2)  # the next unit comes before one is read
+        self._room = 0
+        self._last = 0  # size of the last unit: the next one is likely to be as large
+        self.length = 0
+
+    def add(self, direction: Direction, head: bytes, body: memoryview) -> None:
+        """Verify a record and append it.
+
+        Raises:
+            RecordForged: it does not verify.
+            LimitExceeded: the unit is longer than allowed.
+        """
+        end = self.check_room(len(body))
+        if self.length == 0:
+            self._begin()
+        if end > self._room:
+            self._grow(end)
+        with self._buffer.getbuffer() as view, view[self.length : end] as target:
+            direction.open_into(head, body, target)
+        self.length = end
+
+    def finish(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
+        """Verify the last record of the unit and return the unit.
+
+        Raises:
+            RecordForged, LimitExceeded: as for `add`.
+        """
+        if self.length == 0:
+            self.check_room(len(body))
+            return direction.open(head, body)
+        self.add(direction, head, body)
+        return self._finished()
+
+    def finish_padded(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
+        """As `finish`, for a record with padding behind its data.
+
+        Raises:
+            RecordForged, LimitExceeded: as for `add`.
+            ProtocolViolation: nothing says where the data ends, or there is none.
+        """
+        self.check_room(len(body))
+        last = unpadded(direction.open(head, body))
+        if self.length == 0:
+            return last
+        end = self.length + len(last)
+        if end > self._room:
+            self._grow(end)
+        with self._buffer.getbuffer() as view:
+            view[self.length : end] = last
+        self.length = end
+        return self._finished()
+
+    def _finished(self) -> bytes:
+        self._buffer.truncate(self.length)
+        unit = self._buffer.getvalue()
+        if self.length <= _KEEP:
+            self._handed_out.append(self._buffer)
+        self._last, self.length = self.length, 0
+        return unit
+
+    def discard(self) -> None:
+        """Drop an incomplete unit, and memory that is kept for the next one."""
+        self._buffer = BytesIO()
+        self._handed_out.clear()
+        self._room = self.length = 0
+
+    def check_room(self, body: int) -> int:
+        """How long the unit is with a record whose sealed body has `body` bytes.
+
+        Raises:
+            LimitExceeded: longer than allowed.
+        """
+        end = self.length + body - TAG
+        if end > self.limit:
+            raise LimitExceeded(f"the peer sends a unit of more than {self.limit} bytes")
+        return end
+
+    def _begin(self) -> None:
+        self._buffer, self._room = BytesIO(), 0
+        # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
+        # are referenced elsewhere, it moves to a copy of its own first.
+        if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
+            self._buffer = self._handed_out.popleft()
+            self._room = self._buffer.seek(0, SEEK_END)
+
+    def _grow(self, needed: int) -> None:
+        self._room = min(self.limit, max(needed, 2 * self.length, self._last))
+        self._buffer.seek(self._room - 1)
+        self._buffer.write(b"\0")
+
 
 _REUSE_ABOVE: Final = 64 * 1024
 _RECORD: Final = HEADER + MAX_PLAINTEXT + TAG

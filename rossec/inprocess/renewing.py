@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from ca.certificates import Identity
-from rossec.channel.states import Renewal
+from rossec.channel.negotiation import Renewal
 from rossec.inprocess.connector import Stream
 from rossec.inprocess.plain_stream import PlainStream
 from rossec.net.threads.secure_socket import SecureSocket

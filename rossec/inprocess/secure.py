@@ -16,7 +16,7 @@ from typing import Any, Final, NoReturn
 from ca.errors import HintedError
 from ca.keys import ownership
 from rossec import files, home_hints
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.opening import post_quantum
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome

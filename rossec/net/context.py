@@ -11,9 +11,15 @@ from typing import Generic
 
 from rossec import clock
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import LiveCredentials, OwnCredential, PeerT, Renews, Verify
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.edhoc.credentials import (
+    KnownCertificates,
+    LiveCredentials,
+    OwnCredential,
+    OwnDials,
+    PeerT,
+    Renews,
+    Verify,
+)
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from threading import Lock
 from weakref import WeakSet
 
-from rossec.channel.outbound import PresentsIdentity
+from rossec.channel.connection import PresentsIdentity
 
 
 class OpenStreams:

@@ -16,8 +16,8 @@ from typing import Self
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.channel.opening import post_quantum
 from rossec.environment import own_home, own_master
 from rossec.errors import AnswerMalformed, NodeShutdown
 from rossec.home import NodeHome

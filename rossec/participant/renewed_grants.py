@@ -22,7 +22,7 @@ from ca.errors import HintedError
 from grants.model import Right
 from grants.token_bucket import TokenBucket
 from rossec import clock
-from rossec.channel.states import GrantsPresented, IdentityRenewed, Renewal
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, Renewal
 from rossec.errors import LimitExceeded
 from rossec.participant.access_interfaces import HandshakeAccess
 from rossec.participant.authorized import AuthorizedConnection

@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from ca.errors import HintedError
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.opening import post_quantum
 from rossec.discovery.choose import discover_master
 from rossec.environment import own_home, own_master
 from rossec.log_limits import LogRateLimit

@@ -11,7 +11,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, PeerUnreachable

@@ -12,7 +12,7 @@ from ca.authority import create_root
 from ca.errors import DomainsRefused, Revoked
 from ca.keys.publickey import thumbprint
 from grants.model import Right
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.errors import RossecError
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.domain_trust import GRACE

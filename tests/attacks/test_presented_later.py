@@ -12,8 +12,8 @@ from ca.encoding import encode
 from grants import document
 from grants.model import Restriction, Right, filter_rules
 from rossec import clock
+from rossec.channel.negotiation import MOST_AT_ONCE
 from rossec.channel.records import MAX_GRANTS, Frame, header
-from rossec.channel.renewals import MOST_AT_ONCE
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect

@@ -15,7 +15,7 @@ import pytest_asyncio
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.connection import Connection
-from rossec.channel.states import Authenticated, UnitReceived
+from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.ros import header
 from tests.support.attacker import (
     HOST,

@@ -13,9 +13,8 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value
-from rossec.channel.edhoc import known
-from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc import credentials as known
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, reference
 from rossec.errors import HandshakeFailed, OwnCredentialUnknown, PeerRefused
 from rossec.net.aio import SecureStream, connect, serve
 from rossec.node import Node

@@ -24,7 +24,7 @@ from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.join_transcript import sign_claim
 from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.channel.edhoc.messages import (
     decode_bytes,
     decode_error,

@@ -27,7 +27,7 @@ from grants.filters import layout
 from grants.guard import Guard
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules, merge
 from grants.request import RequestedRight
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.channel.edhoc.messages import decode_error, decode_message_1, decode_plaintext
 from rossec.discovery import announcement
 from rossec.master.rights import trl

@@ -13,8 +13,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
-from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from tests.support.wire import ALICE, BOB, End, Wire, alice, bob, wire

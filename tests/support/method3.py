@@ -10,11 +10,16 @@ from functools import partial
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import decode_sequence, encode
-from rossec.channel.edhoc.keyschedule import (
+from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1
+from rossec.channel.edhoc.suites import (
     GONE,
+    SUITES,
     EdhocExporter,
+    Finish,
     KdfLabel,
+    Random,
     Secret,
+    _p256,
     bstr,
     extract,
     kdf,
@@ -22,8 +27,6 @@ from rossec.channel.edhoc.keyschedule import (
     transcript_2,
     transcript_next,
 )
-from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1
-from rossec.channel.edhoc.suites import SUITES, Finish, Random, _p256
 
 SUITE = SUITES[2]
 SALT_3E2M, SALT_4E3M, MAC_LENGTH = 1, 5, 8

@@ -18,7 +18,7 @@ from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority.list_contents import tree_entries
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.opening import post_quantum
 from rossec.home import NodeHome
 from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits

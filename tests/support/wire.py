@@ -14,12 +14,10 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from ca.errors import CAError
 from ca.keys.signer import KeySigner
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import Credentials, Renews
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, OwnDials, Renews
+from rossec.channel.negotiation import Authenticated, Event, UnitReceived
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelError
 
 NOW = 1_800_000_000

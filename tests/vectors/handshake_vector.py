@@ -5,8 +5,9 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric import x25519
 
 from ca.encoding import encode
-from rossec.channel.edhoc.handshake import Initiator, Responder
-from rossec.channel.edhoc.keyschedule import (
+from rossec.channel.edhoc.handshake import C_R, EdhocConfig, Initiator, Responder
+from rossec.channel.edhoc.messages import Plaintext, decode_bytes
+from rossec.channel.edhoc.suites import (
     EdhocExporter,
     KdfLabel,
     bstr,
@@ -15,8 +16,6 @@ from rossec.channel.edhoc.keyschedule import (
     transcript_2,
     transcript_next,
 )
-from rossec.channel.edhoc.messages import Plaintext, decode_bytes
-from rossec.channel.edhoc.peer import C_R, EdhocConfig
 from tests.support.golden import fixed
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, dice, trust
 

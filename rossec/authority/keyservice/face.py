@@ -34,7 +34,7 @@ from rossec.authority.keyservice import inner_messages
 from rossec.authority.keyservice.inner_channel import InnerChannel
 from rossec.authority.master_connection import master_connection
 from rossec.authority.signing import OWN_NODE
-from rossec.channel import suite_selection
+from rossec.channel import opening
 from rossec.enrollment import address
 from rossec.enrollment.join_server import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
@@ -177,7 +177,7 @@ def main(arguments: list[str]) -> None:
     # So it cannot read the authority's encrypted key, its record or a passphrase beside them.
     confine_files([Path(directory)])
     executor = confine_processes()
-    suites = suite_selection.post_quantum(os.environ)
+    suites = opening.post_quantum(os.environ)
     face = Face(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
 
     async def run() -> None:

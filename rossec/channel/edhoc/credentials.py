@@ -3,16 +3,33 @@
 The chain travels in ID_CRED_x, CRED_x is the end-entity certificate exactly as it travelled. By
 value means there is nothing to look up and nothing to confuse; a reference (x5t) would be a lookup
 key, never trust. Whether a chain is *trusted* is decided by the caller's `verify`.
+
+Cached certificates of peers, so that a handshake may name one by its hash (x5t, RFC 9360).
+
+A lookup key, never trust: only certificates verified in a finished handshake are cached, and what
+is found is verified again. A hash that two certificates share finds neither. A peer that does not
+know the hash answers with error 3, and the caller retries, by value.
+
+A node that connects to itself: its own certificate is accepted there, and nowhere else.
+
+ROS programs subscribe to their own topics and call their own services. Anywhere else the own
+certificate is a reflection (the selfie attack, ePrint 2019/347): a redirect would connect a node to
+itself instead of another one. So a dial that is meant for the node itself is noted by its G_X, the
+responder that receives that G_X adds its G_Y, and both sides check for exactly this pair.
+Forwarding, repeating or redirecting messages does not change the pair, and another process with the
+same key is not found here.
 """
 
+import hashlib
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias, TypeVar
+from weakref import WeakValueDictionary
 
 from ca.encoding import Value, encode
 from ca.keys.signer import Signer
-from rossec.channel.edhoc.keyschedule import bstr
-from rossec.channel.edhoc.suites import PublicKey
+from rossec.channel.edhoc.suites import PublicKey, bstr
 from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 
 X5CHAIN: Final = 33  # RFC 9360 section 2
@@ -191,3 +208,121 @@ def _checked(chain: list[Value]) -> tuple[bytes, ...]:
     if not all(0 < len(certificate) <= _MAX_CERTIFICATE for certificate in certificates):
         raise HandshakeFailed("a certificate of the chain is empty or too long")
     return certificates
+
+
+_SHA256_64: Final = -15  # RFC 9054
+_CAPACITY: Final = 256
+
+Chain: TypeAlias = tuple[bytes, ...]
+
+
+def reference(certificate: bytes) -> Value:
+    """The x5t ID_CRED_x of a certificate."""
+    return {X5T: [_SHA256_64, _short(certificate)]}
+
+
+def _short(certificate: bytes) -> bytes:
+    return hashlib.sha256(certificate).digest()[:8]
+
+
+class KnownCertificates:
+    """A bounded cache of one node, least recently used first out."""
+
+    def __init__(self, capacity: int = _CAPACITY) -> None:
+        self._capacity = capacity
+        self._chains: OrderedDict[bytes, Chain | None] = OrderedDict()
+        self._introduced: OrderedDict[bytes, None] = OrderedDict()
+        self._addresses: OrderedDict[tuple[str, int], None] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._chains)
+
+    def remember(self, chain: Chain) -> None:
+        """Cache a chain that was just verified."""
+        key = _short(chain[0])
+        there = self._chains.get(key, chain)
+        ambiguous = there is None or there[0] != chain[0]
+        self._chains[key] = None if ambiguous else chain
+        self._chains.move_to_end(key)
+        if len(self._chains) > self._capacity:
+            self._chains.popitem(last=False)
+
+    def find(self, id_cred: Value) -> Chain:
+        """From ID_CRED_x, of either kind, to the chain.
+
+        Raises:
+            PeerCredentialUnknown: a reference to an unknown certificate.
+            HandshakeFailed: neither a reference nor a chain.
+        """
+        match id_cred:
+            case {34: [-15, bytes() as short], **rest} if not rest:
+                chain = self._chains.get(short)
+                if chain is None:
+                    raise PeerCredentialUnknown(
+                        "the peer names a certificate this node does not know"
+                    )
+                self._chains.move_to_end(short)
+                return chain
+            case _:
+                return x5chain(id_cred)
+
+    def introduce(self, certificate: bytes) -> None:
+        """Note that the holder of `certificate` has received this node's own."""
+        self._introduced[certificate] = None
+        self._introduced.move_to_end(certificate)
+        if len(self._introduced) > self._capacity:
+            self._introduced.popitem(last=False)
+
+    def is_introduced(self, certificate: bytes) -> bool:
+        """Whether the holder of `certificate` is likely to know this node's own."""
+        return certificate in self._introduced
+
+    def note_address(self, address: tuple[str, int]) -> None:
+        """Note that a known peer was reached at this host and port."""
+        self._addresses[address] = None
+        self._addresses.move_to_end(address)
+        if len(self._addresses) > self._capacity:
+            self._addresses.popitem(last=False)
+
+    def knows_address(self, address: tuple[str, int]) -> bool:
+        """Whether the certificate of the peer at this host and port is likely to be known."""
+        return address in self._addresses
+
+    def forget_introductions(self) -> None:
+        """After an error 3: a peer does not know this node's certificate (any more)."""
+        self._introduced.clear()
+
+
+class Dial:
+    """One dial that is meant for this node; held by the dialer, and forgotten with it."""
+
+    __slots__ = ("__weakref__", "g_y")
+
+    def __init__(self) -> None:
+        self.g_y: bytes | None = None
+
+
+class OwnDials:
+    """The pending dials of one node that are meant for itself; threads may share it."""
+
+    def __init__(self) -> None:
+        self._pending: WeakValueDictionary[bytes, Dial] = WeakValueDictionary()
+
+    def __len__(self) -> int:
+        return len(self._pending)
+
+    def begin(self, g_x: bytes) -> Dial:
+        """Note a dial that is meant for this node; it lasts as long as the object returned."""
+        dial = self._pending[g_x] = Dial()
+        return dial
+
+    def answer(self, g_x: bytes, g_y: bytes) -> None:
+        """Note the answer of this node, if the dial is one of its own: the first one counts."""
+        dial = self._pending.get(g_x)
+        if dial is not None and dial.g_y is None:
+            dial.g_y = g_y
+
+    def is_own(self, g_x: bytes, g_y: bytes) -> bool:
+        """Whether this node dialled itself with `g_x` and answered with `g_y`."""
+        dial = self._pending.get(g_x)
+        return dial is not None and dial.g_y == g_y

@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 from ca.encoding import Value, decode_sequence, encode, head
 from ca.errors import EncodingError
 from rossec.channel.edhoc.credentials import X5CHAIN, X5CHAIN_HEAD, encode_id_cred
-from rossec.channel.edhoc.keyschedule import bstr
-from rossec.channel.edhoc.suites import SIGNATURE_LENGTH
+from rossec.channel.edhoc.suites import SIGNATURE_LENGTH, bstr
 from rossec.errors import HandshakeFailed
 
 MAX_MESSAGE_1: Final = 1024 + 1216  # leaves room for a hybrid G_X

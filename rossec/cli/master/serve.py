@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rossec.authority.local_list import LocalList
-from rossec.channel import suite_selection
+from rossec.channel import opening
 from rossec.cli.master.admin import ADMIN_SOCKET
 from rossec.cli.master.audit import AUDIT
 from rossec.cli.shared.context import Environment, now
@@ -70,7 +70,7 @@ def run(
     Raises:
         HintedError: the master cannot start, or ended by itself.
     """
-    suites = suite_selection.post_quantum(environment.variables, post_quantum)
+    suites = opening.post_quantum(environment.variables, post_quantum)
     config = replace(Config() if config_file is None else configs.load(config_file), **given)
     with ExitStack() as stack:
         if config.log == "json":

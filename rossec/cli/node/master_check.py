@@ -31,7 +31,7 @@ from ca.revocation.state import (
 )
 from grants.model import Grant
 from rossec import clock
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.opening import post_quantum
 from rossec.cli.node.address_check import Outcome, check_node_addresses
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from rossec.authority.master_connection import master_connection
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment
 from rossec.errors import ChannelClosed, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome

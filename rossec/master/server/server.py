@@ -21,8 +21,7 @@ from ca import svid
 from ca.certificates import Identity
 from ca.domains.aliases import shown
 from ca.errors import HintedError
-from rossec.channel.edhoc.credentials import OwnCredential, Verify
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential, Verify
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
@@ -84,7 +83,7 @@ class MasterServer:
         parameter_file: the journal of parameters; None: they do not survive a restart.
         deposit_file: the journal of deposited grants; None: none is accepted.
         limits: limits on what one peer may use.
-        suites: the post-quantum policy (`rossec.channel.suite_selection`).
+        suites: the post-quantum policy (`rossec.channel.opening`).
         check_own_identity: called with the time in each round of maintenance.
         turns: limits how long one call may delay others.
         find_revocations, find_domains: read what an authority on this host has signed.

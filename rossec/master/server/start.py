@@ -68,7 +68,7 @@ def master_of(
         entries: where `newest` is a tree, its entries.
         on_denial: called for every right that a caller lacks.
         limits: limits on what one peer may use.
-        suites: the post-quantum policy (`rossec.channel.suite_selection`).
+        suites: the post-quantum policy (`rossec.channel.opening`).
         find_revocations, find_domains: read what an authority on this host has signed.
 
     Raises:

@@ -11,8 +11,7 @@ from typing import Final, Generic, Self
 from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.records import Bytes
-from rossec.channel.states import (
+from rossec.channel.negotiation import (
     Authenticated,
     Closed,
     Event,
@@ -21,6 +20,7 @@ from rossec.channel.states import (
     Renewal,
     UnitReceived,
 )
+from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio.base import BaseStream
 from rossec.net.aio.transport import ByteTransport, TransportOwner

@@ -17,8 +17,7 @@ from typing import Any, Final, Generic, cast
 from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.records import Bytes
-from rossec.channel.states import (
+from rossec.channel.negotiation import (
     Authenticated,
     Closed,
     ConnectionState,
@@ -27,6 +26,7 @@ from rossec.channel.states import (
     Renewal,
     UnitReceived,
 )
+from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 

@@ -12,9 +12,9 @@ from typing import Final, Self
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.negotiation import ENDED
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
-from rossec.channel.states import ENDED
 from rossec.errors import ChannelClosed
 from rossec.net.context import SecureContext
 from rossec.net.threads.carrier import AT_ONCE, Carrier

@@ -2,9 +2,9 @@
 
 import pytest
 
+from rossec.channel.negotiation import Closed, ConnectionState
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
-from rossec.channel.states import Closed, ConnectionState
 from rossec.errors import (
     ChannelClosed,
     ChannelError,

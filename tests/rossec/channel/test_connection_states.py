@@ -4,8 +4,8 @@ import pytest
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.messages import encode_error
+from rossec.channel.negotiation import TABLE, ConnectionState
 from rossec.channel.records import Frame, frame
-from rossec.channel.states import TABLE, ConnectionState
 from rossec.errors import (
     ProtocolViolation,
 )

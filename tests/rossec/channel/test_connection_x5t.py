@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.errors import (
     ChannelClosed,
     OwnCredentialUnknown,

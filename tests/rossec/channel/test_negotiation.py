@@ -6,9 +6,9 @@ import pytest
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.messages import encode_error
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.opening import REFUSAL, WireProtocol, tcpros_refusal
 from rossec.channel.records import Frame, frame
-from rossec.channel.states import ConnectionState
 from rossec.errors import (
     HandshakeFailed,
     IdentityRefused,

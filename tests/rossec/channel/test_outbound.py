@@ -2,8 +2,8 @@
 
 import pytest
 
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import ConnectionState
 from rossec.errors import (
     ChannelClosed,
     ChannelError,

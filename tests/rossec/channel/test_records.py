@@ -2,8 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rossec.channel.edhoc.keyschedule import EdhocExporter
-from rossec.channel.edhoc.suites import SUITES
+from rossec.channel.edhoc.suites import SUITES, EdhocExporter
 from rossec.channel.records import (
     MAX_PLAINTEXT,
     TAG,

@@ -5,10 +5,16 @@ import pytest
 from ca.encoding import encode
 from ca.errors import HintedError
 from rossec.channel.edhoc.messages import RENEWALS_EAD, says_renewals
+from rossec.channel.negotiation import (
+    MOST_AT_ONCE,
+    SECONDS_EACH,
+    GrantsPresented,
+    IdentityRenewed,
+    RenewalRefused,
+    Renewals,
+)
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import MAX_GRANTS, ChannelLimits, Frame, header
-from rossec.channel.renewals import MOST_AT_ONCE, SECONDS_EACH, Renewals
-from rossec.channel.states import GrantsPresented, IdentityRenewed, RenewalRefused
 from rossec.errors import IdentityExpired, LimitExceeded, ProtocolViolation
 from rossec.participant.token_opening import MAX_PRESENTED
 from tests.support.wire import (

@@ -8,8 +8,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import ConnectionState
 from rossec.errors import ChannelError
 from tests.support.wire import NOW, End, alice, bob, wire
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rossec.channel.states import GrantsPresented
+from rossec.channel.negotiation import GrantsPresented
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.renewing import Renewing
 from rossec.inprocess.sockets import RosSocket

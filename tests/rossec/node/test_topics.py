@@ -10,7 +10,7 @@ import pytest
 from ca.encoding import Value
 from ca.errors import NameRefused
 from grants.model import Restriction, filter_rules
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.errors import (
     ConfigurationError,
     HandshakeFailed,

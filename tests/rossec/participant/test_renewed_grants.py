@@ -11,7 +11,7 @@ from ca.encoding import encode
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec import clock
-from rossec.channel.states import GrantsPresented, IdentityRenewed, RenewalRefused
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, RenewalRefused
 from rossec.clock import Clock
 from rossec.errors import ConnectionHeaderRefused, IdentityRefused
 from rossec.participant import renewed_grants

@@ -10,9 +10,8 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 
 from ca.encoding import Value, decode_sequence, encode
 from ca.errors import CAError
-from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
+from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1, decode_plaintext
-from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.edhoc.suites import SUITES
 from rossec.errors import HandshakeFailed, IdentityRefused
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, dice, node, trust

@@ -5,7 +5,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF, HKDFExpand
 
 from ca.encoding import encode
-from rossec.channel.edhoc.keyschedule import (
+from rossec.channel.edhoc.suites import (
     EdhocExporter,
     KdfLabel,
     Secret,

@@ -1,7 +1,7 @@
 import pytest
 
-from rossec.channel.edhoc import known
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc import credentials
+from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 
 CHAIN = (b"certificate", b"intermediate")
@@ -26,7 +26,7 @@ def test_other_references_are_refused(bad: dict[int | str, object]) -> None:
 
 
 def test_a_hash_that_two_certificates_share_finds_neither(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(known, "_short", lambda _: bytes(8))
+    monkeypatch.setattr(credentials, "_short", lambda _: bytes(8))
     memory = KnownCertificates()
     for chain in (CHAIN, (b"other",), CHAIN):
         memory.remember(chain)

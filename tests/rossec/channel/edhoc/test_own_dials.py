@@ -3,9 +3,8 @@
 import dataclasses
 import gc
 
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.states import Authenticated
+from rossec.channel.edhoc.credentials import KnownCertificates, OwnDials
+from rossec.channel.negotiation import Authenticated
 from rossec.errors import IdentityRefused, PeerRefused
 from tests.support.wire import ALICE, BOB, FakeIdentity, Wire, alice, bob, wire
 

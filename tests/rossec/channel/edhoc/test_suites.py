@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM, PRODUCTION, SUITES
-from rossec.channel.states import ConnectionState
+from rossec.channel.negotiation import ConnectionState
 from rossec.errors import HandshakeFailed
 from tests.support.wire import NOT_AFTER, NOW, dice
 

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from rossec.channel.states import GrantsPresented, IdentityRenewed
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.errors import LimitExceeded
 from rossec.net.aio import connect, serve
 from rossec.net.aio import driver as driver_module

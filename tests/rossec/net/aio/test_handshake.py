@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.edhoc.suites import POST_QUANTUM
 from rossec.channel.records import ChannelLimits
 from rossec.errors import (

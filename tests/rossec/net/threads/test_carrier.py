@@ -10,8 +10,8 @@ import time
 
 import pytest
 
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import GrantsPresented, IdentityRenewed
 from rossec.errors import (
     ChannelError,
     HandshakeTimeout,
